@@ -1,0 +1,79 @@
+"""sero-mj: simulator and viewer for torque-controlled robots on MuJoCo.
+
+Conventions, everywhere in this package:
+
+- SI units: m, rad, s, kg, N, Nm. A name says its unit only where it is another one
+  (`azimuth_deg`).
+- Frames are 4x4 row-major numpy arrays, float64; `T_a_b` maps coordinates of b into a, so
+  `T_world_flange[:3, 3]` is where the flange is. Quaternions are w, x, y, z. Roll, pitch and yaw
+  turn about the fixed x, y and z axes, as in URDF. The world's z points up.
+- A robot has n joints, numbered from 1 at the base in names and from 0 in arrays; per-joint
+  arrays are (n,). Joint values are rad for revolute and m for prismatic joints, efforts Nm and N.
+- Pixels are counted from the lower left corner; pictures are (height, width, 3), uint8, top row
+  first.
+- The data moves one way: assemble, receive, drive, decor, show. A file imports only from folders
+  above its own in that list.
+
+The public names are imported when they are first used, because `import mujoco` takes a while and
+fixes the OpenGL backend. Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet
+imported, the first use of a name sets it to what works without one.
+"""
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .assemble.dh import DhTable as DhTable
+    from .assemble.objects import Object as Object
+    from .assemble.robot import SerialRobot as SerialRobot
+    from .assemble.scene import Camera as Camera
+    from .assemble.scene import Light as Light
+    from .assemble.scene import Scene as Scene
+    from .assemble.scene import View as View
+    from .assemble.world import World as World
+    from .drive.mirror import Mirror as Mirror
+    from .drive.mirror import load_scene as load_scene
+    from .errors import DeclarationError as DeclarationError
+    from .errors import SeroError as SeroError
+    from .receive.structure import Structure as Structure
+    from .receive.udp import UdpReceiver as UdpReceiver
+    from .show.capture import render_film as render_film
+    from .show.capture import render_picture as render_picture
+    from .show.headless import HeadlessRenderer as HeadlessRenderer
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "DhTable": "assemble.dh",
+    "Object": "assemble.objects",
+    "SerialRobot": "assemble.robot",
+    "Camera": "assemble.scene",
+    "Light": "assemble.scene",
+    "Scene": "assemble.scene",
+    "View": "assemble.scene",
+    "World": "assemble.world",
+    "Mirror": "drive.mirror",
+    "load_scene": "drive.mirror",
+    "DeclarationError": "errors",
+    "SeroError": "errors",
+    "Structure": "receive.structure",
+    "UdpReceiver": "receive.udp",
+    "render_film": "show.capture",
+    "render_picture": "show.capture",
+    "HeadlessRenderer": "show.headless",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'sero_mj' has no attribute '{name}'")
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        import_module(".show.gl", __name__).choose_backend()
+    value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

@@ -1,0 +1,138 @@
+"""Every exception of sero-mj.
+
+    SeroError
+    ├── DeclarationError      a robot, scene or source is declared wrongly (lists every problem)
+    ├── UnknownName           a name that is not among those available
+    ├── StructureError        a packet structure string that cannot be parsed
+    ├── SourceError           a source that cannot be opened (a port in use, say)
+    ├── RenderError           no picture can be made (no GL, no room for the file)
+    └── UsageError            a command line that asks for something impossible
+
+Errors take the objects at fault, keep them as attributes and build the text themselves, so
+that every place that meets the same fault says the same sentence.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+
+def nearest(name: str, available: Iterable[str]) -> str | None:
+    """Returns the available name that `name` most likely was meant to be, or None."""
+    by_lower = {candidate.lower(): candidate for candidate in available}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
+    return by_lower[close[0]] if close else None
+
+
+def did_you_mean(name: str, available: Iterable[str]) -> str:
+    """Returns `; did you mean 'x'?` for the nearest name, else the list of what is available."""
+    names = list(available)
+    near = nearest(name, names)
+    if near is not None:
+        return f"; did you mean '{near}'?"
+    if not names:
+        return "; none is available"
+    shown = ", ".join(sorted(names)[:40])
+    return f"; available: {shown}"
+
+
+class SeroError(Exception):
+    """Base of every error that sero-mj raises on purpose."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong in a declaration.
+
+    Attributes:
+        key: dotted key, e.g. `robots.lwr.dh_params`; empty for the file as a whole.
+        message: what was found and what would be right.
+        file: the file the key stands in, or None when declared in Python.
+        line: its line in that file, where known.
+    """
+
+    key: str
+    message: str
+    file: str | None = None
+    line: int | None = None
+
+    def __str__(self) -> str:
+        place = self.file or ""
+        if place and self.line is not None:
+            place += f":{self.line}"
+        return ": ".join(part for part in (place, self.key, self.message) if part)
+
+    def inside(self, prefix: str) -> Problem:
+        """Returns this problem with `prefix` put before its key."""
+        key = f"{prefix}.{self.key}" if self.key and prefix else prefix or self.key
+        return replace(self, key=key)
+
+
+class DeclarationError(SeroError, ValueError):
+    """A robot, source or scene is declared wrongly; `problems` lists all of it at once."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = list(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+class UnknownName(SeroError, KeyError):
+    """A name that does not exist among those available.
+
+    Attributes:
+        kind: what was looked for, e.g. `camera`.
+        name: the name that was given.
+        available: the names that exist.
+    """
+
+    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+        self.kind = kind
+        self.name = name
+        self.available = sorted(available)
+        super().__init__(f"no {kind} '{name}'{did_you_mean(name, self.available)}")
+
+    def __str__(self) -> str:
+        return str(self.args[0])  # KeyError would print the repr
+
+
+class StructureError(SeroError, ValueError):
+    """A packet structure string that cannot be parsed.
+
+    Attributes:
+        structure: the whole string.
+        position: index of the first wrong character.
+        reason: what was expected there.
+    """
+
+    def __init__(self, structure: str, position: int, reason: str) -> None:
+        self.structure = structure
+        self.position = position
+        self.reason = reason
+        found = f"'{structure[position]}'" if position < len(structure) else "the end"
+        super().__init__(
+            f"structure '{structure}', character {position + 1}: found {found}, {reason}"
+        )
+
+
+class SourceError(SeroError, OSError):
+    """A source that cannot be opened.
+
+    Attributes:
+        source: its name.
+        reason: what stood in the way and what would help.
+    """
+
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"source '{source}': {reason}")
+
+
+class RenderError(SeroError, RuntimeError):
+    """No picture can be made: no software or hardware GL, or no place to write to."""
+
+
+class UsageError(SeroError, ValueError):
+    """A command line that asks for something impossible; exit status 2."""

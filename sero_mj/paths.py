@@ -1,0 +1,64 @@
+"""Finds `models/` and `scenes/`, in a checkout and in an installed wheel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .errors import UnknownName
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def _shipped(folder: str) -> Path:
+    """Returns the folder inside the package (wheel), else beside it (checkout)."""
+    inside = _PACKAGE / folder
+    return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+def models_dir() -> Path:
+    """Folder with one sub-folder per shipped robot."""
+    return _shipped("models")
+
+
+def scenes_dir() -> Path:
+    """Folder with the shipped scene files."""
+    return _shipped("scenes")
+
+
+def list_models() -> list[str]:
+    """Names of the shipped robots."""
+    return sorted(path.parent.name for path in models_dir().glob("*/robot.toml"))
+
+
+def list_scenes() -> list[str]:
+    """Names of the shipped scenes."""
+    return sorted(path.stem for path in scenes_dir().glob("*.toml"))
+
+
+def find_model(name: str, beside: Path | None = None) -> Path:
+    """Returns the robot file that `name` means.
+
+    Args:
+        name: a shipped robot's name, a folder with a `robot.toml`, or a TOML file.
+        beside: folder that relative paths start from; the working directory when None.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the shipped robots.
+    """
+    local = (beside or Path.cwd()) / name
+    for candidate in (local / "robot.toml", local, models_dir() / name / "robot.toml"):
+        if candidate.suffix == ".toml" and candidate.is_file():
+            return candidate
+    raise UnknownName("robot model", name, list_models())
+
+
+def find_scene(name: str) -> Path:
+    """Returns the scene file that `name` means: a TOML file, or a shipped scene's name.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the shipped scenes.
+    """
+    for candidate in (Path(name), scenes_dir() / f"{name}.toml"):
+        if candidate.is_file():
+            return candidate
+    raise UnknownName("scene", name, list_scenes())
