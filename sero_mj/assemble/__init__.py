@@ -1,0 +1,1 @@
+"""Files to `MjModel`, once: robots, scenes, and the world compiled from them."""

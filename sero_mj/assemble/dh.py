@@ -1,0 +1,158 @@
+"""Denavit-Hartenberg kinematics in numpy, without MuJoCo: the independent check.
+
+Craig (modified):   T_{i-1,i} = Rx(alpha) Tx(a) Rz(theta) Tz(d), joint i turns about z of frame i.
+Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint i turns about z of frame i-1.
+
+Sources: Craig, Introduction to Robotics, eq. 3.6 (modified); Denavit and Hartenberg 1955 as in
+Spong et al., Robot Modeling and Control, eq. 3.10 (standard). Frame 0 is the base; the joint
+angle q_i is added to theta_i (revolute) or to d_i (prismatic).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .frames import rotation_about
+
+Array = NDArray[np.float64]
+Convention = Literal["craig", "standard"]
+Column = Literal["alpha", "a", "theta", "d"]
+COLUMNS: tuple[Column, ...] = ("alpha", "a", "theta", "d")
+
+
+@dataclass(frozen=True, eq=False)
+class DhTable:
+    """A Denavit-Hartenberg table of n joints.
+
+    Attributes:
+        convention: `craig` or `standard`.
+        alpha: link twists, (n,), rad.
+        a: link lengths, (n,), m.
+        theta: joint offsets, (n,), rad.
+        d: link offsets, (n,), m.
+        revolute: which joints turn, (n,) bool; the others slide.
+    """
+
+    convention: Convention
+    alpha: Array
+    a: Array
+    theta: Array
+    d: Array
+    revolute: NDArray[np.bool_]
+
+    @classmethod
+    def from_rows(
+        cls,
+        rows: ArrayLike,
+        convention: Convention,
+        columns: tuple[str, ...] = COLUMNS,
+        revolute: ArrayLike | None = None,
+    ) -> DhTable:
+        """Builds a table from rows whose columns stand in the order that `columns` states.
+
+        Args:
+            rows: (n, 4).
+            convention: `craig` or `standard`.
+            columns: a permutation of alpha, a, theta, d. The paper's Fig. 7 shows alpha first
+                and d last and leaves the two between open; alpha, a, theta, d is our reading.
+            revolute: (n,) bool; all revolute when None.
+        """
+        table = np.asarray(rows, dtype=np.float64).reshape(-1, 4)
+        column = {name: table[:, columns.index(name)].copy() for name in COLUMNS}
+        turns = np.ones(len(table), bool) if revolute is None else np.asarray(revolute, bool)
+        return cls(convention, **column, revolute=turns)
+
+    def __len__(self) -> int:
+        return len(self.alpha)
+
+    def link_transforms(self, joint_angles: ArrayLike) -> Array:
+        """Frame i in frame i-1, for every joint.
+
+        Args:
+            joint_angles: (..., n), rad for revolute and m for prismatic joints.
+
+        Returns:
+            T_{i-1,i}, (..., n, 4, 4).
+
+        Raises:
+            ValueError: the last axis is not n long.
+        """
+        q = np.asarray(joint_angles, dtype=np.float64)
+        if q.shape[-1:] != (len(self),):
+            raise ValueError(
+                f"joint_angles: found {q.shape}; expected {len(self)} in the last axis"
+            )
+        theta = self.theta + np.where(self.revolute, q, 0.0)
+        d = self.d + np.where(self.revolute, 0.0, q)
+        ca, sa = np.cos(self.alpha), np.sin(self.alpha)
+        rot_x, rot_z = rotation_about(0, self.alpha), rotation_about(2, theta)
+        T = np.zeros((*q.shape, 4, 4))
+        T[..., 3, 3] = 1.0
+        if self.convention == "craig":
+            T[..., :3, :3] = rot_x @ rot_z
+            T[..., 0, 3], T[..., 1, 3], T[..., 2, 3] = self.a, -sa * d, ca * d
+        else:
+            T[..., :3, :3] = rot_z @ rot_x
+            T[..., 0, 3] = self.a * np.cos(theta)
+            T[..., 1, 3] = self.a * np.sin(theta)
+            T[..., 2, 3] = d
+        return T
+
+    def frames(self, joint_angles: ArrayLike, base_frame: ArrayLike | None = None) -> Array:
+        """Forward kinematics of every frame.
+
+        Args:
+            joint_angles: (..., n), rad or m.
+            base_frame: T_world_base (4, 4); identity when None.
+
+        Returns:
+            T_world_i for i = 0 (the base) to n, (..., n + 1, 4, 4), translation in m.
+        """
+        links = self.link_transforms(joint_angles)
+        T = np.empty((*links.shape[:-3], len(self) + 1, 4, 4))
+        T[..., 0, :, :] = np.eye(4) if base_frame is None else np.asarray(base_frame)
+        for i in range(len(self)):
+            T[..., i + 1, :, :] = T[..., i, :, :] @ links[..., i, :, :]
+        return T
+
+    def joint_axes(self, frames: Array) -> tuple[Array, Array]:
+        """Axis direction and a point on it, for every joint, in the frames' own parent.
+
+        Args:
+            frames: what `frames()` returned, (..., n + 1, 4, 4).
+
+        Returns:
+            directions (..., n, 3) of unit length and points (..., n, 3) in m.
+        """
+        carrying = frames[..., 1:, :, :] if self.convention == "craig" else frames[..., :-1, :, :]
+        return carrying[..., :3, 2], carrying[..., :3, 3]
+
+    def jacobian(
+        self,
+        joint_angles: ArrayLike,
+        base_frame: ArrayLike | None = None,
+        flange_frame: ArrayLike | None = None,
+    ) -> Array:
+        """Geometric Jacobian of the flange.
+
+        Args:
+            joint_angles: (..., n), rad or m.
+            base_frame: T_world_base (4, 4); identity when None.
+            flange_frame: T_n_flange (4, 4); identity when None.
+
+        Returns:
+            (..., 6, n): rows 0-2 linear velocity (m per rad or m), rows 3-5 angular velocity,
+            of the flange origin, in world coordinates.
+        """
+        T = self.frames(joint_angles, base_frame)
+        axis, point = self.joint_axes(T)
+        flange = np.eye(4) if flange_frame is None else np.asarray(flange_frame)
+        tip = (T[..., -1, :, :] @ flange)[..., None, :3, 3]
+        turns = self.revolute[:, None]
+        linear = np.where(turns, np.cross(axis, tip - point), axis)
+        angular = np.where(turns, axis, 0.0)
+        return np.swapaxes(np.concatenate([linear, angular], axis=-1), -1, -2)

@@ -1,0 +1,47 @@
+"""Finds out which mesh file it was that MuJoCo could not compile."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+
+from ..errors import Problem
+from .robot import SerialRobot
+from .scene import Scene
+
+
+def mesh_problems(scene: Scene) -> list[Problem]:
+    """Compiles every mesh of a scene by itself and returns what is wrong, by robot and file."""
+    problems = []
+    for name, robot in scene.robots.items():
+        for i, meshes in enumerate(robot.filenames):
+            for mesh in meshes:
+                path = Path(robot.directory) / mesh.file
+                problems += _problem(f"robots.{name}.filenames[{i}]", path)
+        problems += _object_problems(f"robots.{name}.children", robot)
+    problems += _object_problems("objects", scene)
+    return problems
+
+
+def _object_problems(key: str, owner: SerialRobot | Scene) -> list[Problem]:
+    items = owner.children if isinstance(owner, SerialRobot) else owner.objects
+    problems = []
+    for item in items:
+        if item.mesh is not None:
+            problems += _problem(f"{key}.{item.name}.mesh", Path(item.directory) / item.mesh)
+    return problems
+
+
+def _problem(key: str, path: Path) -> list[Problem]:
+    file = f"mesh{path.suffix.lower()}"
+    xml = (
+        f'<mujoco><asset><mesh name="mesh" file="{file}" inertia="convex"/></asset>'
+        '<worldbody><geom type="mesh" mesh="mesh"/></worldbody></mujoco>'
+    )
+    try:
+        mujoco.MjModel.from_xml_string(xml, {file: path.read_bytes()})
+    except (ValueError, OSError) as error:
+        reason = str(error).splitlines()[0].removeprefix("Error: ")
+        return [Problem(key, f"{path} is no mesh that MuJoCo reads: {reason}")]
+    return []

@@ -1,0 +1,240 @@
+"""A scene's robots and surroundings as MJCF, built with PyMJCF.
+
+A robot becomes one mocap body at its base frame with a chain of bodies, one per row of its DH
+table, whose frames are the DH frames: body i stands at T_{i-1,i}(q_i = 0) and turns about, or
+slides along, z of its own frame (craig) or of its parent's (standard).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control import mjcf
+from numpy.typing import NDArray
+
+from ..errors import DeclarationError, Problem
+from . import frames
+from .objects import Object
+from .robot import LinkMesh, SerialRobot
+from .scene import Scene
+from .shapes import SHELL, LinkShape, grow_links
+
+Array = NDArray[np.float64]
+
+SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
+OBJECT_GROUP, ROBOT_GROUP = 0, 1
+_DENSITY = 1000.0  # kg/m3: what links weigh when their file does not say
+# Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
+_HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
+_STILL = {"contype": 0, "conaffinity": 0}  # what only mirrors a robot does not collide
+
+
+def build_mjcf(scene: Scene) -> mjcf.RootElement:
+    """Returns the scene as one MJCF tree, names scoped by robot (`lwr/link1`).
+
+    Raises:
+        DeclarationError: an MJCF piece cannot be read, or a file is missing.
+    """
+    root = mjcf.RootElement(model=scene.name)
+    _set_up(root)
+    _surroundings(root, scene)
+    problems: list[Problem] = []
+    for item in scene.objects:
+        try:
+            _add_object(root, root.worldbody, item)
+        except DeclarationError as error:
+            problems += [problem.inside(f"objects.{item.name}") for problem in error.problems]
+    for name, robot in scene.robots.items():
+        try:
+            base = root.attach(build_robot_mjcf(robot))
+            base.mocap = True
+            _pose(base, robot.base_frame)
+        except DeclarationError as error:
+            problems += [problem.inside(f"robots.{name}") for problem in error.problems]
+    if problems:
+        raise DeclarationError(scene.located(problems))
+    return root
+
+
+def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
+    """Returns one robot; its world body is the robot's base."""
+    root = mjcf.RootElement(model=robot.name)
+    geometry = _Geometry(root, robot)
+    body = root.worldbody
+    geometry.add_link(body, 0)
+    _add_site(body, "base")
+    table = robot.dh
+    at_zero = table.link_transforms(np.zeros(robot.n))
+    for i in range(robot.n):
+        body = body.add("body", name=f"link{i + 1}")
+        _pose(body, at_zero[i])
+        axis_frame = np.eye(4) if table.convention == "craig" else frames.inverse(at_zero[i])
+        joint: dict[str, Any] = {"axis": axis_frame[:3, 2], "pos": axis_frame[:3, 3]}
+        if robot.position_limits is not None:
+            joint |= {"range": robot.position_limits[i], "limited": True}
+        kind = "hinge" if table.revolute[i] else "slide"
+        body.add("joint", name=robot.names[i], type=kind, **joint)
+        geometry.add_link(body, i + 1)
+        _add_site(body, f"frame{i + 1}")
+        # Arrows and billboards stand here; its z is the joint's axis in both conventions.
+        centre = body.add("site", name=f"centre{i + 1}", group=SITE_GROUP)
+        _pose(centre, axis_frame @ frames.frame(position=robot.offsets[i]))
+    flange = body.add("body", name="flange")
+    _pose(flange, robot.flange_frame)
+    _add_site(flange, "flange_frame")
+    problems: list[Problem] = []
+    for child in robot.children:
+        try:
+            _add_object(root, flange, child)
+        except DeclarationError as error:
+            problems += [problem.inside(f"children.{child.name}") for problem in error.problems]
+    problems += geometry.problems
+    if problems:
+        raise DeclarationError(problems)
+    return root
+
+
+class _Geometry:
+    """Adds the visible geometry of a robot's links: its mesh files, or shapes grown from DH."""
+
+    def __init__(self, root: mjcf.RootElement, robot: SerialRobot) -> None:
+        self._root = root
+        self._robot = robot
+        self._grown = [] if robot.filenames else grow_links(robot.dh, robot.flange_frame)
+        self.problems: list[Problem] = []
+
+    def add_link(self, body: Any, i: int) -> None:
+        if self._grown:
+            for shape in self._grown[i]:
+                _add_shape(body, shape)
+            return
+        for k, mesh in enumerate(self._robot.filenames[i]):
+            try:
+                self._add_mesh(body, f"link{i}_{k}", mesh)
+            except DeclarationError as error:
+                self.problems += [p.inside(f"filenames[{i}]") for p in error.problems]
+
+    def _add_mesh(self, body: Any, name: str, mesh: LinkMesh) -> None:
+        path = Path(self._robot.directory) / mesh.file
+        asset = _mesh_asset(self._root, name, path, self._robot.mesh_scale)
+        rgba = SHELL if mesh.color is None else self._robot.colors[mesh.color]
+        body.add("geom", type="mesh", mesh=asset, rgba=rgba, group=ROBOT_GROUP, **_STILL)
+
+
+def _set_up(root: mjcf.RootElement) -> None:
+    root.compiler.angle = "radian"
+    root.compiler.autolimits = True
+    # A link without geometry (an axis of a wrist) still needs a mass to be a moving body.
+    root.compiler.boundmass, root.compiler.boundinertia = 1e-3, 1e-6
+    root.default.geom.density = _DENSITY
+
+
+def _surroundings(root: mjcf.RootElement, scene: Scene) -> None:
+    visual = root.visual
+    visual.headlight.ambient, visual.headlight.diffuse = [0.38] * 3, [0.32] * 3
+    visual.headlight.specular = [0.05] * 3
+    visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
+    visual.quality.numslices, visual.quality.numstacks = 24, 10
+    visual.quality.numquads = 1  # boxes of 12 triangles: arrows have hundreds of them
+    visual.map.znear, visual.map.zfar = 0.01, 50.0
+    root.asset.add(
+        "texture", name="sky", type="skybox", builtin="gradient",
+        rgb1=[0.97, 0.98, 0.99], rgb2=[0.70, 0.76, 0.82], width=64, height=384,
+    )  # fmt: skip
+    if scene.floor:
+        root.asset.add(
+            "texture", name="tiles", type="2d", builtin="checker", mark="edge",
+            rgb1=[0.83, 0.85, 0.87], rgb2=[0.86, 0.88, 0.90], markrgb=[0.78, 0.80, 0.83],
+            width=256, height=256,
+        )  # fmt: skip
+        root.asset.add("material", name="floor", texture="tiles", texrepeat=[2, 2], texuniform=True)
+        root.worldbody.add(
+            "geom", name="floor", type="plane", size=[0, 0, 0.05], material="floor",
+            group=OBJECT_GROUP,
+        )  # fmt: skip
+    for name, light in scene.lights.items():
+        root.worldbody.add(
+            "light", name=name, pos=light.position, dir=light.direction, diffuse=light.diffuse,
+            directional=light.directional, castshadow=light.cast_shadow,
+        )  # fmt: skip
+    if not scene.lights:
+        root.worldbody.add(
+            "light", name="key", pos=[1.5, -1.5, 4], dir=[-0.35, 0.4, -1], directional=True,
+            diffuse=[0.55] * 3, specular=[0.2] * 3, castshadow=True,
+        )  # fmt: skip
+    for name, camera in scene.cameras.items():
+        root.worldbody.add(
+            "camera", name=name, pos=camera.position, fovy=camera.fovy_deg,
+            xyaxes=_look_axes(camera.look_at - camera.position),
+        )  # fmt: skip
+
+
+def _look_axes(forward: Array) -> Array:
+    """Camera x and y axes (6,) that look along `forward` with the world's z up in the picture."""
+    up = np.array([0.0, 0.0, 1.0])
+    if np.linalg.norm(np.cross(forward, up)) < 1e-9 * max(float(np.linalg.norm(forward)), 1.0):
+        up = np.array([0.0, 1.0, 0.0])  # looking straight up or down
+    right = np.cross(forward, up)
+    return np.concatenate([right, np.cross(right, forward)])
+
+
+def _pose(element: Any, T: Array) -> None:
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
+    element.pos, element.quat = T[:3, 3], quat
+
+
+def _add_site(body: Any, name: str) -> None:
+    body.add("site", name=name, group=SITE_GROUP)
+
+
+def _add_shape(body: Any, shape: LinkShape) -> None:
+    geom: dict[str, Any] = {"type": shape.kind, "size": shape.size}
+    if shape.kind == "box":
+        axis = shape.ends[1] - shape.ends[0]
+        geom |= {"pos": shape.ends.mean(axis=0), "zaxis": axis}
+    else:
+        geom["fromto"] = shape.ends.ravel()
+    body.add("geom", rgba=shape.rgba, group=ROBOT_GROUP, **geom, **_STILL)
+
+
+def _mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> Any:
+    try:
+        contents = path.read_bytes()
+    except OSError as error:
+        raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
+    asset = mjcf.Asset(contents, path.suffix.lower())
+    # The hull gives a mass even to a mesh with holes; the surface is drawn as it is.
+    return root.asset.add("mesh", name=name, file=asset, scale=[scale] * 3, inertia="convex")
+
+
+def _add_object(root: mjcf.RootElement, body: Any, item: Object) -> None:
+    if item.mjcf is not None:
+        piece = _read_mjcf(item)
+        piece.model = item.name
+        _pose(body.add("site", name=f"{item.name}_at", group=SITE_GROUP).attach(piece), item.frame)
+        return
+    if item.shape == "axes":
+        _pose(body.add("site", name=f"axes_{item.name}", group=SITE_GROUP), item.frame)
+        return
+    kind: dict[str, Any]
+    if item.mesh is not None:
+        path = Path(item.directory) / item.mesh
+        kind = {"type": "mesh", "mesh": _mesh_asset(root, item.name, path, item.mesh_scale)}
+    else:
+        assert item.size is not None and item.shape is not None  # checked by Object
+        kind = {"type": item.shape, "size": item.size * _HALF.get(item.shape, 1.0)}
+    _pose(body.add("geom", name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind), item.frame)
+
+
+def _read_mjcf(item: Object) -> mjcf.RootElement:
+    assert item.mjcf is not None
+    try:
+        if item.mjcf.lstrip().startswith("<"):
+            return mjcf.from_xml_string(item.mjcf, model_dir=item.directory)
+        return mjcf.from_path(str(Path(item.directory) / item.mjcf))
+    except Exception as error:  # PyMJCF raises lxml's, OS and value errors alike
+        raise DeclarationError([Problem("mjcf", f"cannot be read: {error}")]) from error

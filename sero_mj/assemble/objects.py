@@ -1,0 +1,98 @@
+"""Fixed things: what stands in the scene or is fixed to a robot's flange."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from .declaration import Array, Declaration, Frame, Rgba, Vector
+
+NAME_PATTERN = r"^[A-Za-z_][A-Za-z0-9_-]*$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+MESH_FORMATS = (".stl", ".obj", ".msh")
+
+# How many numbers `size` has for each shape, and what they are (m).
+SHAPE_SIZES = {
+    "box": "length x, length y, length z",
+    "sphere": "radius",
+    "cylinder": "radius, length",
+    "capsule": "radius, length between the two centres",
+    "ellipsoid": "radius x, radius y, radius z",
+    "axes": "length",
+}
+
+
+def check_mesh_file(file: str) -> str:
+    """Returns the file name, if it stays inside its folder and MuJoCo can read the format.
+
+    Raises:
+        ValueError: it is absolute, contains `..`, or has another ending.
+    """
+    path = Path(file)
+    if path.is_absolute() or ".." in path.parts:
+        raise ValueError(f"found '{file}'; expected a file inside the directory, without '..'")
+    if path.suffix.lower() not in MESH_FORMATS:
+        formats = ", ".join(MESH_FORMATS)
+        raise ValueError(f"found '{file}'; expected a mesh that MuJoCo reads ({formats})")
+    return file
+
+
+class Object(Declaration):
+    """A fixed object: a primitive shape, coordinate axes, a mesh, or a piece of MJCF.
+
+    Attributes:
+        name: unique in its scene or robot.
+        shape: a primitive; `axes` are smart axes at the object's frame.
+        size: full lengths and radii in m, see `SHAPE_SIZES`.
+        mesh: mesh file, relative to `directory`.
+        mesh_scale: metres per unit of the mesh file.
+        mjcf: MJCF file relative to `directory`, or MJCF text that starts with `<mujoco`.
+        frame: pose in the world, or in the flange's frame for a robot's child.
+        rgba: colour; an MJCF piece has its own.
+        directory: folder of the files, set by whoever read the declaration.
+    """
+
+    name: Name
+    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "axes"] | None = None
+    size: Vector | None = None
+    mesh: str | None = None
+    mesh_scale: float = Field(1.0, gt=0)
+    mjcf: str | None = None
+    frame: Frame = Field(default_factory=lambda: np.eye(4))
+    rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
+    directory: str = ""
+
+    @field_validator("mesh")
+    @classmethod
+    def _mesh_is_inside(cls, mesh: str | None) -> str | None:
+        return mesh if mesh is None else check_mesh_file(mesh)
+
+    @field_validator("rgba")
+    @classmethod
+    def _rgba_in_range(cls, rgba: Array) -> Array:
+        if (rgba < 0).any() or (rgba > 1).any():
+            raise ValueError(f"found {rgba.tolist()}; expected four numbers from 0 to 1")
+        return rgba
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Object:
+        given = [key for key in ("shape", "mesh", "mjcf") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "none of them"
+            raise ValueError(f"found {found}; expected exactly one of shape, mesh, mjcf")
+        if self.shape is None:
+            return self
+        meaning = SHAPE_SIZES[self.shape]
+        wanted = len(meaning.split(","))
+        if self.size is None and self.shape == "axes":
+            self.size = np.array([0.2])
+        found_count = 0 if self.size is None else len(self.size)
+        if self.size is None or found_count != wanted or (self.size <= 0).any():
+            found = "none" if self.size is None else self.size.tolist()
+            raise ValueError(
+                f"size of a {self.shape}: found {found}; expected positive {meaning} in m"
+            )
+        return self

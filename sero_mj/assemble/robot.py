@@ -1,0 +1,345 @@
+"""`SerialRobot`: a Denavit-Hartenberg table with link geometry (the paper's Fig. 3 and more)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+
+from .. import paths
+from ..errors import DeclarationError, did_you_mean
+from .declaration import Array, Declaration, Frame, Rgba, Vector, of_shape
+from .dh import COLUMNS, DhTable
+from .objects import NAME_PATTERN, Name, Object, check_mesh_file
+from .toml_file import key_lines, located, read_toml
+
+MAX_JOINTS = 64
+_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
+# Fields with one entry per joint, checked against dh_params.
+_PER_JOINT = (
+    "joint_types",
+    "joint_names",
+    "position_limits",
+    "velocity_limits",
+    "torque_limits",
+    "joint_angles",
+    "offsets_to_center_of_joints",
+    "torques",
+    "billboard_values",
+)
+
+
+class LinkMesh(Declaration):
+    """One mesh file of a link.
+
+    Attributes:
+        file: relative to the robot's `directory`.
+        color: one of the robot's `colors`.
+    """
+
+    file: str
+    color: str | None = None
+
+    @field_validator("file")
+    @classmethod
+    def _is_inside(cls, file: str) -> str:
+        return check_mesh_file(file)
+
+
+class BillboardLine(Declaration):
+    """One line of a joint's billboard.
+
+    Attributes:
+        value: which of the robot's per-joint inputs it shows.
+        label: put before the number when a billboard has several lines.
+        unit: shown behind the number; None for the value's own SI unit.
+        decimals: digits after the point; None for what suits the value.
+        scale: multiplies the value before it is shown (57.2958 for degrees).
+    """
+
+    value: Literal["torques", "joint_angles", "billboard_values"]
+    label: str = ""
+    unit: str | None = None
+    decimals: int | None = Field(None, ge=0, le=9)
+    scale: float = 1.0
+
+
+def _link_meshes(value: Any) -> Any:
+    """A link is a file name, a table with `file` and `color`, a list of those, or "" for none."""
+    if isinstance(value, str):
+        return [{"file": value}] if value else []
+    if isinstance(value, Mapping | LinkMesh):
+        return [value]
+    if isinstance(value, list):
+        return [{"file": entry} if isinstance(entry, str) else entry for entry in value]
+    return value
+
+
+def _billboard_lines(value: Any) -> Any:
+    if isinstance(value, list):
+        return [{"value": line} if isinstance(line, str) else line for line in value]
+    return value
+
+
+class SerialRobot(Declaration):
+    """A serial robot as the paper's `SerialRobot` proto declares it, with the proto's defaults.
+
+    Frames are 4x4 row-major, lengths in m, angles in rad, torques in Nm (forces in N for
+    prismatic joints). n is the number of joints, 1 to 64.
+
+    Attributes:
+        name: the robot's name in routes, e.g. `lwr` in `lwr.joint_angles`.
+        dh_convention: `craig` (modified) or `standard`; there is no default.
+        dh_params: (n, 4), one row per joint.
+        dh_columns: what the four columns are.
+        joint_types: `revolute` or `prismatic`, n words.
+        joint_names: n names; J1, J2, ... by default.
+        position_limits: (n, 2), lower and upper; `position_limits_deg` in degrees.
+        velocity_limits: (n,); `velocity_limits_deg` in degrees per second.
+        torque_limits: (n,).
+        directory: folder of the mesh files.
+        filenames: base and n links; a name, a table with file and color, or a list of these.
+            Without files the links grow from the DH table.
+        colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
+        mesh_scale: metres per unit of the mesh files.
+        base_frame: T_world_base.
+        flange_frame: T_n_flange, from the last joint's frame.
+        joint_angles: (n,), where the robot stands until something is received.
+        children: objects fixed to the flange.
+        enable_touch_sensor: whether a click on the robot toggles its features.
+        offsets_to_center_of_joints: (n, 3), moves arrows and billboards in the joint's frame.
+        show_axes: whether coordinate axes are shown at the base, every joint and the flange.
+        axes_size: their length in m.
+        axes_transparency: 0 opaque to 1 invisible.
+        show_arrows: whether round arrows show the torques.
+        arrow_radius: of the round arrows, in m.
+        arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
+            `arrow_radius` wide at the limit, times this over its default of 0.01.
+        torques: (n,) until something is received; None for no data.
+        show_billboards: whether billboards are shown.
+        billboard_scale: text height over picture height is 0.7 times this.
+        billboard_values: (n,) until something is received; None for no data.
+        billboard_lines: what billboards say; None for what is routed to the robot.
+    """
+
+    name: Name = "robot"
+    description: str = ""
+    dh_convention: Literal["craig", "standard"]
+    dh_columns: list[Literal["alpha", "a", "theta", "d"]] = [*COLUMNS]
+    dh_params: Annotated[Array, of_shape(None, 4)] = np.zeros((1, 4))
+    joint_types: list[Literal["revolute", "prismatic"]] | None = None
+    joint_names: list[str] | None = None
+    position_limits: Annotated[Array | None, of_shape(None, 2)] = None
+    velocity_limits: Vector | None = None
+    torque_limits: Vector | None = None
+    directory: str = ""
+    colors: dict[str, Rgba] = {}
+    filenames: list[Annotated[list[LinkMesh], BeforeValidator(_link_meshes)]] = []
+    mesh_scale: float = Field(1.0, gt=0)
+    base_frame: Frame = Field(default_factory=lambda: np.eye(4))
+    flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
+    joint_angles: Vector | None = None
+    children: list[Object] = []
+    enable_touch_sensor: bool = True
+    offsets_to_center_of_joints: Annotated[Array | None, of_shape(None, 3)] = None
+    show_axes: bool = False
+    axes_size: float = Field(0.2, gt=0)
+    axes_transparency: float = Field(0.0, ge=0, le=1)
+    show_arrows: bool = False
+    arrow_radius: float = Field(0.1, gt=0)
+    arrow_width_scale: float = Field(0.01, gt=0)
+    torques: Vector | None = None
+    show_billboards: bool = False
+    billboard_scale: float = Field(0.05, gt=0, le=0.5)
+    billboard_values: Vector | None = None
+    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(_billboard_lines)] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_degrees(cls, fields: Any) -> Any:
+        if not isinstance(fields, Mapping) or not any(key in fields for key in _DEGREES):
+            return fields
+        fields = dict(fields)
+        for in_degrees, key in _DEGREES.items():
+            if in_degrees not in fields:
+                continue
+            if key in fields:
+                raise ValueError(f"found both {key} and {in_degrees}; expected one of them")
+            if "prismatic" in (fields.get("joint_types") or []):
+                raise ValueError(f"{in_degrees} is for revolute joints only; use {key} in rad, m")
+            fields[key] = np.deg2rad(np.asarray(fields.pop(in_degrees), dtype=float)).tolist()
+        return fields
+
+    @field_validator("dh_columns")
+    @classmethod
+    def _is_permutation(cls, columns: list[str]) -> list[str]:
+        if sorted(columns) != sorted(COLUMNS):
+            raise ValueError(f"found {columns}; expected alpha, a, theta, d in any order")
+        return columns
+
+    @field_validator("dh_params")
+    @classmethod
+    def _joint_count(cls, rows: Array) -> Array:
+        if not 1 <= len(rows) <= MAX_JOINTS:
+            raise ValueError(f"found {len(rows)} rows; expected 1 to {MAX_JOINTS}")
+        return rows
+
+    @field_validator(*_PER_JOINT)
+    @classmethod
+    def _one_per_joint(cls, value: Any, info: ValidationInfo) -> Any:
+        rows = info.data.get("dh_params")  # missing when dh_params itself is wrong
+        if value is not None and rows is not None and len(value) != len(rows):
+            raise ValueError(
+                f"found {len(value)} entries; expected {len(rows)}, one per row of dh_params"
+            )
+        return value
+
+    @field_validator("joint_names")
+    @classmethod
+    def _names_are_usable(cls, names: list[str] | None) -> list[str] | None:
+        for name in names or []:
+            if not re.match(NAME_PATTERN, name):
+                raise ValueError(f"found '{name}'; expected letters, digits, _ and -")
+            if (names or []).count(name) > 1:
+                raise ValueError(f"'{name}' stands there twice; expected different names")
+        return names
+
+    @field_validator("position_limits")
+    @classmethod
+    def _limits_are_ordered(cls, limits: Array | None) -> Array | None:
+        if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
+            row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
+            raise ValueError(f"row {row + 1} is {limits[row].tolist()}; expected lower < upper")
+        return limits
+
+    @field_validator("velocity_limits", "torque_limits")
+    @classmethod
+    def _limits_are_positive(cls, limits: Array | None) -> Array | None:
+        if limits is not None and (limits <= 0).any():
+            raise ValueError(f"found {limits.tolist()}; expected positive numbers")
+        return limits
+
+    @field_validator("filenames")
+    @classmethod
+    def _one_per_link(cls, links: list[list[LinkMesh]], info: ValidationInfo) -> Any:
+        rows = info.data.get("dh_params")
+        if not any(links):
+            return []  # the proto's default [""]: no geometry given
+        if rows is not None and len(links) != len(rows) + 1:
+            raise ValueError(
+                f"found {len(links)} entries; expected {len(rows) + 1}: the base and one per joint"
+            )
+        return links
+
+    @field_validator("filenames")
+    @classmethod
+    def _colors_exist(cls, links: list[list[LinkMesh]], info: ValidationInfo) -> Any:
+        colors = info.data.get("colors", {})
+        for mesh in (mesh for link in links for mesh in link):
+            if mesh.color is not None and mesh.color not in colors:
+                raise ValueError(
+                    f"{mesh.file}: no color '{mesh.color}'{did_you_mean(mesh.color, colors)}"
+                )
+        return links
+
+    @field_validator("children")
+    @classmethod
+    def _children_differ(cls, children: list[Object]) -> list[Object]:
+        names = [child.name for child in children]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two children have the name '{name}'")
+        return children
+
+    @classmethod
+    def from_model(cls, model: str, **overrides: Any) -> SerialRobot:
+        """Reads a robot file and sets fields over it.
+
+        Args:
+            model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file.
+            **overrides: any field of this class.
+
+        Raises:
+            UnknownName: there is no such model.
+            DeclarationError: what is wrong in the file or the overrides.
+        """
+        path = paths.find_model(model)
+        return build_robot({"name": path.parent.name, **overrides}, path)
+
+    @cached_property
+    def dh(self) -> DhTable:
+        """The table in numpy."""
+        revolute = [kind == "revolute" for kind in self.types]
+        return DhTable.from_rows(
+            self.dh_params, self.dh_convention, tuple(self.dh_columns), revolute
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.dh_params)
+
+    @property
+    def types(self) -> list[str]:
+        """`revolute` or `prismatic` for every joint."""
+        return list(self.joint_types or ["revolute"] * self.n)
+
+    @property
+    def names(self) -> list[str]:
+        """Name of every joint."""
+        return self.joint_names or [f"J{i + 1}" for i in range(self.n)]
+
+    @property
+    def offsets(self) -> Array:
+        """`offsets_to_center_of_joints` (n, 3), zeros where not declared."""
+        declared = self.offsets_to_center_of_joints
+        return np.zeros((self.n, 3)) if declared is None else declared
+
+    @property
+    def home(self) -> Array:
+        """Joint angles (n,) before anything is received: the declared ones, else zeros."""
+        return np.zeros(self.n) if self.joint_angles is None else self.joint_angles
+
+    def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
+        """T_base_flange (4, 4) by `dh`, translation in m.
+
+        Args:
+            joint_angles: (n,), rad or m; the declared ones when None.
+        """
+        q = self.home if joint_angles is None else joint_angles
+        return np.asarray(self.dh.frames(q)[-1] @ self.flange_frame)
+
+
+def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:
+    """Builds a robot from its fields, over those of a robot file when one is given.
+
+    Args:
+        fields: fields of `SerialRobot` that stand over the file's.
+        model: the robot file; its folder is where its `directory` starts from.
+
+    Raises:
+        DeclarationError: problems in the file carry its name and line; the others do not.
+    """
+    if model is None:
+        return SerialRobot(**fields)
+    below = read_toml(model)
+    if isinstance(below.setdefault("directory", ""), str):
+        below["directory"] = str(model.parent / below["directory"])
+    for child in below.get("children") or []:
+        if isinstance(child, dict):
+            child.setdefault("directory", str(model.parent))
+    try:
+        return SerialRobot(**{**below, **fields})
+    except DeclarationError as error:
+        lines = key_lines(model)
+        raise DeclarationError(
+            [
+                problem if problem.key.split(".")[0] in fields else located(problem, model, lines)
+                for problem in error.problems
+            ]
+        ) from None

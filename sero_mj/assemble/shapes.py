@@ -1,0 +1,120 @@
+"""Link shapes grown from a DH table, for robots without meshes.
+
+Every link gets a cylinder about its joint's axis (a box for a prismatic joint) and capsules
+along the offsets that lead to the next joint. Sizes follow from the reach, so a finger and a
+crane both look right, and no size is ever zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .dh import DhTable
+
+Array = NDArray[np.float64]
+
+SHELL = (0.93, 0.93, 0.91, 1.0)
+JOINT = (0.36, 0.38, 0.41, 1.0)
+
+_RADIUS_OF_REACH = 0.05
+_SMALLEST_REACH = 0.05  # m; a table of zeros still shows its joints
+_TAPER = 0.55  # the last link is this much of the first: nested joints never share a surface
+_SHORTEST_SEGMENT = 1e-6  # m
+
+
+@dataclass(frozen=True, eq=False)
+class LinkShape:
+    """A primitive in a link's frame.
+
+    Attributes:
+        kind: MuJoCo's geom type.
+        size: radius (m) of capsule and cylinder; half lengths (3,) of a box.
+        ends: (2, 3), where a capsule or cylinder starts and ends; the axis of a box.
+        rgba: colour.
+    """
+
+    kind: Literal["capsule", "cylinder", "box"]
+    size: Array
+    ends: Array
+    rgba: tuple[float, float, float, float]
+
+
+def grow_links(table: DhTable, flange_frame: Array) -> list[list[LinkShape]]:
+    """Returns the shapes of the base and of every link, each in its own frame.
+
+    Args:
+        table: n joints.
+        flange_frame: T_n_flange (4, 4).
+    """
+    n = len(table)
+    steps = np.abs(table.a) + np.abs(table.d)
+    reach = max(steps.sum() + float(np.linalg.norm(flange_frame[:3, 3])), _SMALLEST_REACH)
+    longest = max(float(steps.max()), _SMALLEST_REACH / n)
+    # A chain of many short links must not become a sausage: its radius follows the links.
+    radius = min(_RADIUS_OF_REACH * reach, 0.4 * longest)
+    radii = radius * np.linspace(1.0, _TAPER, n + 1)
+
+    links: list[list[LinkShape]] = [[] for _ in range(n + 1)]
+    for i in range(n):
+        near, far = _segments(table, i)
+        links[i] += _capsules(near, radii[i])
+        links[i + 1] += _capsules(far, radii[i + 1])
+        links[i + 1].append(_joint(table, i, radii[i]))
+    links[n] += _capsules(np.array([np.zeros(3), flange_frame[:3, 3]]), radii[n])
+    links[0].append(_pedestal(radii[0]))
+    return links
+
+
+def _segments(table: DhTable, i: int) -> tuple[Array, Array]:
+    """Offsets of row i as polylines: before the joint in frame i, and behind it in frame i + 1.
+
+    The offset along the joint's axis is put where it does not move when the joint does: before
+    the joint for a revolute one. A prismatic joint's rod goes with its link.
+    """
+    a, d, alpha = table.a[i], table.d[i], table.alpha[i]
+    along_x, along_z = np.array([a, 0.0, 0.0]), np.array([0.0, 0.0, d])
+    zero = np.zeros(3)
+    if table.convention == "craig":
+        z_next = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
+        if table.revolute[i]:
+            return np.array([zero, along_x, along_x + d * z_next]), np.array([zero])
+        return np.array([zero, along_x]), np.array([-along_z, zero])
+    # Standard: Rz(theta) Tz(d), then Tx(a) Rx(alpha); x of the row is x of frame i + 1.
+    start = -along_x
+    if table.revolute[i]:
+        return np.array([zero, along_z]), np.array([start, zero])
+    z_joint = np.array([0.0, np.sin(alpha), np.cos(alpha)])
+    return np.array([zero]), np.array([start - d * z_joint, start, zero])
+
+
+def _capsules(points: Array, radius: float) -> list[LinkShape]:
+    return [
+        LinkShape("capsule", np.array([0.8 * radius]), np.array([start, end]), SHELL)
+        for start, end in pairwise(points)
+        if np.linalg.norm(end - start) > _SHORTEST_SEGMENT
+    ]
+
+
+def _joint(table: DhTable, i: int, radius: float) -> LinkShape:
+    """The housing about the axis of joint i, in frame i + 1."""
+    if table.convention == "craig":
+        axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    else:
+        alpha = table.alpha[i]
+        axis = np.array([0.0, np.sin(alpha), np.cos(alpha)])
+        centre = np.array([-table.a[i], 0.0, 0.0])
+    half = 1.25 * radius * axis
+    ends = np.array([centre - half, centre + half])
+    if table.revolute[i]:
+        return LinkShape("cylinder", np.array([radius]), ends, JOINT)
+    return LinkShape("box", np.array([radius, radius, 1.25 * radius]), ends, JOINT)
+
+
+def _pedestal(radius: float) -> LinkShape:
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5 * radius]])
+    return LinkShape("cylinder", np.array([1.5 * radius]), ends, JOINT)

@@ -1,0 +1,166 @@
+"""`World`: a compiled scene, with the ids and slots that the other layers read by array.
+
+What decor shows and `MjData` has no field for (received torques, billboard values, the state of
+sources) lives in named slots of `MjData.userdata`. It is part of MuJoCo's integration state, so
+copies, history and recordings carry it. `mj_resetData` zeroes it: apply the latest packet again.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DeclarationError, Problem, UnknownName
+from .mesh_check import mesh_problems
+from .mjcf import build_mjcf
+from .scene import Scene
+from .tables import INPUTS, VALUE_INPUTS, RobotPart, frame_table, joint_table, userdata_slots
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+
+class World:
+    """A compiled scene.
+
+    Attributes:
+        scene: what it was compiled from.
+        model: the `MjModel`.
+        robots: `RobotPart` by name.
+        joints: arrays over all joints.
+        frames: arrays over all frames.
+        slots: name to slice of `userdata`, e.g. `lwr.torques`, `sources.udp`.
+
+    Raises:
+        DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.slots = userdata_slots(scene)
+        root = build_mjcf(scene)
+        root.size.nuserdata = max((slot.stop for slot in self.slots.values()), default=0)
+        self._root = root
+        self.model = _compile(root, scene)
+        self.robots = self._find_robots()
+        self.joints = joint_table(self.model, self.robots, self.slots)
+        self.frames = frame_table(self.model, self.robots, scene)
+
+    def make_data(self) -> mujoco.MjData:
+        """Returns a new `MjData` with every robot at its declared joint angles."""
+        data = mujoco.MjData(self.model)
+        self.reset(data)
+        return data
+
+    def reset(self, data: mujoco.MjData) -> None:
+        """Puts every robot at its declared joint angles and shows what the scene declares."""
+        mujoco.mj_resetData(self.model, data)
+        for name, part in self.robots.items():
+            data.qpos[part.qpos] = part.robot.home
+            for key in VALUE_INPUTS:
+                declared = getattr(part.robot, key)
+                if declared is not None:
+                    self.set_input(data, f"{name}.{key}", declared)
+        mujoco.mj_forward(self.model, data)
+
+    def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
+        """Sets an input of a robot; call `drive.follow` afterwards to move the frames.
+
+        Args:
+            data: what to change.
+            target: `robot.input`, e.g. `lwr.joint_angles`.
+            values: (n,), SI units.
+
+        Raises:
+            UnknownName: no such robot or input.
+            ValueError: not n finite numbers.
+        """
+        part, key = self.resolve_input(target)
+        array = np.asarray(values, dtype=np.float64)
+        n = part.robot.n
+        if array.shape != (n,) or not np.isfinite(array).all():
+            raise ValueError(f"{target}: found {array.tolist()}; expected {n} finite numbers")
+        if key == "joint_angles":
+            data.qpos[part.qpos] = array
+        else:
+            data.userdata[self.slots[target]] = array
+        data.userdata[self.slots[f"{part.robot.name}.has"].start + INPUTS.index(key)] = 1.0
+
+    def resolve_input(self, target: str) -> tuple[RobotPart, str]:
+        """Returns the robot and the input that `robot.input` names.
+
+        Raises:
+            UnknownName: no such robot or input; lists those that exist.
+        """
+        robot, _, key = target.partition(".")
+        if robot not in self.robots:
+            raise UnknownName("robot", robot, self.robots)
+        if key not in INPUTS:
+            raise UnknownName(f"input of {robot}", key, INPUTS)
+        return self.robots[robot], key
+
+    def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
+        """T_base_flange (4, 4) of the compiled model at `data`, translation in m."""
+        part = self.robots[robot]
+        base, flange = part.bodies[0], part.flange_body
+        T = np.eye(4)
+        rotation = data.xmat[base].reshape(3, 3)
+        T[:3, :3] = rotation.T @ data.xmat[flange].reshape(3, 3)
+        T[:3, 3] = rotation.T @ (data.xpos[flange] - data.xpos[base])
+        return T
+
+    def export(self, path: Path) -> list[Path]:
+        """Writes the MJCF and the files it needs beside it; key frame `home` has the pose.
+
+        Args:
+            path: the XML file; assets go into its folder.
+
+        Returns:
+            the files written, the XML first.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        written = [path]
+        if self.model.nq and self._root.find("key", "home") is None:
+            self._root.keyframe.add("key", name="home", qpos=self.make_data().qpos)
+        for name, contents in self._root.get_assets().items():
+            asset = path.parent / name
+            asset.write_bytes(contents)
+            written.append(asset)
+        path.write_text(self._root.to_xml_string() + "\n", encoding="utf-8")
+        return written
+
+    def _id(self, kind: Any, name: str) -> int:
+        return int(mujoco.mj_name2id(self.model, kind, name))
+
+    def _find_robots(self) -> dict[str, RobotPart]:
+        parts = {}
+        start = 0
+        obj = mujoco.mjtObj
+        for name, robot in self.scene.robots.items():
+            bodies = [f"{name}/"] + [f"{name}/link{i + 1}" for i in range(robot.n)]
+            ids = np.array([self._id(obj.mjOBJ_BODY, body) for body in bodies])
+            joints = [self._id(obj.mjOBJ_JOINT, f"{name}/{joint}") for joint in robot.names]
+            parts[name] = RobotPart(
+                robot=robot,
+                qpos=self.model.jnt_qposadr[joints].astype(np.intp),
+                mocap=int(self.model.body_mocapid[ids[0]]),
+                bodies=ids,
+                flange_body=self._id(obj.mjOBJ_BODY, f"{name}/flange"),
+                joints=slice(start, start + robot.n),
+            )
+            start += robot.n
+        return parts
+
+
+def _compile(root: Any, scene: Scene) -> mujoco.MjModel:
+    try:
+        return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+    except ValueError as error:
+        problems = mesh_problems(scene)
+        if not problems:
+            problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
+        raise DeclarationError(scene.located(problems)) from error
