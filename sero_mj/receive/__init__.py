@@ -1,0 +1,1 @@
+"""Bytes to values: the packet language and the sources that speak it."""

@@ -1,0 +1,32 @@
+"""The kinds of sources that a scene can name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..errors import DeclarationError, Problem, did_you_mean
+from .source import Source
+from .udp import UdpReceiver
+
+KINDS: dict[str, type[UdpReceiver]] = {"udp": UdpReceiver}
+
+
+def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
+    """Builds a source from a scene's table; a source object passes through.
+
+    Raises:
+        DeclarationError: no such kind, or wrong fields.
+    """
+    if not isinstance(declared, Mapping):
+        return declared
+    fields = dict(declared)
+    kind = fields.pop("kind", None)
+    if kind not in KINDS:
+        if kind is None:
+            message = f"is required; expected {' or '.join(map(repr, KINDS))}"
+        else:
+            message = f"found {kind!r}; expected {' or '.join(map(repr, KINDS))}"
+            message += did_you_mean(str(kind), KINDS)
+        raise DeclarationError([Problem("kind", message)])
+    return KINDS[kind](**{**fields, "name": name})

@@ -1,0 +1,203 @@
+"""`UdpReceiver`: packets from a UDP socket, read on a thread of its own (the paper's Fig. 5)."""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+import struct
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pydantic import Field, PrivateAttr, field_validator
+
+from ..assemble.declaration import Declaration
+from ..errors import SourceError, StructureError
+from .source import Counters, Packet
+from .structure import Structure
+
+_SO_RXQ_OVFL = 40  # Linux: the kernel tells how many packets it dropped; not in Python's socket
+_ANCILLARY_BYTES = socket.CMSG_SPACE(4) if hasattr(socket, "CMSG_SPACE") else 0
+
+
+class UdpReceiver(Declaration):
+    """Receives UDP packets of one structure.
+
+    Attributes:
+        name: the source's name in routes.
+        structure: what the packets look like, e.g. `7F7F`; see `structure`.
+        udpport: port to listen on (`port` in files); 0 lets the system choose.
+        host: address to listen on. Loopback by default; `0.0.0.0` for every interface.
+        is_double: numbers are float64, else float32 (`double` in files).
+        buffer_size: bytes of the kernel's receive buffer; 0 leaves the system's default.
+        counters: what came in since it was opened.
+    """
+
+    name: str = "udp"
+    structure: str
+    udpport: int = Field(0, alias="port", ge=0, le=65535)
+    host: str = "127.0.0.1"
+    is_double: bool = Field(True, alias="double")
+    buffer_size: int = Field(0, ge=0)
+
+    _counters: Counters = PrivateAttr(default_factory=Counters)
+    _latest: Packet | None = PrivateAttr(None)
+    _taken: int = PrivateAttr(0)
+    _first: threading.Event = PrivateAttr(default_factory=threading.Event)
+    _socket: socket.socket | None = PrivateAttr(None)
+    _wake: tuple[socket.socket, socket.socket] | None = PrivateAttr(None)
+    _thread: threading.Thread | None = PrivateAttr(None)
+
+    @field_validator("structure")
+    @classmethod
+    def _structure_parses(cls, text: str) -> str:
+        try:
+            Structure(text)
+        except StructureError as error:
+            raise ValueError(str(error)) from None
+        return text
+
+    @cached_property
+    def layout(self) -> Structure:
+        """The decoder."""
+        return Structure(self.structure, is_double=self.is_double)
+
+    @property
+    def counters(self) -> Counters:
+        """What came in since it was opened."""
+        return self._counters
+
+    @property
+    def events(self) -> Mapping[str, int]:
+        """Event name to its number of values."""
+        return self.layout.events
+
+    @property
+    def port(self) -> int:
+        """The port it listens on; the one the system chose when `udpport` is 0."""
+        return int(self._socket.getsockname()[1]) if self._socket else self.udpport
+
+    def open(self) -> None:
+        """Binds the socket and starts the thread.
+
+        Raises:
+            SourceError: the port is in use, or the address is not one of this machine.
+        """
+        family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            if self.buffer_size:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.buffer_size)
+            if sys.platform == "linux":
+                sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+            sock.bind((self.host, self.udpport))
+        except OSError as error:
+            sock.close()
+            raise SourceError(self.name, self._why(error)) from error
+        sock.setblocking(False)
+        self._counters, self._latest, self._taken = Counters(), None, 0
+        self._first.clear()
+        self._socket = sock
+        self._wake = socket.socketpair()
+        self._thread = threading.Thread(target=self._receive, name=f"udp {self.name}", daemon=True)
+        self._thread.start()
+
+    def _why(self, error: OSError) -> str:
+        place = f"UDP port {self.udpport} on {self.host}"
+        if error.errno == errno.EADDRINUSE:
+            return f"{place} is in use by another program; close that, or choose another port"
+        if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+            return f"{place}: not an address of this machine; expected 127.0.0.1 or 0.0.0.0, say"
+        if error.errno == errno.EACCES:
+            return f"{place}: no permission; choose a port above 1023"
+        return f"{place}: {error.strerror}"
+
+    def close(self) -> None:
+        """Stops the thread and closes the socket; harmless when it is not open."""
+        if self._thread is not None and self._wake is not None:
+            self._wake[1].send(b"x")
+            self._thread.join()
+            for end in self._wake:
+                end.close()
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = self._wake = self._thread = None
+
+    def __enter__(self) -> UdpReceiver:
+        self.open()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def latest(self) -> Packet | None:
+        """Returns the newest good packet, or None when there was none yet."""
+        packet = self._latest
+        if packet is not None and packet.number > self._taken:
+            self._counters.superseded += packet.number - self._taken - 1
+            self._taken = packet.number
+        return packet
+
+    def wait(self, timeout: float) -> bool:
+        """Waits up to `timeout` s until a good packet has come; returns whether one has."""
+        return self._first.wait(timeout)
+
+    def _receive(self) -> None:
+        sock, wake = self._socket, self._wake
+        assert sock is not None and wake is not None
+        size = self.layout.size
+        scratch = bytearray(size + 1)  # one more byte than is right shows that it was too long
+        number = 0
+        while True:
+            try:
+                length, ancillary, flags, _ = sock.recvmsg_into([scratch], _ANCILLARY_BYTES)
+            except BlockingIOError:
+                ready, _, _ = select.select([sock, wake[0]], [], [])
+                if wake[0] in ready:
+                    return
+                continue
+            except OSError as error:
+                # An ICMP answer to somebody else's packet may surface here; go on receiving.
+                self._counters.last_fault = f"socket: {error.strerror}"
+                continue
+            arrival = time.monotonic()
+            counters = self._counters
+            counters.received += 1
+            if ancillary:
+                counters.dropped = _dropped_by_kernel(ancillary, counters.dropped)
+            if length != size or flags & socket.MSG_TRUNC:
+                counters.wrong_size += 1
+                more = " or more" if flags & socket.MSG_TRUNC else ""
+                counters.last_fault = f"{length} bytes{more}; expected {size}"
+                continue
+            values = self.layout.decode(bytes(memoryview(scratch)[:size]))
+            fault = _not_finite(values)
+            if fault:
+                counters.not_finite += 1
+                counters.last_fault = fault
+                continue
+            number += 1
+            self._latest = Packet(values, arrival, number)
+            self._first.set()
+
+
+def _not_finite(values: Mapping[str, Any]) -> str:
+    """Says where the first NaN or infinity stands; empty when there is none."""
+    for event, array in values.items():
+        # A sum is finite only if all terms are, and costs a third of isfinite(...).all().
+        if not np.isfinite(array.sum()) and not (good := np.isfinite(array)).all():
+            index = int(np.flatnonzero(~good)[0])
+            return f"{event}[{index}] is {array[index]}"
+    return ""
+
+
+def _dropped_by_kernel(ancillary: list[tuple[int, int, bytes]], before: int) -> int:
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == _SO_RXQ_OVFL:
+            return int(struct.unpack("=I", data[:4])[0])
+    return before
