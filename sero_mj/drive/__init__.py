@@ -1,0 +1,1 @@
+"""Values to `MjData`, every tick: routes, kinematics, motions."""

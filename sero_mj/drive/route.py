@@ -1,0 +1,133 @@
+"""Routes: which event of which source goes to which input of which robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+
+from ..assemble.scene import Scene
+from ..assemble.tables import INPUTS
+from ..assemble.world import World
+from ..errors import DeclarationError, Problem, did_you_mean
+from ..receive.kinds import make_source
+from ..receive.source import Packet, Source
+
+
+@dataclass(frozen=True)
+class Route:
+    """One checked route.
+
+    Attributes:
+        robot: the target's robot.
+        key: its input, one of `INPUTS`.
+        source: the source's name.
+        event: the source's event.
+    """
+
+    robot: str
+    key: str
+    source: str
+    event: str
+
+    @property
+    def target(self) -> str:
+        """`robot.input`."""
+        return f"{self.robot}.{self.key}"
+
+
+@dataclass
+class Wiring:
+    """The sources of a scene and the routes from them.
+
+    Attributes:
+        sources: by name, not yet opened.
+        routes: those that are right.
+        problems: what is wrong with the others.
+    """
+
+    sources: dict[str, Source] = field(default_factory=dict)
+    routes: list[Route] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+
+def wire(scene: Scene, broken_robots: frozenset[str] = frozenset()) -> Wiring:
+    """Builds the scene's sources and checks its routes, without opening anything.
+
+    Args:
+        scene: robots, sources and routes.
+        broken_robots: robots that the file declares but that could not be built; routes to
+            them are left unchecked, for their number of joints is not known.
+    """
+    wiring = Wiring()
+    for name, declared in scene.sources.items():
+        try:
+            wiring.sources[name] = make_source(name, declared)
+        except DeclarationError as error:
+            wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
+    for target, event in scene.routes.items():
+        try:
+            route = _route(scene, wiring.sources, target, event, broken_robots)
+        except DeclarationError as error:
+            wiring.problems += [p.inside(f"routes.{target}") for p in error.problems]
+        else:
+            if route is not None:
+                wiring.routes.append(route)
+    return wiring
+
+
+def _route(
+    scene: Scene,
+    sources: Mapping[str, Source],
+    target: str,
+    event: str,
+    broken_robots: frozenset[str],
+) -> Route | None:
+    problems: list[Problem] = []
+    robot, _, key = target.partition(".")
+    if robot not in scene.robots and robot not in broken_robots:
+        problems.append(Problem("", f"no robot '{robot}'{did_you_mean(robot, scene.robots)}"))
+    elif key not in INPUTS:
+        problems.append(Problem("", f"no input '{key}' of {robot}{did_you_mean(key, INPUTS)}"))
+    source, _, name = event.partition(".")
+    if source not in scene.sources:
+        problems.append(Problem("", f"no source '{source}'{did_you_mean(source, scene.sources)}"))
+    elif source in sources and name not in sources[source].events:
+        events = sources[source].events
+        problems.append(Problem("", f"no event '{name}' of {source}{did_you_mean(name, events)}"))
+    if problems:
+        raise DeclarationError(problems)
+    if source not in sources or robot in broken_robots:
+        return None  # its own declaration is wrong and already reported
+    found, wanted = sources[source].events[name], scene.robots[robot].n
+    if found != wanted:
+        message = f"{event} has {found} values; {target} takes {wanted}, one per joint"
+        raise DeclarationError([Problem("", message)])
+    return Route(robot, key, source, name)
+
+
+class Router:
+    """Applies packets of one source to a world's data."""
+
+    def __init__(self, world: World, routes: list[Route]) -> None:
+        self._to_qpos: list[tuple[str, Any]] = []
+        self._to_userdata: list[tuple[str, slice]] = []
+        self._flags: list[int] = []
+        for route in routes:
+            part = world.robots[route.robot]
+            if route.key == "joint_angles":
+                self._to_qpos.append((route.event, part.qpos))
+            else:
+                self._to_userdata.append((route.event, world.slots[route.target]))
+            self._flags.append(world.slots[f"{route.robot}.has"].start + INPUTS.index(route.key))
+
+    def apply(self, packet: Packet, data: mujoco.MjData) -> None:
+        """Writes the packet's values where the routes lead; frames move with `follow`."""
+        qpos, userdata = data.qpos, data.userdata
+        for event, index in self._to_qpos:
+            qpos[index] = packet.values[event]
+        for event, slot in self._to_userdata:
+            userdata[slot] = packet.values[event]
+        userdata[self._flags] = 1.0
