@@ -1,0 +1,147 @@
+"""Billboards: the numbers of every joint on a panel that faces the camera (section 2.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.robot import BillboardLine, SerialRobot
+from ..assemble.scene import Scene
+from ..assemble.tables import VALUE_INPUTS
+from ..assemble.world import World
+from .layout import columns
+from .panels import draw_leaders, draw_panels, panel_sizes
+from .pen import Pen
+from .toggles import Toggles
+from .view import View
+
+Array = NDArray[np.float64]
+
+LEADER_RGBA = (0.09, 0.11, 0.14, 0.9)
+NO_DATA = b"no data"
+# Unit and decimals of a value by itself, for revolute and for prismatic joints.
+_UNITS = {
+    "torques": (("Nm", 1), ("N", 1)),
+    "joint_angles": (("rad", 3), ("m", 4)),
+    "billboard_values": (("", 2), ("", 2)),
+}
+
+
+def lines_of(robot: SerialRobot, scene: Scene) -> list[BillboardLine]:
+    """Returns what a robot's billboards say: as declared, else what is routed to it."""
+    if robot.billboard_lines is not None:
+        return robot.billboard_lines
+    for key in ("billboard_values", "torques"):
+        if f"{robot.name}.{key}" in scene.routes or getattr(robot, key) is not None:
+            return [BillboardLine(value=key)]
+    return [BillboardLine(value="joint_angles")]
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One line of one joint's billboard, ready to be filled."""
+
+    head: str
+    form: str
+    scale: float
+    decimals: int
+    key: str
+    widest: str
+
+
+class Billboards:
+    """Draws the billboards of one world; holds what their lines look like."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        joints = world.joints
+        self._lines: list[list[_Line]] = []
+        parts = list(world.robots.values())
+        for i, name in enumerate(joints.names):
+            robot = parts[joints.robot[i]].robot
+            declared = lines_of(robot, world.scene)
+            prismatic = int(not joints.revolute[i])
+            self._lines.append([_line(name, k, line, prismatic) for k, line in enumerate(declared)])
+        self._side = np.concatenate(
+            [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
+        ).astype(np.intp)
+        self._counts = np.array([len(lines) for lines in self._lines], np.intp)
+        self._widths: dict[int, Array] = {}
+
+    def draw(self, pen: Pen, data: mujoco.MjData, toggles: Toggles, view: View) -> None:
+        """Draws the panel and leader of every joint whose billboard is shown."""
+        joints = self._world.joints
+        shown = toggles.billboards.nonzero()[0]
+        if not len(shown):
+            return
+        anchors, depth = view.project(data.site_xpos[joints.centre_site[shown]])
+        inside = (depth > view.near) & (anchors >= 0).all(1)
+        inside &= (anchors < [view.width, view.height]).all(1)
+        shown, anchors, depth = shown[inside], anchors[inside], depth[inside]
+        if not len(shown):
+            return
+        texts = self._texts(data, shown)
+        sizes = self._sizes(view, shown, texts)
+        centres = np.empty((len(shown), 2))
+        gap = view.font.height * 0.3
+        for robot in np.unique(joints.robot[shown]):
+            of_robot = joints.robot[shown] == robot
+            radius = joints.arrow_radius[shown[of_robot]][0]  # clear of the round arrows
+            beside = 2.0 * radius / view.pixel_size(float(depth[of_robot].mean()))
+            centres[of_robot] = columns(
+                anchors[of_robot], sizes[of_robot], self._side[shown[of_robot]], gap,
+                max(beside, 3 * gap), view.width, view.height,
+            )  # fmt: skip
+        edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
+        starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
+        draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
+        draw_panels(pen, view, centres, sizes, texts)
+
+    def _texts(self, data: mujoco.MjData, shown: NDArray[np.intp]) -> list[list[bytes]]:
+        joints = self._world.joints
+        values = {"joint_angles": data.qpos[joints.qpos]}
+        missing = {"joint_angles": np.zeros(len(joints.names), bool)}
+        for key in VALUE_INPUTS:
+            values[key] = data.userdata[joints.slots[key]]
+            missing[key] = data.userdata[joints.has[key]] <= 0
+        texts = []
+        for i in shown:
+            lines = []
+            for line in self._lines[i]:
+                if missing[line.key][i]:
+                    lines.append(line.head.encode("ascii") + NO_DATA)
+                    continue
+                # Adding zero turns -0.0, which rounding makes of a small negative, into 0.0.
+                value = round(float(values[line.key][i]) * line.scale, line.decimals) + 0.0
+                lines.append((line.head + line.form % value).encode("ascii"))
+            texts.append(lines)
+        return texts
+
+    def _sizes(self, view: View, shown: NDArray[np.intp], texts: list[list[bytes]]) -> Array:
+        """Panel sizes that do not change with the digits, unless a number is unusually long."""
+        font = view.font
+        if font.height not in self._widths:
+            self._widths[font.height] = np.array(
+                [max(font.width(line.widest) for line in lines) for lines in self._lines]
+            )
+        widths = self._widths[font.height][shown]
+        for k, (i, lines) in enumerate(zip(shown, texts, strict=True)):
+            for text, line in zip(lines, self._lines[i], strict=True):
+                if len(text) > len(line.widest):
+                    widths[k] = max(widths[k], font.width(text))
+        return panel_sizes(widths, self._counts[shown], view)
+
+
+def _line(joint: str, k: int, line: BillboardLine, prismatic: int) -> _Line:
+    """Prepares a line: the joint's name stands on the first one, labels on all."""
+    unit, decimals = _UNITS[line.value][prismatic]
+    unit = unit if line.unit is None else line.unit
+    decimals = decimals if line.decimals is None else line.decimals
+    words = [joint if k == 0 else " " * len(joint), line.label]
+    head = "  ".join(word for word in words if word) + " "
+    tail = f" {unit}" if unit else ""
+    form = f"%{decimals + 5 if decimals else 5}.{decimals}f" + tail.replace("%", "%%")
+    return _Line(head, form, line.scale, decimals, line.value, head + form % -888.8888888)

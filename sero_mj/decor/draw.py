@@ -1,0 +1,45 @@
+"""`Decor`: everything that is drawn over a world, as one function of data, toggles and view."""
+
+from __future__ import annotations
+
+import mujoco
+
+from ..assemble.world import World
+from .axes import draw_axes
+from .billboards import Billboards
+from .pen import Pen
+from .round_arrows import RoundArrows
+from .status import Status
+from .toggles import Toggles
+from .view import View
+
+
+class Decor:
+    """The decor of one world.
+
+    Attributes:
+        pen: the geoms of the frame that was drawn last.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.pen = Pen()
+        self._world = world
+        self._arrows = RoundArrows(world)
+        self._billboards = Billboards(world)
+        self._status = Status(world)
+
+    def draw(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Pen:
+        """Lays out one frame and returns the pen that holds it.
+
+        Args:
+            data: the world's state, with frames up to date (`drive.follow`).
+            toggles: what is shown.
+            view: from where, and how large the picture is.
+        """
+        pen = self.pen
+        pen.clear()
+        draw_axes(pen, self._world, data, toggles)
+        self._arrows.draw(pen, data, toggles)
+        self._billboards.draw(pen, data, toggles, view)
+        self._status.draw(pen, data, toggles, view)
+        return pen

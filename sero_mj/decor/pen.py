@@ -1,0 +1,85 @@
+"""`Pen`: where decor puts its geoms, before any host sees them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from .geoms import GEOM, set_geom, struct_view
+
+MAX_GEOMS = 1024  # MuJoCo Studio's web viewer silently drops what is over it
+# Both renderers draw an arrow half as long as its size[2]: a third of it shaft, a sixth head
+# (glScalef by size[2] / 6 in render_gl3.c, seen with 4.0.0); a test measures it in a picture.
+ARROW_SIZE_OF_LENGTH = 2.0
+
+
+class Pen:
+    """A buffer of decor geoms that is cleared and filled again every frame.
+
+    Attributes:
+        rows: all geoms as a structured array (`geoms.GEOM`); the first `count` are in use.
+        count: how many are in use.
+        left_out: how many found no room in this frame.
+    """
+
+    def __init__(self, capacity: int = MAX_GEOMS) -> None:
+        self.rows: NDArray[Any] = np.zeros(capacity, GEOM)
+        self.rows["dataid"] = self.rows["objid"] = self.rows["matid"] = -1
+        self.rows["texid"] = self.rows["segid"] = -1
+        self.rows["texrepeat"] = 1.0
+        # Without this the classic renderer lets billboards throw shadows on the robot.
+        self.rows["category"] = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        self.rows["objtype"] = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
+        self.rows["shininess"] = 0.3
+        self.count = 0
+        self.left_out = 0
+
+    def clear(self) -> None:
+        """Starts a new frame."""
+        self.count = 0
+        self.left_out = 0
+
+    def take(self, n: int, kind: int) -> NDArray[Any]:
+        """Returns the next n rows to be filled, of one geom type.
+
+        The caller sets size, pos, mat and rgba. When there is no room for all of them none is
+        given and `left_out` grows, so that nothing is drawn in part.
+        """
+        if self.count + n > len(self.rows):
+            self.left_out += n
+            return self.rows[:0]
+        rows = self.rows[self.count : self.count + n]
+        self.count += n
+        rows["type"] = kind
+        rows["label"] = b""
+        rows["emission"] = 0.35
+        rows["specular"] = 0.1
+        return rows
+
+
+class Host:
+    """An `MjvScene` that decor is added to, after MuJoCo has filled it."""
+
+    def __init__(self, scene: mujoco.MjvScene) -> None:
+        self._scene = scene
+        self._view = struct_view(scene)
+
+    def add(self, pen: Pen) -> int:
+        """Appends the pen's geoms to the scene.
+
+        Returns:
+            how many found no room.
+        """
+        scene = self._scene
+        start = scene.ngeom
+        count = min(pen.count, scene.maxgeom - start)
+        if self._view is not None:
+            self._view[start : start + count] = pen.rows[:count]
+        else:
+            for geom, row in zip(scene.geoms[start : start + count], pen.rows, strict=False):
+                set_geom(geom, row)
+        scene.ngeom = start + count
+        return int(pen.count - count)

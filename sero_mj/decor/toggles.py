@@ -1,0 +1,34 @@
+"""`Toggles`: which features are shown, per robot and per joint."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.world import World
+
+Bools = NDArray[np.bool_]
+
+
+class Toggles:
+    """Which features are shown; a scene declares them, a user changes them.
+
+    Attributes:
+        arrows: for every joint of the world, (N,).
+        billboards: for every joint, (N,).
+        axes: for every frame of the world, (M,).
+        status: whether faults of the sources are written into the picture.
+    """
+
+    def __init__(self, world: World) -> None:
+        robots = [part.robot for part in world.robots.values()]
+
+        def per_joint(field: str) -> Bools:
+            shown = np.array([getattr(robot, field) for robot in robots], bool)
+            return shown[world.joints.robot] if len(robots) else np.zeros(0, bool)
+
+        self.arrows = per_joint("show_arrows")
+        self.billboards = per_joint("show_billboards")
+        shown = np.array([*(robot.show_axes for robot in robots), True])  # -1: always shown
+        self.axes = shown[world.frames.robot]
+        self.status = True

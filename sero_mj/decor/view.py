@@ -1,0 +1,106 @@
+"""`View`: from where, and into how many pixels, a frame is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from .font import DEFAULT_FONT, Font
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A perspective camera and its picture.
+
+    Pixels are counted from the lower left corner, x to the right, y up.
+
+    Attributes:
+        position: of the eye, (3,), m.
+        right: unit vector (3,).
+        up: unit vector (3,).
+        forward: unit vector (3,).
+        tan_half_fovy: tangent of half the vertical field of view.
+        near: distance of the near plane, m.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        font: of the host's labels.
+    """
+
+    position: Array
+    right: Array
+    up: Array
+    forward: Array
+    tan_half_fovy: float
+    near: float
+    width: int
+    height: int
+    font: Font = field(default=DEFAULT_FONT)
+
+    @classmethod
+    def of_scene(
+        cls, scene: mujoco.MjvScene, width: int, height: int, font: Font = DEFAULT_FONT
+    ) -> View:
+        """Returns the view of an `MjvScene` that `mjv_updateScene` has filled."""
+        left, right = scene.camera[0], scene.camera[1]
+        position = (np.array(left.pos, np.float64) + right.pos) / 2
+        forward = np.array(left.forward, np.float64)
+        up = np.array(left.up, np.float64)
+        near = float(left.frustum_near)
+        return cls(
+            position=position,
+            right=np.cross(forward, up),
+            up=up,
+            forward=forward,
+            tan_half_fovy=float(left.frustum_top - left.frustum_bottom) / (2 * near),
+            near=near,
+            width=width,
+            height=height,
+            font=font,
+        )
+
+    @property
+    def _pixels_per_tan(self) -> float:
+        return self.height / (2 * self.tan_half_fovy)
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Where world points are in the picture.
+
+        Args:
+            points: (..., 3), m.
+
+        Returns:
+            pixels (..., 2), and depth along the line of sight (...), m; a point behind the eye
+            has a depth below zero and its pixels mean nothing.
+        """
+        relative = points - self.position
+        depth = relative @ self.forward
+        safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
+        plane = np.stack([relative @ self.right, relative @ self.up], axis=-1) / safe[..., None]
+        centre = np.array([self.width / 2, self.height / 2])
+        return plane * self._pixels_per_tan + centre, depth
+
+    def at(self, pixels: Array, depth: float | Array) -> Array:
+        """World points (..., 3) that are seen at pixels (..., 2) in that depth."""
+        depth = np.asarray(depth)
+        centre = np.array([self.width / 2, self.height / 2])
+        plane = (pixels - centre) / self._pixels_per_tan * depth[..., None]
+        return np.asarray(
+            self.position
+            + depth[..., None] * self.forward
+            + plane[..., :1] * self.right
+            + plane[..., 1:] * self.up
+        )
+
+    def pixel_size(self, depth: float) -> float:
+        """How many metres one pixel is at a depth."""
+        return depth / self._pixels_per_tan
+
+    @property
+    def facing(self) -> Array:
+        """Rotation (3, 3) whose x, y, z are right, up and towards the eye."""
+        return np.stack([self.right, self.up, -self.forward], axis=1)
