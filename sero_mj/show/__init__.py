@@ -1,0 +1,1 @@
+"""Geoms to pixels."""

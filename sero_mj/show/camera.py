@@ -1,0 +1,77 @@
+"""Cameras: named ones of the scene, and a free one by azimuth, elevation and distance."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.world import World
+from ..errors import UnknownName, UsageError
+
+_MARGIN = 1.12  # room about the robots
+
+
+def find_camera(world: World, wanted: str | None = None) -> mujoco.MjvCamera:
+    """Returns the camera to look through.
+
+    Args:
+        world: the compiled scene.
+        wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m); or None
+            for what the scene's `view` says.
+
+    Raises:
+        UnknownName: no camera of that name.
+        UsageError: three numbers were expected, or the distance is not positive.
+    """
+    view = world.scene.view
+    name = view.camera if wanted is None else wanted
+    camera = mujoco.MjvCamera()
+    if name is not None and "," not in name:
+        index = mujoco.mj_name2id(world.model, mujoco.mjtObj.mjOBJ_CAMERA, name)
+        if index < 0:
+            raise UnknownName("camera", name, list_cameras(world))
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        camera.fixedcamid = index
+        return camera
+    mujoco.mjv_defaultFreeCamera(world.model, camera)
+    centre, radius = bounding_sphere(world)
+    camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
+    half_fovy = np.deg2rad(world.model.vis.global_.fovy) / 2
+    camera.distance = view.distance or _MARGIN * radius / np.sin(half_fovy)
+    camera.lookat = centre if view.look_at is None else view.look_at
+    if wanted is not None:
+        camera.azimuth, camera.elevation, camera.distance = _three_numbers(wanted)
+    return camera
+
+
+def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
+    """Centre (3,) and radius (m) of a sphere about everything but the floor, as declared."""
+    model, data = world.model, world.make_data()
+    solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+    if not solid.any():
+        return np.zeros(3), 1.0
+    box = model.geom_aabb[solid]
+    rotation = data.geom_xmat[solid].reshape(-1, 3, 3)
+    centre = data.geom_xpos[solid] + np.einsum("nij,nj->ni", rotation, box[:, :3])
+    half = np.einsum("nij,nj->ni", np.abs(rotation), box[:, 3:])
+    low, high = (centre - half).min(0), (centre + half).max(0)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+
+
+def list_cameras(world: World) -> list[str]:
+    """Names of the world's cameras, those of MJCF pieces included."""
+    return [world.model.camera(i).name for i in range(world.model.ncam)]
+
+
+def _three_numbers(text: str) -> tuple[float, float, float]:
+    try:
+        azimuth, elevation, distance = (float(part) for part in text.split(","))
+    except ValueError:
+        azimuth = elevation = distance = np.nan
+    if not np.isfinite([azimuth, elevation, distance]).all() or distance <= 0:
+        raise UsageError(
+            f"camera '{text}': expected a name or azimuth,elevation,distance "
+            "(degrees, degrees, m above 0), e.g. 150,-15,2.2"
+        )
+    return azimuth, elevation, distance

@@ -1,0 +1,138 @@
+"""From a scene to a picture or a film, live sources included.
+
+A film of a live robot must show real time, but a software renderer may need longer for a frame
+than the frame lasts. So one thread takes the state at exactly the film's rate, and the frames
+are rendered from these states, at whatever speed.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.scene import Scene
+from ..drive.mirror import Mirror, restore
+from .film import FilmWriter, save_picture
+from .headless import DEFAULT_SIZE, HeadlessRenderer
+
+State = NDArray[np.float64]
+OnProgress = Callable[[int, int], None]
+
+
+def render_picture(
+    scene: Scene,
+    path: Path | str,
+    *,
+    size: tuple[int, int] = DEFAULT_SIZE,
+    camera: str | None = None,
+    wait: float = 2.0,
+) -> list[str]:
+    """Renders one picture of a scene as it is now.
+
+    Args:
+        scene: what to show.
+        path: where to; .png, or another format that Pillow knows.
+        size: width and height, pixels.
+        camera: see `find_camera`.
+        wait: how long to wait for the first packet of every source, s.
+
+    Returns:
+        the sources that stayed silent; their robots stand where the scene declares them.
+
+    Raises:
+        SeroError: what is wrong with the scene, its sources, the camera or the file.
+    """
+    with Mirror(scene) as mirror:
+        renderer = HeadlessRenderer(mirror.world, *size, camera)
+        with renderer:
+            silent = mirror.wait(wait)
+            mirror.advance(0.0)
+            save_picture(Path(path), renderer.render(mirror.data))
+    return silent
+
+
+def render_film(
+    scene: Scene,
+    path: Path | str,
+    *,
+    duration: float = 5.0,
+    fps: float = 30.0,
+    size: tuple[int, int] = DEFAULT_SIZE,
+    camera: str | None = None,
+    wait: float = 2.0,
+    on_progress: OnProgress | None = None,
+) -> list[str]:
+    """Renders a film of a scene, in real time when it has live sources.
+
+    Args:
+        scene: what to show.
+        path: where to; .mp4.
+        duration: of the film, s.
+        fps: frames per second.
+        size: width and height, pixels.
+        camera: see `find_camera`.
+        wait: how long to wait for the first packet of every source, s.
+        on_progress: called with the frames done and the frames in all.
+
+    Returns:
+        the sources that stayed silent.
+
+    Raises:
+        SeroError: what is wrong with the scene, its sources, the camera or the file.
+    """
+    count = max(round(duration * fps), 1)
+    with Mirror(scene) as mirror:
+        world = mirror.world
+        data = world.make_data()
+        with (
+            HeadlessRenderer(world, *size, camera) as renderer,
+            FilmWriter(Path(path), *size, fps) as film,
+        ):
+            silent = mirror.wait(wait)
+            pixels = np.empty((size[1], size[0], 3), np.uint8)
+            for done, state in enumerate(_states(mirror, count, fps), start=1):
+                restore(world, data, state)
+                film.add(renderer.render(data, out=pixels))
+                if on_progress is not None:
+                    on_progress(done, count)
+    return silent
+
+
+def _states(mirror: Mirror, count: int, fps: float) -> Iterator[State]:
+    """Yields the state at the time of every frame, taken on a thread of its own when live."""
+    if not mirror.sources:
+        for k in range(count):
+            mirror.advance(k / fps)
+            yield mirror.state()
+        return
+    taken: queue.SimpleQueue[State | BaseException] = queue.SimpleQueue()
+    stop = threading.Event()
+
+    def sample() -> None:
+        try:
+            start = time.monotonic()
+            for k in range(count):
+                if stop.wait(max(start + k / fps - time.monotonic(), 0.0)):
+                    return
+                mirror.advance(k / fps)
+                taken.put(mirror.state())
+        except BaseException as error:  # handed to the caller's thread
+            taken.put(error)
+
+    sampler = threading.Thread(target=sample, name="film sampler", daemon=True)
+    sampler.start()
+    try:
+        for _ in range(count):
+            state = taken.get()
+            if isinstance(state, BaseException):
+                raise state
+            yield state
+    finally:
+        stop.set()
+        sampler.join()

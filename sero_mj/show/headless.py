@@ -1,0 +1,112 @@
+"""Pictures without a window: `mujoco.Renderer` with the decor added."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.world import World
+from ..decor.draw import Decor
+from ..decor.font import Font, nearest_font_scale
+from ..decor.pen import Host
+from ..decor.toggles import Toggles
+from ..decor.view import View
+from ..errors import RenderError
+from .camera import find_camera
+
+log = logging.getLogger(__name__)
+
+DEFAULT_SIZE = (1280, 800)
+MAX_SIDE = 16384  # pixels; what the software GL of Mesa allows
+_TEXT_OF_SCALE = 0.7  # text height over picture height per unit of billboard_scale
+
+
+class HeadlessRenderer:
+    """Renders a world into arrays.
+
+    Args:
+        world: what to render.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        camera: see `find_camera`.
+
+    Attributes:
+        toggles: what is shown.
+        camera: may be moved between frames.
+        view: of the frame rendered last.
+
+    Raises:
+        RenderError: no OpenGL, or the size is out of range.
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        width: int = DEFAULT_SIZE[0],
+        height: int = DEFAULT_SIZE[1],
+        camera: str | None = None,
+    ) -> None:
+        if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+            raise RenderError(f"picture size {width}x{height}: expected 1 to {MAX_SIDE} a side")
+        self.world = world
+        self.toggles = Toggles(world)
+        self.camera = find_camera(world, camera)
+        self.view: View | None = None
+        self._decor = Decor(world)
+        self._renderer = _make_renderer(world, width, height)
+        self._font = Font.of_context(self._renderer._mjr_context)
+        self._host = Host(self._renderer.scene)
+        self._complained = False
+
+    def render(
+        self, data: mujoco.MjData, out: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
+        """Renders one frame.
+
+        Args:
+            data: the world's state, with frames up to date (`drive.follow`).
+            out: (height, width, 3), written to when given.
+
+        Returns:
+            (height, width, 3), 0 to 255.
+        """
+        renderer = self._renderer
+        renderer.update_scene(data, self.camera)
+        self.view = View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
+        pen = self._decor.draw(data, self.toggles, self.view)
+        left_out = pen.left_out + self._host.add(pen)
+        if left_out and not self._complained:
+            self._complained = True
+            log.warning("%d decor geoms found no room and are not shown", left_out)
+        pixels: NDArray[np.uint8] = renderer.render(out=out)
+        return pixels
+
+    def close(self) -> None:
+        """Frees the OpenGL context."""
+        self._renderer.close()
+
+    def __enter__(self) -> HeadlessRenderer:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _make_renderer(world: World, width: int, height: int) -> Any:
+    model = world.model
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
+    percent = nearest_font_scale(_TEXT_OF_SCALE * max(scales) * height)
+    font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{percent}")
+    try:
+        return mujoco.Renderer(model, height, width, font_scale=font)
+    except Exception as error:  # every GL backend raises its own
+        raise RenderError(
+            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
+            "`sero-mj doctor` says what is missing"
+        ) from error
