@@ -1,0 +1,69 @@
+"""The command line: `sero-mj COMMAND ...`, one file per command."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+
+from .. import __version__
+from ..errors import DeclarationError, SeroError
+from ..show.gl import choose_backend
+from . import check, doctor, export, fk, listing, render, send
+
+_DESCRIPTION = """\
+sero-mj shows what a torque-controlled robot feels.
+
+It mirrors a robot from UDP packets, draws round arrows that turn about the joints to show
+torques, and billboards with their numbers, and renders pictures and films without a window.
+"""
+
+_EPILOG = """\
+Try it, in two terminals:
+  sero-mj send lwr_udp                     play a motion as the robot would, on port 32000
+  sero-mj render lwr_udp -o lwr.mp4        film it for 5 s
+
+SCENE is a TOML file, or the name of a scene that `sero-mj list` shows.
+Every command has its own help: sero-mj render --help
+"""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs one command; exits with 0, or with 2 and a clear line when it cannot be done."""
+    choose_backend()
+    logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
+    options = _parser().parse_args(arguments)
+    try:
+        status = options.run(options)
+        sys.stdout.flush()
+    except DeclarationError as error:
+        count = len(error.problems)
+        if count > 1:
+            print(f"sero-mj: {count} things are wrong:", file=sys.stderr)
+        for problem in error.problems:
+            print(f"sero-mj: {problem}" if count == 1 else f"  {problem}", file=sys.stderr)
+        sys.exit(2)
+    except SeroError as error:
+        print(f"sero-mj: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:  # the reader of a pipe has gone, as in `sero-mj list | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    sys.exit(status)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sero-mj",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for module in (render, send, fk, check, export, listing, doctor):
+        module.add_to(commands)
+    return parser

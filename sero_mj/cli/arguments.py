@@ -1,0 +1,144 @@
+"""What several commands read from the command line."""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import paths
+from ..errors import UnknownName, UsageError
+
+if TYPE_CHECKING:
+    from ..assemble.robot import SerialRobot
+    from ..assemble.scene import Scene
+
+# Subparsers have no public type.
+Commands = Any
+
+
+def add_command(commands: Commands, name: str, run: Any, summary: str, epilog: str) -> Any:
+    """Adds a command whose help shows its summary and its epilog as they are written."""
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def positive(text: str) -> float:
+    """A finite number above 0, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found '{text}'; expected a number above 0")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """A finite number from 0, for argparse."""
+    return 0.0 if text.strip() in ("0", "0.0") else positive(text)
+
+
+def port(text: str) -> int:
+    """A port from 1 to 65535, for argparse."""
+    if text.isdecimal() and 1 <= int(text) <= 65535:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected a port from 1 to 65535")
+
+
+def size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT in pixels, for argparse."""
+    width, _, height = text.lower().partition("x")
+    if width.isdecimal() and height.isdecimal() and int(width) and int(height):
+        return int(width), int(height)
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected WIDTHxHEIGHT, e.g. 1280x800")
+
+
+def numbers(text: str, what: str) -> NDArray[np.float64]:
+    """Comma-separated finite numbers.
+
+    Raises:
+        UsageError: something is no number.
+    """
+    try:
+        values = np.array([float(part) for part in text.strip("[] ").split(",")])
+    except ValueError:
+        values = np.array([np.nan])
+    if not np.isfinite(values).all():
+        raise UsageError(f"{what}: found '{text}'; expected numbers with commas, e.g. 0,0.5,-1.2")
+    return values
+
+
+def overrides(settings: list[str]) -> dict[str, Any]:
+    """Reads `--set robot.field=value` options; the value is TOML, or numbers with commas.
+
+    Raises:
+        UsageError: one has no `=`, or its key no field.
+    """
+    result: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals or "." not in key:
+            raise UsageError(
+                f"--set {setting}: expected ROBOT.FIELD=VALUE, e.g. lwr.show_axes=true"
+            )
+        result[key.strip()] = _value(text.strip())
+    return result
+
+
+def _value(text: str) -> Any:
+    for form in (text, f"[{text}]", f'"{text}"'):
+        try:
+            return tomllib.loads(f"value = {form}")["value"]
+        except tomllib.TOMLDecodeError:
+            continue
+    return text
+
+
+def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
+    """Returns the scene that `name` means; a robot's name stands for a scene with it alone.
+
+    Raises:
+        UnknownName: neither a scene nor a robot.
+        SeroError: what is wrong in the file.
+    """
+    from ..assemble.scene import Scene
+    from ..drive.mirror import load_scene
+
+    try:
+        path = paths.find_scene(name)
+    except UnknownName as error:
+        try:
+            paths.find_model(name)
+        except UnknownName:
+            available = [*paths.list_scenes(), *paths.list_models()]
+            raise UnknownName("scene or robot", name, available) from error
+        return Scene(robots=[read_model(name, overrides(settings or []))])
+    if _is_robot_file(path):
+        return Scene(
+            robots=[read_model(str(path), overrides(settings or []))], name=path.parent.name
+        )
+    return load_scene(path, overrides(settings or []))
+
+
+def read_model(name: str, settings: dict[str, Any] | None = None) -> SerialRobot:
+    """Returns the robot that `name` means, with fields set over its file's."""
+    from ..assemble.robot import SerialRobot
+
+    fields = {key.partition(".")[2]: value for key, value in (settings or {}).items()}
+    return SerialRobot.from_model(name, **fields)
+
+
+def _is_robot_file(path: Path) -> bool:
+    return path.name == "robot.toml"

@@ -1,0 +1,50 @@
+"""`sero-mj check`: is a scene right, and what is in it?"""
+
+from __future__ import annotations
+
+import argparse
+
+from .arguments import Commands, add_command, read_scene_or_model
+
+_EPILOG = """\
+Reads and compiles the scene and opens nothing. Prints every problem at once, with file and line,
+and exits with 2; else prints what the scene holds.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "check", run, "check a scene file and print what it holds", _EPILOG
+    )
+    parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints; returns 0."""
+    from ..assemble.world import World
+    from ..drive.route import wire
+    from ..show.camera import list_cameras
+
+    scene = read_scene_or_model(options.scene)
+    world = World(scene)
+    print(f"{scene.name}: {scene.file or 'robot'} is right")
+    for name, part in world.robots.items():
+        robot = part.robot
+        look = "meshes" if robot.filenames else "shapes grown from its DH table"
+        print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}")
+    for name, source in wire(scene).sources.items():
+        layout = getattr(source, "layout", None)
+        if layout is not None:
+            events = ", ".join(f"{event} ({count})" for event, count in source.events.items())
+            where = f"{source.host}:{source.udpport}"  # type: ignore[attr-defined]
+            print(f"  source  {name}: UDP {where}, {layout.size} bytes: {events}")
+    for target, event in scene.routes.items():
+        print(f"  route   {event} -> {target}")
+    for item in scene.objects:
+        print(f"  object  {item.name}")
+    for camera in list_cameras(world):
+        print(f"  camera  {camera}")
+    model = world.model
+    print(f"  model   {model.nbody} bodies, {model.ngeom} geoms, {model.nmeshface} mesh triangles")
+    return 0

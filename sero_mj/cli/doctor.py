@@ -1,0 +1,105 @@
+"""`sero-mj doctor`: which OpenGL backends work here, and what to install."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from typing import Any
+
+from ..show.gl import BACKENDS, PACKAGES, osmesa_is_there
+from .arguments import Commands, add_command
+
+_EPILOG = """\
+Renders a small picture with every backend, each in a process of its own, because a backend is
+fixed once MuJoCo is imported. Exits with 1 when none works. MUJOCO_GL=osmesa (say) before a
+command chooses one by hand.
+"""
+
+_TRIAL = """
+import time, mujoco
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 2'/><geom size='.2' rgba='1 0 0 1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 64, 64) as renderer:
+    renderer.update_scene(data)
+    pixels = renderer.render()
+    start = time.perf_counter()
+    renderer.render()
+    took = time.perf_counter() - start
+    assert pixels[32, 32, 0] > 40, "the picture is empty"
+    try:
+        from OpenGL import GL
+        name = GL.glGetString(GL.GL_RENDERER).decode()
+    except Exception:
+        name = "unknown renderer"
+print(f"{name}|{took * 1e3:.1f}")
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "doctor", run, "say which OpenGL backends work and what to install", _EPILOG
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints; returns 0 when a backend works, else 1."""
+    versions = {
+        name: importlib.metadata.version(name)
+        for name in ("sero-mj", "mujoco", "dm-control", "numpy", "av")
+    }
+    backends = {name: try_backend(name) for name in BACKENDS}
+    chosen = os.environ.get("MUJOCO_GL")
+    works = [name for name, found in backends.items() if found["works"]]
+    if options.json:
+        found = {"versions": versions, "python": platform.python_version(), "backends": backends}
+        print(json.dumps({**found, "chosen": chosen}, indent=2))
+        return 0 if works else 1
+    print(
+        f"Python {platform.python_version()}, " + ", ".join(f"{k} {v}" for k, v in versions.items())
+    )
+    for name, found in backends.items():
+        if found["works"]:
+            print(f"  {name:7} works: {found['renderer']}, {found['ms']} ms for 64x64")
+        else:
+            print(f"  {name:7} does not work: {found['reason']}")
+            print(f"  {'':7} Debian, Ubuntu: apt install {PACKAGES[name]}")
+    print(f"sero-mj uses {chosen or 'what MuJoCo chooses'}; MUJOCO_GL overrides it")
+    if not works:
+        print("no backend works: pictures cannot be rendered on this machine")
+    return 0 if works else 1
+
+
+def try_backend(name: str) -> dict[str, Any]:
+    """Renders with one backend in a process of its own."""
+    environment = {**os.environ, "MUJOCO_GL": name}
+    environment.pop("PYOPENGL_PLATFORM", None)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _TRIAL],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return {"works": False, "reason": "no answer within 60 s"}
+    if done.returncode == 0:
+        renderer, _, milliseconds = done.stdout.strip().splitlines()[-1].rpartition("|")
+        return {"works": True, "renderer": renderer, "ms": float(milliseconds)}
+    lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
+    errors = [line for line in lines if "Error" in line and not line.startswith(" ")]
+    reason = errors[0] if errors else lines[-1] if lines else f"signal {-done.returncode}"
+    if name == "osmesa" and not osmesa_is_there():
+        reason = "libOSMesa is not installed"
+    return {"works": False, "reason": re.sub(r"^\S+\.py:\d+: ", "", reason)[:160]}

@@ -1,0 +1,39 @@
+"""`sero-mj export`: a scene as MJCF that plain MuJoCo loads."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..errors import UsageError
+from .arguments import Commands, add_command, read_scene_or_model
+
+_EPILOG = """\
+example:
+  sero-mj export lwr_udp out/lwr.xml && python -m mujoco.viewer --mjcf=out/lwr.xml
+
+Mesh files are written beside the XML. Bodies are named robot/link1 and so on; robots are posed
+as in the scene at their declared joint angles ("home" key frame).
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(commands, "export", run, "write a scene as MJCF with its meshes", _EPILOG)
+    parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
+    parser.add_argument("output", metavar="OUT.xml", type=Path)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes; returns 0."""
+    from ..assemble.world import World
+
+    if options.output.suffix.lower() != ".xml":
+        raise UsageError(f"{options.output}: expected a name that ends in .xml")
+    world = World(read_scene_or_model(options.scene))
+    try:
+        written = world.export(options.output)
+    except OSError as error:
+        raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
+    print(f"{written[0]} and {len(written) - 1} mesh files")
+    return 0

@@ -1,0 +1,81 @@
+"""`sero-mj fk`: forward kinematics by `dh` and by MuJoCo, and their difference."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+import numpy as np
+
+from ..errors import UsageError
+from .arguments import Commands, add_command, numbers, read_model
+
+_EPILOG = """\
+examples:
+  sero-mj fk lwr --joint-angles 0,0.5,0,-1.5,0,1,0
+  sero-mj fk lwr --deg --joint-angles 0,30,0,-90,0,60,0
+  sero-mj fk my_robot/robot.toml --joint-angles 0.1,0.2 --json
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "fk", run, "print base-to-flange of a robot by DH and by MuJoCo", _EPILOG
+    )
+    parser.add_argument("robot", metavar="ROBOT", help="robot: a file, a folder or a shipped name")
+    parser.add_argument(
+        "--joint-angles", metavar="Q", help="joint values with commas, rad or m (default: home)"
+    )
+    parser.add_argument("--deg", action="store_true", help="angles are in degrees")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints; returns 0."""
+    robot = read_model(options.robot)
+    q = robot.home
+    if options.joint_angles is not None:
+        q = numbers(options.joint_angles, "--joint-angles")
+        if len(q) != robot.n:
+            raise UsageError(
+                f"--joint-angles: found {len(q)} numbers; {robot.name} has {robot.n} joints"
+            )
+        if options.deg:
+            q = np.where(robot.dh.revolute, np.deg2rad(q), q)
+    result = compare(robot, q)
+    if options.json:
+        print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))
+        return 0
+    with np.printoptions(precision=6, suppress=True, floatmode="fixed"):
+        print(f"T_base_flange of {robot.name}, by dh\n{result['dh']}")
+        print(f"by MuJoCo\n{result['mujoco']}")
+    print(
+        f"difference: {result['position_difference']:.1e} m, {result['angle_difference']:.1e} rad"
+    )
+    return 0
+
+
+def compare(robot: Any, q: Any) -> dict[str, Any]:
+    """Base-to-flange of a robot by both routes, and how far they are apart (m, rad)."""
+    import mujoco
+
+    from ..assemble import frames
+    from ..assemble.scene import Scene
+    from ..assemble.world import World
+
+    world = World(Scene(robots=[robot], floor=False))
+    data = world.make_data()
+    world.set_input(data, f"{robot.name}.joint_angles", q)
+    mujoco.mj_kinematics(world.model, data)
+    by_dh = robot.fwd_kin_base_to_flange(q)
+    by_mujoco = world.fwd_kin_base_to_flange(data, robot.name)
+    between = frames.inverse(by_dh) @ by_mujoco
+    return {
+        "joint_angles": q,
+        "dh": by_dh,
+        "mujoco": by_mujoco,
+        "position_difference": float(np.linalg.norm(by_mujoco[:3, 3] - by_dh[:3, 3])),
+        "angle_difference": frames.rotation_angle(between[:3, :3]),
+    }

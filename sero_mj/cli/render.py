@@ -1,0 +1,124 @@
+"""`sero-mj render`: a picture or a film without a window."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..errors import UsageError
+from .arguments import Commands, add_command, not_negative, positive, read_scene_or_model, size
+
+_EPILOG = """\
+examples:
+  sero-mj render lwr_udp -o lwr.png                   wait for the robot, take a picture
+  sero-mj render lwr_udp -o lwr.mp4 --duration 10     film it for 10 s of real time
+  sero-mj render lwr -o pose.png --set lwr.joint_angles=0,0.5,0,-1.5,0,1,0 \\
+      --set lwr.torques=10,-80,5,30,0,-2,1 --set lwr.show_arrows=true
+  sero-mj render lwr_udp -o top.png --camera 90,-80,2.5 --size 640x480
+
+--set takes any field of a robot (sero-mj list --fields shows them), as TOML. An input that is set
+is not received. A film of live sources shows real time, however long rendering takes.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "render", run, "render a scene to a picture or a film, without a window", _EPILOG
+    )
+    parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
+    parser.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="OUT", help="OUT.png or OUT.mp4"
+    )
+    parser.add_argument(
+        "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
+    )
+    parser.add_argument(
+        "--duration", type=positive, metavar="S", help="length of a film in s (default 5)"
+    )
+    parser.add_argument("--fps", type=positive, metavar="N", help="frames per second (default 30)")
+    parser.add_argument(
+        "--camera",
+        metavar="CAM",
+        help="name of a camera, or azimuth,elevation,distance in degrees and m",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="settings",
+        metavar="ROBOT.FIELD=VALUE",
+        help="set a field over the scene's; may be repeated",
+    )
+    parser.add_argument(
+        "--wait",
+        type=not_negative,
+        default=2.0,
+        metavar="S",
+        help="how long to wait for the first packet (default 2)",
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, no closing line")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Renders; returns 0."""
+    output: Path = options.output
+    is_film = output.suffix.lower() == ".mp4"
+    if not is_film and output.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+        raise UsageError(f"-o {output}: expected a name that ends in .png, .jpg, .webp or .mp4")
+    if not is_film and (options.duration or options.fps):
+        raise UsageError(f"-o {output}: --duration and --fps are for films (.mp4)")
+    scene = read_scene_or_model(options.scene, options.settings)
+    if is_film:
+        silent = _film(scene, options)
+    else:
+        from ..show.capture import render_picture
+
+        silent = render_picture(
+            scene, output, size=options.size, camera=options.camera, wait=options.wait
+        )
+    for name in silent:
+        print(
+            f"sero-mj: no packet for source '{name}' within {options.wait:g} s; "
+            "its robots are shown as the scene declares them",
+            file=sys.stderr,
+        )
+    if not options.quiet:
+        print(output)
+    return 0
+
+
+def _film(scene: object, options: argparse.Namespace) -> list[str]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    from ..assemble.scene import Scene
+    from ..show.capture import render_film
+
+    assert isinstance(scene, Scene)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=options.quiet,
+    ) as progress:
+        task = progress.add_task("rendering", total=None)
+        return render_film(
+            scene,
+            options.output,
+            duration=options.duration or 5.0,
+            fps=options.fps or 30.0,
+            size=options.size,
+            camera=options.camera,
+            wait=options.wait,
+            on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
