@@ -1,0 +1,106 @@
+"""Runs the README: its files, its commands and its Python, in the order they stand there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
+    environment = {**os.environ, "MUJOCO_GL": os.environ["MUJOCO_GL"]}
+    bin_dir = tmp_path / ".venv" / "bin"
+    bin_dir.mkdir(parents=True)
+    command = bin_dir / "sero-mj"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sero_mj "$@"\n')
+    command.chmod(0o755)
+
+    def run(*arguments: str) -> None:
+        done = subprocess.run(
+            arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{arguments}\n{done.stdout}{done.stderr}"
+        assert "no packet" not in done.stderr or "two_arms" in arguments[-1]
+
+    background: list[subprocess.Popen[bytes]] = []
+    ran = {"bash": 0, "python": 0, "toml": 0}
+    try:
+        for note, language, text in BLOCK.findall((ROOT / "README.md").read_text("utf-8")):
+            if "make demo" in text:
+                continue  # .ci/run has just run `make`, and the demo is tested below
+            ran[language] += 1
+            if language == "toml" and note:
+                path = tmp_path / note
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text)
+            elif language == "toml":
+                shipped = (ROOT / "scenes" / "lwr_udp.toml").read_text()
+                assert text in shipped, "the README's first scene is not the one that is shipped"
+            elif note == "background":
+                background.append(subprocess.Popen(text.split(), cwd=tmp_path, env=environment))
+            elif language == "bash":
+                run("bash", "-ec", text)
+            else:
+                script = tmp_path / "script.py"
+                script.write_text(textwrap.dedent(text))
+                run(sys.executable, str(script))
+    finally:
+        for process in background:
+            process.terminate()
+            process.wait()
+    assert ran == {"bash": 4, "python": 2, "toml": 3}
+    made = {path.name for path in (tmp_path / "out").iterdir()}
+    assert made == {"now.png", "film.mp4", "from_python.mp4", "mine.png", "two_arms.png"}
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+def test_the_demo_writes_a_film_and_a_picture_and_says_where(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sero_mj", "demo", "--duration", "0.5", "--size", "320x200"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "out/lwr.mp4" in done.stdout and "out/lwr.png" in done.stdout
+    assert (tmp_path / "out" / "lwr.mp4").stat().st_size > 3000
+    assert (tmp_path / "out" / "lwr.png").stat().st_size > 3000
+
+
+def test_the_readme_shows_a_picture_that_exists() -> None:
+    pictures = re.findall(r"!\[.+?\]\((.+?)\)", (ROOT / "README.md").read_text("utf-8"))
+    assert pictures
+    for picture in pictures:
+        assert (ROOT / picture).stat().st_size > 20_000
+
+
+def test_the_readme_lists_every_command() -> None:
+    text = (ROOT / "README.md").read_text("utf-8")
+    from test_cli import COMMANDS
+
+    for command in COMMANDS:
+        assert f"| `sero-mj {command}" in text
+
+
+def test_make_is_what_the_readme_says() -> None:
+    make = shutil.which("make")
+    if make is None:
+        pytest.skip("no make on this machine")
+    done = subprocess.run(
+        [make, "-n", "test"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "pytest" in done.stdout
