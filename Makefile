@@ -2,10 +2,9 @@
 # make test   the tests
 # make lint   style and types
 # make bench  benchmarks, as ratios
-# make wheel  build the wheel, install it elsewhere, try it from another directory
+# make wheel  dist/*.whl, with models and scenes inside
 
 BIN := .venv/bin
-PORT ?= 32000
 
 .PHONY: demo test lint bench wheel clean
 
@@ -13,7 +12,7 @@ PORT ?= 32000
 	@.ci/setup
 
 demo: .venv/.installed
-	@$(BIN)/python -m sero_mj.demo --port $(PORT)
+	@$(BIN)/sero-mj demo --out out
 
 test: .venv/.installed
 	$(BIN)/python -m pytest -q
@@ -27,7 +26,7 @@ bench: .venv/.installed
 	$(BIN)/python benchmarks/run.py
 
 wheel: .venv/.installed
-	.ci/try-wheel
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 
 clean:
 	rm -rf .venv out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
