@@ -1,0 +1,217 @@
+"""Measures what decor and start-up cost; prints ratios on the same work in the same run.
+
+    make bench                      everything (a few minutes with software rendering)
+    .venv/bin/python benchmarks/run.py --quick
+
+Times are medians of alternating runs, so that a slow moment of the machine hits both sides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from sero_mj.show.gl import choose_backend
+
+choose_backend()
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from worlds import WORLDS, make_world
+
+from sero_mj import HeadlessRenderer, World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.toggles import Toggles
+from sero_mj.show.camera import find_camera
+
+Row = tuple[str, str, str, str, str]
+SIZE = (1280, 800)
+_BARE = """
+import mujoco
+model = mujoco.MjModel.from_xml_path({path!r})
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+model.vis.global_.offwidth, model.vis.global_.offheight = 1280, 800
+with mujoco.Renderer(model, 800, 1280) as renderer:
+    renderer.update_scene(data)
+    pixels = renderer.render()
+from PIL import Image
+Image.fromarray(pixels).save({out!r})
+"""
+
+
+def seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def alternate(works: list[Callable[[], object]], rounds: int) -> list[float]:
+    """Median time of each work, taken in turns."""
+    times = np.array([[seconds(work) for work in works] for _ in range(rounds)])
+    return [float(t) for t in np.median(times, axis=0)]
+
+
+def layout(rounds: int) -> list[Row]:
+    """Decor layout alone; the goals are of DESIGN and the issues."""
+    rows = []
+    goals = {7: 0.3, 51: 1.0}
+    for n, counts in WORLDS.items():
+        world = make_world(counts)
+        data, decor, toggles = world.make_data(), Decor(world), Toggles(world)
+        with HeadlessRenderer(world, *SIZE) as renderer:
+            renderer.render(data)
+            view = renderer.view
+        assert view is not None
+        draw, kinematics = alternate(
+            [
+                lambda: decor.draw(data, toggles, view),
+                lambda: mujoco.mj_kinematics(world.model, data),
+            ],
+            rounds * 20,
+        )
+        goal = f"under {goals[n]} ms" if n in goals else ""
+        rows.append(
+            (f"layout, {n} joints, {decor.pen.count} geoms", f"{draw * 1e3:.3f} ms",
+             f"mj_kinematics {kinematics * 1e3:.3f} ms", f"{draw / kinematics:.1f}", goal)
+        )  # fmt: skip
+    return rows
+
+
+def frames(rounds: int) -> list[Row]:
+    """A headless frame with decor over the bare one."""
+    rows = []
+    for n, counts in WORLDS.items():
+        world = make_world(counts)
+        data = world.make_data()
+        with HeadlessRenderer(world, *SIZE) as renderer:
+            toggles = renderer.toggles
+
+            def shown(arrows: bool, billboards: bool, axes: bool) -> None:
+                toggles.arrows[:], toggles.billboards[:] = arrows, billboards
+                toggles.axes[:] = axes
+                renderer.render(data)
+
+            cases = [(False, False, False), (True, True, False), (True, True, True)]
+            for case in cases:
+                shown(*case)
+            bare, labelled, full = alternate([lambda c=c: shown(*c) for c in cases], rounds)
+        for name, value in (("arrows, billboards", labelled), ("and axes", full)):
+            goal = "at most 1.25" if n == 7 else ""
+            rows.append(
+                (f"frame 1280x800, {n} joints, {name}", f"{value * 1e3:.1f} ms",
+                 f"bare {bare * 1e3:.1f} ms", f"{value / bare:.2f}", goal)
+            )  # fmt: skip
+    return rows
+
+
+def kinematics(rounds: int) -> list[Row]:
+    """Numpy DH against MuJoCo, one pose and a batch of a thousand."""
+    world = make_world([7])
+    data = world.make_data()
+    table = world.robots["robot0"].robot.dh
+    q = np.random.default_rng(2).uniform(-1, 1, (1000, 7))
+
+    def batch() -> None:
+        for row in q:
+            data.qpos[:] = row
+            mujoco.mj_kinematics(world.model, data)
+
+    one, many, mj_one, mj_many = alternate(
+        [lambda: table.frames(q[0]), lambda: table.frames(q),
+         lambda: mujoco.mj_kinematics(world.model, data), batch], rounds * 5,
+    )  # fmt: skip
+    return [
+        ("dh.frames, 7 joints, one pose", f"{one * 1e6:.0f} us", f"mj_kinematics {mj_one * 1e6:.1f} us",
+         f"{one / mj_one:.0f}", ""),
+        ("dh.frames, 1000 poses at once", f"{many * 1e6:.0f} us", f"1000 mj_kinematics {mj_many * 1e6:.0f} us",
+         f"{many / mj_many:.2f}", ""),
+    ]  # fmt: skip
+
+
+def start_up(rounds: int) -> list[Row]:
+    """From the command to the first picture, against plain MuJoCo on the exported scene."""
+    with tempfile.TemporaryDirectory() as folder:
+        xml, out = Path(folder) / "lwr.xml", Path(folder) / "lwr.png"
+        command = [sys.executable, "-m", "sero_mj"]
+        subprocess.run([*command, "export", "lwr", str(xml)], check=True, stdout=subprocess.DEVNULL)
+        bare = [sys.executable, "-c", _BARE.format(path=str(xml), out=str(out))]
+        ours = [*command, "render", "lwr", "-o", str(out), "--quiet"]
+        a, b = alternate(
+            [lambda: subprocess.run(ours, check=True), lambda: subprocess.run(bare, check=True)],
+            max(rounds // 4, 3),
+        )
+        nothing, ours_import = alternate(
+            [lambda: subprocess.run([sys.executable, "-c", "pass"], check=True),
+             lambda: subprocess.run([sys.executable, "-c", "import sero_mj"], check=True)],
+            max(rounds // 4, 5),
+        )  # fmt: skip
+    cost = ours_import - nothing
+    return [
+        ("sero-mj render, to the first picture", f"{a:.2f} s", f"bare mujoco {b:.2f} s", f"{a / b:.2f}", ""),
+        ("import sero_mj", f"{cost * 1e3:.0f} ms", f"python -c pass {nothing * 1e3:.0f} ms",
+         f"{cost / nothing:.2f}", "under 100 ms"),
+    ]  # fmt: skip
+
+
+def memory(count: int) -> list[Row]:
+    """Resident memory after many frames of layout and follow, against after a few."""
+    world: World = make_world([7])
+    data, decor, toggles = world.make_data(), Decor(world), Toggles(world)
+    find_camera(world)
+    with HeadlessRenderer(world, 64, 64) as renderer:
+        renderer.render(data)
+        view = renderer.view
+        assert view is not None
+        q = np.random.default_rng(3).uniform(-1, 1, (97, 7))
+
+        def run(n: int) -> float:
+            for k in range(n):
+                data.qpos[:] = q[k % len(q)]
+                mujoco.mj_kinematics(world.model, data)
+                decor.draw(data, toggles, view)
+                if k % 100 == 0:
+                    renderer.render(data)
+            return resident_mib()
+
+        before = run(count // 20)
+        after = run(count)
+    return [
+        (f"memory after {count} frames", f"{after:.1f} MiB", f"after {count // 20}: {before:.1f} MiB",
+         f"{after / before:.3f}", "no growth")
+    ]  # fmt: skip
+
+
+def resident_mib() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer rounds, 5,000 frames")
+    options = parser.parse_args()
+    rounds, count = (5, 5_000) if options.quick else (25, 100_000)
+    console = Console(width=130)
+    table = Table("what", "time", "against", "ratio", "goal", title="sero-mj benchmarks")
+    for case in (layout, frames, kinematics, start_up):
+        console.print(f"measuring {case.__name__} ...", style="dim")
+        for row in case(rounds):
+            table.add_row(*row)
+    if sys.platform == "linux":
+        console.print("measuring memory ...", style="dim")
+        for row in memory(count):
+            table.add_row(*row)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""Worlds of 7, 14 and 51 joints with everything shown, to measure on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sero_mj import Scene, SerialRobot, World
+
+# How 51 joints are spread over serial robots: Rollin' Justin's torso and neck, arms, hands of
+# four fingers, and platform (Hulin, Hertkorn, Preusche, section 4.1), as chains.
+JUSTIN = [3, 7, 7, 12, 12, 2, 8]
+WORLDS = {7: [7], 14: [7, 7], 51: JUSTIN}
+
+
+def make_world(counts: list[int]) -> World:
+    """LWRs where a chain has 7 joints, else robots grown from as many rows of its table."""
+    rng = np.random.default_rng(1)
+    lwr = SerialRobot.from_model("lwr")
+    robots = []
+    for i, n in enumerate(counts):
+        fields = {
+            "name": f"robot{i}",
+            "base_frame": {"xyz": [0.0, 0.6 * i, 0.0]},
+            "joint_angles": rng.uniform(-1, 1, n),
+            "torques": rng.uniform(5, 30, n) * rng.choice([-1, 1], n),
+            "show_arrows": True,
+            "show_billboards": True,
+            "show_axes": True,
+        }
+        if n == lwr.n:
+            robots.append(SerialRobot.from_model("lwr", **fields))
+            continue
+        fields |= {"dh_params": np.resize(lwr.dh_params, (n, 4)), "torque_limits": np.full(n, 40.0)}
+        robots.append(SerialRobot(dh_convention="craig", **fields))
+    return World(Scene(robots=robots))
