@@ -59,6 +59,14 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
     return root
 
 
+def xml_text(root: mjcf.RootElement) -> str:
+    """Returns the tree as XML."""
+    # A floor in its own shadow map is strewn with speckles. PyMJCF 1.0.50 does not know the
+    # attribute that MuJoCo 4 has for it.
+    text: str = root.to_xml_string()
+    return text.replace('<geom name="floor"', '<geom name="floor" castshadow="false"', 1)
+
+
 def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
     """Returns one robot; its world body is the robot's base."""
     root = mjcf.RootElement(model=robot.name)

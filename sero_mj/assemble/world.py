@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem, UnknownName
 from .mesh_check import mesh_problems
-from .mjcf import build_mjcf
+from .mjcf import build_mjcf, xml_text
 from .scene import Scene
 from .tables import INPUTS, VALUE_INPUTS, RobotPart, frame_table, joint_table, userdata_slots
 
@@ -130,7 +130,7 @@ class World:
             asset = path.parent / name
             asset.write_bytes(contents)
             written.append(asset)
-        path.write_text(self._root.to_xml_string() + "\n", encoding="utf-8")
+        path.write_text(xml_text(self._root) + "\n", encoding="utf-8")
         return written
 
     def _id(self, kind: Any, name: str) -> int:
@@ -158,7 +158,7 @@ class World:
 
 def _compile(root: Any, scene: Scene) -> mujoco.MjModel:
     try:
-        return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+        return mujoco.MjModel.from_xml_string(xml_text(root), root.get_assets())
     except ValueError as error:
         problems = mesh_problems(scene)
         if not problems:

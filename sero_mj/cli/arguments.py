@@ -98,12 +98,14 @@ def overrides(settings: list[str]) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    for form in (text, f"[{text}]", f'"{text}"'):
-        try:
-            return tomllib.loads(f"value = {form}")["value"]
-        except tomllib.TOMLDecodeError:
-            continue
-    return text
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        pass
+    try:  # more lenient than TOML, which wants a digit before every point
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return text
 
 
 def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:

@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
 from .arguments import Commands, add_command, not_negative, positive, read_scene_or_model, size
+
+if TYPE_CHECKING:
+    from ..assemble.scene import Scene
 
 _EPILOG = """\
 examples:
@@ -71,7 +75,16 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"-o {output}: --duration and --fps are for films (.mp4)")
     scene = read_scene_or_model(options.scene, options.settings)
     if is_film:
-        silent = _film(scene, options)
+        silent = film_with_progress(
+            scene,
+            output,
+            quiet=options.quiet,
+            duration=options.duration or 5.0,
+            fps=options.fps or 30.0,
+            size=options.size,
+            camera=options.camera,
+            wait=options.wait,
+        )
     else:
         from ..show.capture import render_picture
 
@@ -89,36 +102,26 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _film(scene: object, options: argparse.Namespace) -> list[str]:
+def film_with_progress(
+    scene: Scene, output: Path, *, quiet: bool = False, **options: Any
+) -> list[str]:
+    """Calls `render_film` with a progress bar; returns the silent sources."""
+    from rich import progress as bars
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
 
-    from ..assemble.scene import Scene
     from ..show.capture import render_film
 
-    assert isinstance(scene, Scene)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=options.quiet,
-    ) as progress:
+    columns = (
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        bars.TimeRemainingColumn(),
+    )
+    with bars.Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
         task = progress.add_task("rendering", total=None)
         return render_film(
             scene,
-            options.output,
-            duration=options.duration or 5.0,
-            fps=options.fps or 30.0,
-            size=options.size,
-            camera=options.camera,
-            wait=options.wait,
+            output,
             on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+            **options,
         )

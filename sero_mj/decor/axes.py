@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 
 from ..assemble.world import World
-from .pen import ARROW_SIZE_OF_LENGTH, Pen
+from .pen import Pen
 from .toggles import Toggles
 
 # Red, green, blue as is customary, in shades that differ in lightness as well.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
-_RADIUS_OF_LENGTH = 0.025
-# A rotation of the geom's z (along which an arrow points) onto x, y and z.
+_HALF_WIDTH_OF_LENGTH = 0.022
+# A rotation of the bar's z onto x, y and z.
 _ONTO_AXIS = np.array(
     [
         [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
@@ -24,19 +24,24 @@ _ONTO_AXIS = np.array(
 
 
 def draw_axes(pen: Pen, world: World, data: mujoco.MjData, toggles: Toggles) -> None:
-    """Draws three arrows for every frame whose axes are shown."""
+    """Draws three bars for every frame whose axes are shown.
+
+    Bars, for a box has 12 triangles and an arrow a thousand: axes would cost more than the robot.
+    """
     shown = toggles.axes.nonzero()[0]
     table = world.frames
     shown = shown[table.alpha[shown] > 0]
-    rows = pen.take(3 * len(shown), int(mujoco.mjtGeom.mjGEOM_ARROW))
+    rows = pen.take(3 * len(shown), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
     sites = table.site[shown]
     length = np.repeat(table.size[shown], 3)
     rotation = data.site_xmat[sites].reshape(-1, 1, 3, 3) @ _ONTO_AXIS
-    rows["pos"] = np.repeat(data.site_xpos[sites], 3, axis=0)
-    rows["mat"] = rotation.reshape(-1, 3, 3)
-    rows["size"][:, :2] = (_RADIUS_OF_LENGTH * length)[:, None]
-    rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length
-    rows["rgba"][:, :3] = np.tile(AXIS_RGB, (len(shown), 1))
+    origin = np.repeat(data.site_xpos[sites], 3, axis=0)
+    rotation = rotation.reshape(-1, 3, 3)
+    rows["pos"] = origin + rotation[:, :, 2] * (length / 2)[:, None]
+    rows["mat"] = rotation
+    rows["size"][:, :2] = (_HALF_WIDTH_OF_LENGTH * length)[:, None]
+    rows["size"][:, 2] = length / 2
+    rows["rgba"].reshape(-1, 3, 4)[:, :, :3] = AXIS_RGB
     rows["rgba"][:, 3] = np.repeat(table.alpha[shown], 3)

@@ -19,7 +19,7 @@ _WIDTHS_150 = (
 )  # fmt: skip
 
 # Heights of the sizes that MuJoCo has: font scale in percent to pixels.
-FONT_HEIGHTS = {100: 18, 150: 28, 200: 37, 250: 46, 300: 54}
+FONT_HEIGHTS = {100: 18, 150: 28, 200: 37, 250: 45, 300: 54}
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .pen import ARROW_SIZE_OF_LENGTH, Pen
+from .pen import Pen
 from .view import View
 
 Array = NDArray[np.float64]
@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
 # Depths in units of the near plane: text over panels over leaders over the scene.
 _TEXT_DEPTH, _PANEL_DEPTH, _LEADER_DEPTH = 1.4, 1.5, 1.6
+_LEADER_BASE = 0.22  # of a line's height
 PADDING = 0.35  # of a line's height, on every side
 
 
@@ -78,32 +79,33 @@ def draw_panels(
 def draw_leaders(
     pen: Pen, view: View, starts: Array, ends: Array, rgba: Array | tuple[float, ...]
 ) -> None:
-    """Draws thin arrows in the picture plane.
+    """Draws slender pointers in the picture plane, one triangle each.
 
     Args:
         pen: where to.
         view: of the picture.
-        starts: (k, 2), pixels.
-        ends: (k, 2), pixels, where the tips are.
+        starts: middle of the base, (k, 2), pixels.
+        ends: the tip, (k, 2), pixels.
         rgba: colour, (4,) or (k, 4).
     """
-    rows = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_ARROW))
+    # A triangle's corners are its origin, size[0] along x and size[1] along y.
+    rows = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
     if not len(rows):
         return
     depth = _LEADER_DEPTH * view.near
     pixel = view.pixel_size(depth)
+    base = max(_LEADER_BASE * view.font.height, 3.0)
     along = ends - starts
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
-    direction = along / length[:, None]
-    # z along the leader in the picture plane, y towards the eye, x = y cross z.
-    z = direction[:, :1] * view.right + direction[:, 1:] * view.up
-    y = np.broadcast_to(-view.forward, z.shape)
-    rows["pos"] = view.at(starts, depth)
-    rows["mat"][..., 0] = np.cross(y, z)
-    rows["mat"][..., 1] = y
-    rows["mat"][..., 2] = z
-    thickness = max(view.height / 700, 1.0) * pixel
-    rows["size"][:, :2] = thickness
-    rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length * pixel
+    along /= length[:, None]
+    across = along[:, ::-1] * (1.0, -1.0)
+    # x across, y along, z towards the eye: seen from its front.
+    rows["pos"] = view.at(starts - across * (base / 2), depth)
+    in_world = view.facing[:, :2].T
+    rows["mat"][..., 0] = across @ in_world
+    rows["mat"][..., 1] = along @ in_world
+    rows["mat"][..., 2] = -view.forward
+    rows["size"][:, 0] = base * pixel
+    rows["size"][:, 1] = length * pixel
     rows["rgba"] = rgba
-    rows["emission"] = 0.8
+    rows["emission"] = 1.0

@@ -28,7 +28,7 @@ NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
 TURNING_SPEED = 1.6  # rad/s
 DEFAULT_WIDTH_SCALE = 0.01  # the proto's arrow_width_scale
-INVISIBLE_WIDTH = 1e-4  # of the radius; narrower is no arrow
+INVISIBLE_WIDTH = 0.03  # of the radius; narrower (0.1 % of a torque limit) is no arrow
 WIDEST = 1.5  # of the radius
 
 _ARC = np.deg2rad(300.0)

@@ -11,7 +11,7 @@ from .pen import Pen
 from .toggles import Toggles
 from .view import View
 
-FAULT_RGBA = (0.60, 0.13, 0.05, 0.88)
+FAULT_RGBA = (0.32, 0.03, 0.03, 0.88)
 _MARGIN = 0.5  # of a line's height
 
 

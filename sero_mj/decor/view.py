@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -63,9 +64,18 @@ class View:
             font=font,
         )
 
-    @property
+    @cached_property
+    def facing(self) -> Array:
+        """Rotation (3, 3) whose columns x, y, z are right, up and towards the eye."""
+        return np.stack([self.right, self.up, -self.forward], axis=1)
+
+    @cached_property
     def _pixels_per_tan(self) -> float:
         return self.height / (2 * self.tan_half_fovy)
+
+    @cached_property
+    def _centre(self) -> Array:
+        return np.array([self.width / 2, self.height / 2])
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Where world points are in the picture.
@@ -77,30 +87,18 @@ class View:
             pixels (..., 2), and depth along the line of sight (...), m; a point behind the eye
             has a depth below zero and its pixels mean nothing.
         """
-        relative = points - self.position
-        depth = relative @ self.forward
+        in_eye = (points - self.position) @ self.facing
+        depth = -in_eye[..., 2]
         safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
-        plane = np.stack([relative @ self.right, relative @ self.up], axis=-1) / safe[..., None]
-        centre = np.array([self.width / 2, self.height / 2])
-        return plane * self._pixels_per_tan + centre, depth
+        pixels = in_eye[..., :2] * (self._pixels_per_tan / safe)[..., None]
+        return pixels + self._centre, depth
 
-    def at(self, pixels: Array, depth: float | Array) -> Array:
-        """World points (..., 3) that are seen at pixels (..., 2) in that depth."""
-        depth = np.asarray(depth)
-        centre = np.array([self.width / 2, self.height / 2])
-        plane = (pixels - centre) / self._pixels_per_tan * depth[..., None]
-        return np.asarray(
-            self.position
-            + depth[..., None] * self.forward
-            + plane[..., :1] * self.right
-            + plane[..., 1:] * self.up
-        )
+    def at(self, pixels: Array, depth: float) -> Array:
+        """World points (..., 3) that are seen at pixels (..., 2), all in one depth (m)."""
+        scale = self.pixel_size(depth)
+        middle = self.position + depth * self.forward
+        return np.asarray(middle + ((pixels - self._centre) * scale) @ self.facing[:, :2].T)
 
     def pixel_size(self, depth: float) -> float:
         """How many metres one pixel is at a depth."""
         return depth / self._pixels_per_tan
-
-    @property
-    def facing(self) -> Array:
-        """Rotation (3, 3) whose x, y, z are right, up and towards the eye."""
-        return np.stack([self.right, self.up, -self.forward], axis=1)
