@@ -1,0 +1,217 @@
+"""Billboards, their text, leaders and panels, and the status corner, as numbers."""
+
+import numpy as np
+import pytest
+from decor_tools import GEOM, drawn, of_kind, view_at, world_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.panels import PADDING
+from sero_mj.decor.toggles import Toggles
+from sero_mj.decor.view import View
+
+TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
+
+
+def labels(rows) -> list[str]:
+    return [row["label"].decode() for row in of_kind(rows, GEOM.mjGEOM_LABEL)]
+
+
+def rectangle(view: View, row) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left and upper right pixel of a panel."""
+    half = row["mat"][:, :2] @ row["size"][:2]
+    corners, _ = view.project(np.array([row["pos"] - half, row["pos"] + half], float))
+    return corners[0], corners[1]
+
+
+def text_boxes(view: View, rows) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pixel rectangle of every label, from its position and the font's widths."""
+    boxes = []
+    for row in of_kind(rows, GEOM.mjGEOM_LABEL):
+        start, _ = view.project(row["pos"].astype(float))
+        size = np.array([view.font.width(row["label"]), view.font.height])
+        boxes.append((start, start + size))
+    return boxes
+
+
+def test_a_billboard_says_name_value_and_unit() -> None:
+    rows = drawn(world_of(torques=TORQUES, show_billboards=True))
+    assert labels(rows) == [
+        "A1  -12.3 Nm",
+        "A2    0.0 Nm",
+        "E1    0.0 Nm",  # a small negative is no -0.0
+        "A3  100.0 Nm",
+        "A4    5.0 Nm",
+        "A5  -38.0 Nm",
+        "A6    0.0 Nm",
+    ]
+
+
+def test_joints_without_data_say_so() -> None:
+    rows = drawn(world_of(show_billboards=True, billboard_lines=["torques"]))
+    assert labels(rows)[3] == "A3 no data"
+
+
+def test_without_torques_billboards_show_the_joint_angles() -> None:
+    rows = drawn(world_of(joint_angles=np.full(7, -0.5), show_billboards=True))
+    assert labels(rows)[0] == "A1   -0.500 rad"
+
+
+def test_declared_lines_have_their_own_label_unit_scale_and_decimals() -> None:
+    lines = [
+        {"value": "joint_angles", "unit": "deg", "scale": 57.29577951308232, "decimals": 0},
+        {"value": "billboard_values", "label": "T", "unit": "C"},
+    ]
+    world = world_of(
+        joint_angles=np.full(7, np.pi / 2),
+        billboard_values=np.full(7, 31.256),
+        show_billboards=True,
+        billboard_lines=lines,
+    )
+    rows = drawn(world)
+    assert labels(rows)[:2] == ["A1    90 deg", "    T   31.26 C"]
+    assert len(of_kind(rows, GEOM.mjGEOM_BOX)) == 7
+
+
+def test_a_prismatic_joint_shows_newton_and_metres() -> None:
+    for field, text in (("torques", "J1    3.0 N"), ("joint_angles", "J1    3.0000 m")):
+        robot = SerialRobot(
+            dh_convention="craig",
+            joint_types=["prismatic"],
+            show_billboards=True,
+            billboard_lines=[field],
+            **{field: [3.0]},
+        )
+        rows = drawn(World(Scene(robots=[robot], floor=False)), view_at(distance=20))
+        assert labels(rows) == [text]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    size=st.sampled_from([(1280, 800), (640, 480), (3840, 2160), (801, 333)]),
+    distance=st.floats(1.2, 9),
+    azimuth=st.floats(-3, 3),
+)
+def test_text_is_inside_its_panel_and_panels_clear_of_each_other(
+    billboard_world, seed, size, distance, azimuth
+) -> None:
+    rng = np.random.default_rng(seed)
+    world = billboard_world
+    data = world.make_data()
+    world.set_input(data, "lwr.joint_angles", rng.uniform(-2, 2, 7))
+    # Beyond every limit and then some: the panel must grow with the number.
+    world.set_input(data, "lwr.torques", rng.uniform(-1, 1, 7) * 10.0 ** rng.integers(0, 7, 7))
+    from sero_mj.drive.follow import follow
+
+    follow(world.model, data)
+    view = view_at(azimuth, distance, *size)
+    pen = Decor(world).draw(data, Toggles(world), view)
+    rows = pen.rows[: pen.count]
+    panels = [rectangle(view, row) for row in of_kind(rows, GEOM.mjGEOM_BOX)]
+    texts = text_boxes(view, rows)
+    assert len(panels) == len(texts)
+    for (low, high), (start, end) in zip(panels, texts, strict=True):
+        assert (start >= low - 0.5).all() and (end <= high + 0.5).all()
+        assert (low >= -0.5).all() and (high <= np.array(size) + 0.5).all()
+    needed = 4 * (view.font.height * (1 + PADDING + 0.3))  # four in a column, with gaps
+    if needed < size[1]:
+        for i, (low, high) in enumerate(panels):
+            for other_low, other_high in panels[:i]:
+                apart = (low >= other_high - 0.5) | (other_low >= high - 0.5)
+                same_side = abs((low + high)[0] - (other_low + other_high)[0]) < size[0] / 2
+                assert apart.any() or not same_side
+
+
+@pytest.fixture(scope="module")
+def billboard_world() -> World:
+    return world_of(torques=TORQUES, show_billboards=True)
+
+
+def test_panels_face_the_camera_in_front_of_everything(billboard_world) -> None:
+    view = view_at()
+    rows = drawn(billboard_world, view)
+    for row in of_kind(rows, GEOM.mjGEOM_BOX):
+        assert row["mat"] == pytest.approx(view.facing, abs=1e-6)
+        assert (row["pos"] - view.position) @ view.forward == pytest.approx(
+            1.5 * view.near, rel=1e-3
+        )
+        assert 0.5 < row["rgba"][3] < 0.95  # semitransparent
+
+
+def test_a_leader_runs_from_its_panel_to_its_joint(billboard_world) -> None:
+    view = view_at()
+    world = billboard_world
+    data = world.make_data()
+    rows = drawn(world, view)
+    joints, _ = view.project(data.site_xpos[world.joints.centre_site])
+    panels = [rectangle(view, row) for row in of_kind(rows, GEOM.mjGEOM_BOX)]
+    leaders = of_kind(rows, GEOM.mjGEOM_TRIANGLE)
+    assert len(leaders) == 7
+    for row, joint, (low, high) in zip(leaders, joints, panels, strict=True):
+        corner = row["pos"].astype(float)
+        base = corner + row["mat"][:, 0] * row["size"][0]
+        tip = corner + row["mat"][:, 1] * row["size"][1]
+        (corner_px, base_px, tip_px), _ = view.project(np.array([corner, base, tip]))
+        assert tip_px == pytest.approx(joint, abs=4.0)
+        middle = (corner_px + base_px) / 2
+        assert low[0] - 1 <= middle[0] <= high[0] + 1
+        assert low[1] - 1 <= middle[1] <= high[1] + 1
+
+
+def test_a_joint_out_of_the_picture_has_no_billboard(billboard_world) -> None:
+    behind = view_at()
+    turned = View(behind.position, -behind.right, behind.up, -behind.forward, 0.4, 0.02, 1280, 800)
+    assert len(drawn(billboard_world, turned)) == 0
+
+
+def test_toggles_choose_which_joints_have_billboards(billboard_world) -> None:
+    toggles = Toggles(billboard_world)
+    toggles.billboards[:] = False
+    toggles.billboards[5] = True
+    pen = Decor(billboard_world).draw(billboard_world.make_data(), toggles, view_at())
+    assert labels(pen.rows[: pen.count]) == ["A5  -38.0 Nm"]
+
+
+def udp_world() -> World:
+    lwr = SerialRobot.from_model("lwr")
+    udp = {"kind": "udp", "structure": "7F"}
+    return World(
+        Scene(robots=[lwr], sources={"udp": udp}, routes={"lwr.joint_angles": "udp.values0"})
+    )
+
+
+@pytest.mark.parametrize(
+    ("slot", "said"),
+    [
+        ((0, 0, 0, -1), ["udp: no data yet"]),
+        ((9, 0, 0, 0.1), []),
+        ((12, 3, 0, 0.1), ["udp: 3 of 12 packets malformed, not applied"]),
+        ((12, 0, 2, 0.1), ["udp: 2 packets dropped by the kernel"]),
+        ((3, 3, 0, -1), ["udp: no data yet", "udp: 3 of 3 packets malformed, not applied"]),
+    ],
+)
+def test_faults_of_a_source_stand_in_the_corner(slot, said) -> None:
+    world = udp_world()
+    data = world.make_data()
+    data.userdata[world.slots["sources.udp"]] = slot
+    view = view_at()
+    pen = Decor(world).draw(data, Toggles(world), view)
+    rows = pen.rows[: pen.count]
+    assert labels(rows) == said
+    for row in of_kind(rows, GEOM.mjGEOM_BOX):
+        low, high = rectangle(view, row)
+        assert low[0] >= 0 and high[1] <= view.height
+        assert high[0] < view.width / 2 and low[1] > view.height / 2
+
+
+def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
+    lwr = SerialRobot.from_model("lwr")
+    world = World(Scene(robots=[lwr], sources={"udp": {"kind": "udp", "structure": "7F"}}))
+    data = world.make_data()
+    data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1)
+    assert Decor(world).draw(data, Toggles(world), view_at()).count == 0

@@ -1,0 +1,248 @@
+"""The command line as a user meets it: exit status, one clear line, no traceback."""
+
+import json
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+from sero_mj.cli import main
+from sero_mj.cli.arguments import overrides
+from sero_mj.paths import find_scene
+
+COMMANDS = ["render", "send", "fk", "check", "export", "list", "doctor", "demo"]
+
+
+def run(capsys, *arguments: str) -> tuple[int, str, str]:
+    """Exit status, output and errors of a command, run in this process."""
+    with pytest.raises(SystemExit) as exit_:
+        main(list(arguments))
+    out, err = capsys.readouterr()
+    return int(exit_.value.code or 0), out, err
+
+
+def sero_mj(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own."""
+    command = [sys.executable, "-m", "sero_mj", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=100, check=False, cwd=cwd
+    )
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_worth_reading(command: str, capsys) -> None:
+    status, out, _ = run(capsys, command, "--help")
+    assert status == 0
+    assert len(out.splitlines()) > 8
+    assert f"usage: sero-mj {command}" in out
+
+
+def test_the_main_help_lists_all_commands(capsys) -> None:
+    status, out, _ = run(capsys, "--help")
+    assert status == 0
+    for command in COMMANDS:
+        assert re.search(rf"^    {command} +\w", out, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["render", "lwr_ud", "-o", "x.png"],
+            "no scene or robot 'lwr_ud'; did you mean 'lwr_udp'?",
+        ),
+        (
+            ["render", "lwr", "-o", "x.gif"],
+            "expected a name that ends in .png, .jpg, .webp or .mp4",
+        ),
+        (["render", "lwr", "-o", "x.png", "--fps", "3"], "--duration and --fps are for films"),
+        (["render", "lwr", "-o", "x.png", "--size", "12"], "expected WIDTHxHEIGHT, e.g. 1280x800"),
+        (["render", "lwr", "-o", "x.png", "--camera", "top"], "no camera 'top'"),
+        (["render", "lwr", "-o", "x.png", "--set", "show_axes"], "expected ROBOT.FIELD=VALUE"),
+        (["render", "lwr_udp", "-o", "x.png", "--set", "lw.show_axes=true"], "did you mean 'lwr'"),
+        (["render", "lwr_udp", "-o", "x.png", "--set", "lwr.show_axis=true"], "'show_axes'?"),
+        (
+            ["render", "lwr", "-o", "x.png", "--set", "lwr.torques=1,2"],
+            "found 2 entries; expected 7",
+        ),
+        (["render", "lwr", "-o", "x.mp4", "--duration", "nan"], "expected a number above 0"),
+        (["fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),
+        (["fk", "lwr", "--joint-angles", "1,x"], "found '1,x'; expected numbers with commas"),
+        (["fk", "lrw"], "no robot model 'lrw'; did you mean 'lwr'?"),
+        (["send", "lwr_udp", "--structure", "6F6F"], "values0 has 6 values; lwr has 7 joints"),
+        (["send", "lwr_udp", "--structure", "7G"], "structure '7G', character 2: found 'G'"),
+        (["send", "lwr_udp", "--source", "ucp"], "choose a UDP source of the scene"),
+        (["send", "lwr_udp", "--rate", "0"], "expected a number above 0"),
+        (["send", "lwr_udp", "--port", "70000"], "expected a port from 1 to 65535"),
+        (["export", "lwr", "lwr.urdf"], "expected a name that ends in .xml"),
+        (["check", "nothing.toml"], "no scene or robot 'nothing.toml'"),
+        (["dance"], "invalid choice: 'dance'"),
+        ([], "required: COMMAND"),
+    ],
+)
+def test_bad_use_exits_with_2_and_one_clear_line(
+    arguments, said, capsys, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(capsys, *arguments)
+    assert status == 2
+    assert said in err
+    assert "Traceback" not in out + err
+    assert len([line for line in err.splitlines() if not line.startswith(("usage:", " "))]) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_all_problems_of_a_scene_are_printed_at_once(capsys, tmp_path) -> None:
+    scene = tmp_path / "bad.toml"
+    scene.write_text(
+        '[robots.lwr]\nmodel = "lwr"\nshow_arow = true\n\n[sources.udp]\nkind = "upd"\n'
+        '[routes]\n"lwr.joint_angels" = "udp.values0"\n'
+    )
+    status, _, err = run(capsys, "check", str(scene))
+    assert status == 2
+    assert "3 things are wrong" in err or "2 things are wrong" in err
+    assert f"{scene}:3: robots.lwr.show_arow: unknown key; did you mean 'show_arrows'?" in err
+    assert f"{scene}:6: sources.udp.kind: found 'upd'; expected 'udp'; did you mean 'udp'?" in err
+
+
+def test_fk_prints_both_routes_and_their_difference(capsys) -> None:
+    status, out, _ = run(
+        capsys, "fk", "lwr", "--deg", "--joint-angles", "0,30,0,-90,0,60,0", "--json"
+    )
+    assert status == 0
+    result = json.loads(out)
+    # ROBOTS.md, regression pose from two URDF chains.
+    assert np.array(result["dh"])[:3, 3] == pytest.approx([-0.537750, 0, 0.383410], abs=1e-6)
+    assert np.array(result["mujoco"]) == pytest.approx(np.array(result["dh"]), abs=1e-12)
+    assert result["position_difference"] < 1e-12
+    assert result["angle_difference"] < 1e-12
+    status, out, _ = run(capsys, "fk", "lwr")
+    assert "difference: " in out
+
+
+def test_check_says_what_a_scene_holds(capsys) -> None:
+    status, out, _ = run(capsys, "check", "lwr_udp")
+    assert status == 0
+    assert "robot   lwr: 7 joints, craig DH, meshes" in out
+    assert "source  udp: UDP 127.0.0.1:32000, 112 bytes: values0 (7), values1 (7)" in out
+    assert "route   udp.values1 -> lwr.torques" in out
+
+
+def test_list_names_robots_scenes_and_fields(capsys) -> None:
+    _, out, _ = run(capsys, "list")
+    assert "lwr_udp" in out and "light-weight robot" in out
+    _, out, _ = run(capsys, "list", "--fields")
+    assert re.search(r"^axes_size = 0.2\n    their length in m\.", out, re.MULTILINE)
+    assert "dh_convention = required" in out
+
+
+def test_export_is_loaded_by_plain_mujoco(capsys, tmp_path) -> None:
+    path = tmp_path / "folder" / "lwr.xml"
+    status, out, _ = run(capsys, "export", "lwr_udp", str(path))
+    assert status == 0
+    assert "24 mesh files" in out
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.key("home").qpos == pytest.approx(np.zeros(7))
+    assert model.body("lwr/flange").id > 0
+
+
+@pytest.mark.gl
+def test_render_sets_fields_over_the_scenes(capsys, tmp_path) -> None:
+    plain, posed = tmp_path / "plain.png", tmp_path / "posed.png"
+    options = ["--size", "160x120", "--wait", "0"]
+    status, _, err = run(capsys, "render", "lwr_udp", "-o", str(plain), *options)
+    assert status == 0
+    assert "no packet for source 'udp' within 0 s" in err
+    settings = ["--set", "lwr.joint_angles=0,1,0,-1.5,0,1,.5", "--set", "lwr.torques=9,9,9,9,9,9,9"]
+    status, out, err = run(capsys, "render", "lwr_udp", "-o", str(posed), *options, *settings)
+    assert (status, err, out.strip()) == (0, "", str(posed))  # nothing is left to receive
+    a, b = (np.asarray(Image.open(path), int) for path in (plain, posed))
+    assert a.shape == (120, 160, 3)
+    assert (np.abs(a - b).max(axis=2) > 60).sum() > 200
+
+
+def test_settings_are_toml_or_numbers_with_commas() -> None:
+    got = overrides(
+        ["a.x=true", "a.y=1,-.5", "a.z=[1, 2]", "a.w=word", 'a.v="1"', "a.u={xyz=[1,2,3]}"]
+    )
+    assert got == {
+        "a.x": True,
+        "a.y": [1.0, -0.5],
+        "a.z": [1, 2],
+        "a.w": "word",
+        "a.v": "1",
+        "a.u": {"xyz": [1, 2, 3]},
+    }
+
+
+def test_send_and_render_meet_on_a_port_of_their_own_processes(tmp_path) -> None:
+    scene = tmp_path / "scene.toml"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    scene.write_text(find_scene("lwr_udp").read_text().replace("32000", str(port)))
+    sender = subprocess.Popen(
+        [sys.executable, "-m", "sero_mj", "send", str(scene)], stdout=subprocess.DEVNULL
+    )
+    try:
+        film = tmp_path / "film.mp4"
+        done = sero_mj(
+            "render", str(scene), "-o", str(film), "--duration", "0.5", "--fps", "10",
+            "--size", "160x120", "--wait", "30",
+        )  # fmt: skip
+    finally:
+        sender.terminate()
+        sender.wait()
+    assert done.returncode == 0, done.stderr
+    assert "no packet" not in done.stderr
+    assert film.stat().st_size > 1000
+
+
+def test_a_port_in_use_is_a_clear_error_before_anything_opens(tmp_path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        port = holder.getsockname()[1]
+        scene = tmp_path / "scene.toml"
+        scene.write_text(
+            f'[robots.lwr]\nmodel="lwr"\n[sources.udp]\nkind="udp"\nport={port}\nstructure="7F"\n'
+            '[routes]\n"lwr.joint_angles"="udp.values0"\n'
+        )
+        done = sero_mj("render", str(scene), "-o", str(tmp_path / "x.png"))
+    assert done.returncode == 2
+    assert done.stderr.strip() == (
+        f"sero-mj: source 'udp': UDP port {port} on 127.0.0.1 is in use by another program; "
+        "close that, or choose another port"
+    )
+    assert not (tmp_path / "x.png").exists()
+
+
+def test_the_command_works_from_any_directory(tmp_path) -> None:
+    done = sero_mj("fk", "lwr", "--json", cwd=tmp_path)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["position_difference"] < 1e-12
+
+
+def test_doctor_tries_every_backend_and_says_what_to_install() -> None:
+    done = sero_mj("doctor", "--json")
+    found = json.loads(done.stdout)
+    assert set(found["backends"]) == {"egl", "osmesa", "glfw"}
+    assert found["backends"][found["chosen"]]["works"]
+    assert done.returncode == 0
+    done = sero_mj("doctor")
+    for name, backend in found["backends"].items():
+        line = next(line for line in done.stdout.splitlines() if f"  {name} " in line)
+        assert ("works: " in line) == backend["works"]
+    if not all(backend["works"] for backend in found["backends"].values()):
+        assert "apt install" in done.stdout
+
+
+def test_a_closed_pipe_ends_quietly() -> None:
+    command = f"{sys.executable} -m sero_mj list --fields | head -1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stderr == ""

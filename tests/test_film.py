@@ -1,0 +1,170 @@
+"""Pictures and films on disk, and the sampling of live sources."""
+
+import itertools
+import socket
+import struct
+import subprocess
+import sys
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene, View
+from sero_mj.drive.mirror import Mirror
+from sero_mj.errors import RenderError
+from sero_mj.show.capture import _states, render_film, render_picture
+from sero_mj.show.film import FilmWriter, save_picture
+
+# The default view depends on where the scene declares the robot.
+VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])
+
+
+def a_frame(k: int, width: int = 64, height: int = 48) -> np.ndarray:
+    return np.full((height, width, 3), (10 * k, 128, 255 - 10 * k), np.uint8)
+
+
+def test_a_film_has_its_frames_size_and_rate(tmp_path) -> None:
+    path = tmp_path / "new folder" / "film.mp4"
+    with FilmWriter(path, 65, 49, 25.0) as film:  # odd sizes lose their last row and column
+        for k in range(12):
+            film.add(a_frame(k, 65, 49))
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.width, stream.height, stream.average_rate) == (64, 48, 25)
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 12
+    assert np.abs(frames[7].mean(axis=(0, 1)) - (70, 128, 185)).max() < 12
+    assert [p.name for p in path.parent.iterdir()] == ["film.mp4"]
+
+
+def test_a_film_that_breaks_off_leaves_nothing_behind(tmp_path) -> None:
+    path = tmp_path / "film.mp4"
+    path.write_bytes(b"the film of yesterday")
+    with pytest.raises(ZeroDivisionError), FilmWriter(path, 64, 48, 25.0) as film:
+        film.add(a_frame(1))
+        raise ZeroDivisionError
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+    assert path.read_bytes() == b"the film of yesterday"
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(RenderError, match=r"cannot write .*file/film.mp4"):
+        FilmWriter(blocked / "film.mp4", 64, 48, 25.0)
+    with pytest.raises(RenderError, match=r"cannot write .*file/picture.png"):
+        save_picture(blocked / "picture.png", a_frame(0))
+    with pytest.raises(RenderError, match=r"cannot write .*unknown file extension: \.xyz"):
+        save_picture(tmp_path / "picture.xyz", a_frame(0))
+
+
+@pytest.mark.gl
+def test_a_scene_without_sources_needs_no_waiting(tmp_path) -> None:
+    lwr = SerialRobot.from_model("lwr", torques=np.full(7, 20.0), show_arrows=True)
+    steps: list[tuple[int, int]] = []
+    silent = render_film(
+        Scene(robots=[lwr]),
+        tmp_path / "film.mp4",
+        duration=0.5,
+        fps=10,
+        size=(160, 120),
+        on_progress=lambda done, total: steps.append((done, total)),
+    )
+    assert silent == []
+    assert steps == [(k, 5) for k in range(1, 6)]
+    with av.open(str(tmp_path / "film.mp4")) as container:
+        frames = [
+            frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)
+        ]
+    # The arrows turn: consecutive frames differ.
+    assert all(np.abs(a - b).max() > 40 for a, b in itertools.pairwise(frames))
+
+
+def udp_scene(port: int) -> Scene:
+    return Scene(
+        robots=[SerialRobot.from_model("lwr", show_arrows=True)],
+        sources={"udp": {"kind": "udp", "port": port, "structure": "7F7F"}},
+        routes={"lwr.joint_angles": "udp.values0", "lwr.torques": "udp.values1"},
+        view=VIEW,
+    )
+
+
+def test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is() -> None:
+    """The joint angle is the sender's clock: frames must be a tenth of a second apart."""
+    sender_code = (
+        "import socket, struct, sys, time\n"
+        "s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
+        "start = time.monotonic()\n"
+        "while True:\n"
+        "    t = time.monotonic() - start\n"
+        "    s.sendto(struct.pack('<14d', *[t] * 7, *[0] * 7), ('127.0.0.1', int(sys.argv[1])))\n"
+        "    time.sleep(0.001)\n"
+    )
+    mirror = Mirror(udp_scene(0))
+    with mirror:
+        port = str(mirror.sources["udp"].port)  # type: ignore[attr-defined]
+        sender = subprocess.Popen([sys.executable, "-c", sender_code, port])
+        try:
+            assert mirror.wait(20) == []
+            angles = []
+            for k, state in enumerate(_states(mirror, 8, 10.0)):
+                if k < 4:  # rendering of the first frames takes three times as long as they last
+                    mirror.sources["udp"].wait(0)
+                    subprocess.run(["sleep", "0.3"], check=True)
+                angles.append(state[1])  # time, then qpos
+        finally:
+            sender.kill()
+            sender.wait()
+    assert np.diff(angles) == pytest.approx(np.full(7, 0.1), abs=0.03)
+
+
+@pytest.mark.gl
+def test_a_picture_shows_the_pose_that_was_received(tmp_path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    pose = [0.5, 1.0, -0.7, 1.5, 0.9, -1.4, 0.3]
+    scene = udp_scene(port)
+    silent = render_picture(scene, tmp_path / "silent.png", size=(200, 150), wait=0.0)
+    assert silent == ["udp"]
+    code = (
+        "import socket, sys, time\n"
+        "s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
+        "while True:\n"
+        "    s.sendto(bytes.fromhex(sys.argv[2]), ('127.0.0.1', int(sys.argv[1])))\n"
+        "    time.sleep(0.01)\n"
+    )
+    packet = struct.pack("<14d", *pose, *[20.0] * 7).hex()
+    sender = subprocess.Popen([sys.executable, "-c", code, str(port), packet])
+    try:
+        assert render_picture(scene, tmp_path / "live.png", size=(200, 150), wait=20) == []
+    finally:
+        sender.kill()
+        sender.wait()
+    still = Scene(
+        robots=[
+            SerialRobot.from_model(
+                "lwr", show_arrows=True, joint_angles=pose, torques=np.full(7, 20.0)
+            )
+        ],
+        view=VIEW,
+    )
+    render_picture(still, tmp_path / "still.png", size=(200, 150))
+    live, still_pixels, silent_pixels = (
+        np.asarray(Image.open(tmp_path / f"{name}.png"), int)
+        for name in ("live", "still", "silent")
+    )
+    assert np.abs(live - still_pixels).max() <= 2
+    assert (np.abs(live - silent_pixels).max(axis=2) > 60).sum() > 300
+
+
+@pytest.mark.gl
+def test_an_unknown_camera_is_reported_before_anything_is_written(tmp_path) -> None:
+    from sero_mj.errors import UnknownName
+
+    with pytest.raises(UnknownName, match="no camera 'side'; none is available"):
+        render_film(udp_scene(0), tmp_path / "film.mp4", camera="side", wait=0)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,125 @@
+"""The struct view of `MjvScene`, the pen, and the slow path that needs no layout."""
+
+import logging
+
+import mujoco
+import numpy as np
+
+from sero_mj.decor import geoms
+from sero_mj.decor.geoms import GEOM, set_geom, struct_view
+from sero_mj.decor.pen import Host, Pen
+
+
+def a_scene(maxgeom: int = 50) -> mujoco.MjvScene:
+    return mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), maxgeom)
+
+
+def a_full_pen(count: int = 7) -> Pen:
+    rng = np.random.default_rng(0)
+    pen = Pen(capacity=20)
+    rows = pen.take(count, int(mujoco.mjtGeom.mjGEOM_BOX))
+    for name in ("size", "pos", "mat", "rgba"):
+        rows[name] = rng.uniform(0, 1, rows[name].shape)
+    rows["label"] = [f"label {i}".encode() for i in range(count)]
+    return pen
+
+
+def fields_of(geom: mujoco.MjvGeom) -> dict[str, object]:
+    return {name: np.array(getattr(geom, name)).tolist() for name in GEOM.names or ()}
+
+
+def test_struct_view_reads_what_the_binding_writes_in_every_geom() -> None:
+    scene = a_scene()
+    view = struct_view(scene)
+    assert view is not None
+    for i in (0, 1, 31, 49):
+        mujoco.mjv_initGeom(
+            scene.geoms[i],
+            mujoco.mjtGeom.mjGEOM_CAPSULE,
+            np.array([0.1, 0.2, 0.3]),
+            np.array([1.0, 2.0, i]),
+            np.eye(3).ravel(),
+            np.array([0.1, 0.2, 0.3, 0.4], np.float32),
+        )
+        scene.geoms[i].label = f"geom {i}"
+        assert view["type"][i] == int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+        assert view["pos"][i].tolist() == [1.0, 2.0, i]
+        # The binding writes a C string; what was behind its end stays there.
+        assert view["label"][i].split(b"\0")[0] == f"geom {i}".encode()
+        np.testing.assert_array_equal(view["rgba"][i], scene.geoms[i].rgba)
+
+
+def test_struct_view_leaves_the_scene_as_it_was() -> None:
+    scene = a_scene()
+    before = [fields_of(scene.geoms[i]) for i in (0, 49)]
+    struct_view(scene)
+    assert [fields_of(scene.geoms[i]) for i in (0, 49)] == before
+
+
+def test_struct_view_refuses_memory_that_is_laid_out_otherwise(monkeypatch, caplog) -> None:
+    swapped = dict(GEOM.fields or {})
+    offsets = [swapped[name][1] for name in GEOM.names or ()]
+    names = list(GEOM.names or ())
+    i, j = names.index("matid"), names.index("texid")
+    offsets[i], offsets[j] = offsets[j], offsets[i]
+    formats = [swapped[name][0] for name in names]
+    other = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": 256})
+    monkeypatch.setattr(geoms, "GEOM", other)
+    with caplog.at_level(logging.WARNING):
+        assert struct_view(a_scene()) is None
+    assert "mjvGeom has another layout than expected; drawing takes the slow path" in caplog.text
+
+
+def test_slow_and_fast_path_put_the_same_geoms_into_a_scene() -> None:
+    pen = a_full_pen()
+    fast, slow = a_scene(), a_scene()
+    fast_host, slow_host = Host(fast), Host(slow)
+    assert fast_host._view is not None
+    slow_host._view = None
+    for host in (fast_host, slow_host):
+        assert host.add(pen) == 0
+    assert fast.ngeom == slow.ngeom == 7
+    for a, b in zip(fast.geoms[:7], slow.geoms[:7], strict=True):
+        assert fields_of(a) == fields_of(b)
+
+
+def test_a_host_appends_behind_what_is_there_and_says_what_found_no_room() -> None:
+    scene = a_scene(10)
+    host = Host(scene)
+    scene.ngeom = 6
+    scene.geoms[5].label = "kept"
+    assert host.add(a_full_pen(7)) == 3
+    assert scene.ngeom == 10
+    assert scene.geoms[5].label == "kept"
+    assert [g.label for g in scene.geoms[6:10]] == [f"label {i}" for i in range(4)]
+
+
+def test_a_pen_gives_all_or_nothing_and_counts_what_is_left_out() -> None:
+    pen = Pen(capacity=10)
+    assert len(pen.take(8, 6)) == 8
+    assert len(pen.take(3, 6)) == 0
+    assert (pen.count, pen.left_out) == (8, 3)
+    assert len(pen.take(2, 6)) == 2
+    pen.clear()
+    assert (pen.count, pen.left_out) == (0, 0)
+
+
+def test_a_pen_forgets_the_label_of_the_frame_before() -> None:
+    pen = a_full_pen()
+    pen.clear()
+    assert (pen.take(7, 6)["label"] == b"").all()
+
+
+def test_decor_is_marked_as_such_and_throws_no_shadow() -> None:
+    rows = a_full_pen().rows[:7]
+    assert (rows["category"] == int(mujoco.mjtCatBit.mjCAT_DECOR)).all()
+    assert (rows["castshadow"] == 0).all()
+    assert (rows["segid"] == -1).all()
+
+
+def test_set_geom_cuts_nothing_from_a_label_of_99_characters() -> None:
+    rows = np.zeros(1, GEOM)
+    rows["label"] = b"x" * 99
+    geom = mujoco.MjvGeom()
+    set_geom(geom, rows[0])
+    assert geom.label == "x" * 99

@@ -1,0 +1,204 @@
+"""Rendered pictures, checked for what they must show."""
+
+import mujoco
+import numpy as np
+import pytest
+from decor_tools import world_of
+
+from sero_mj.assemble.scene import Camera, Scene, View
+from sero_mj.assemble.world import World
+from sero_mj.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, nearest_font_scale
+from sero_mj.decor.pen import ARROW_SIZE_OF_LENGTH
+from sero_mj.errors import RenderError, UnknownName, UsageError
+from sero_mj.show.camera import bounding_sphere, find_camera
+from sero_mj.show.headless import HeadlessRenderer
+
+pytestmark = pytest.mark.gl
+
+POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
+TORQUES = np.array([120, -60, 30, -8, 4, -2, 0.76])  # 68 % down to 2 % of the limits
+SIZE = (800, 600)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return world_of(joint_angles=POSE, torques=TORQUES, show_arrows=True)
+
+
+@pytest.fixture(scope="module")
+def renderer(world: World):
+    with HeadlessRenderer(world, *SIZE) as renderer:
+        yield renderer
+
+
+def changed(a, b):
+    """Where two pictures differ by more than noise, (height, width) bool."""
+    return np.abs(a.astype(int) - b.astype(int)).max(axis=2) > 25
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_every_arrow_is_seen_in_its_colour_at_its_joint(world, renderer, joint: int) -> None:
+    data = world.make_data()
+    complete = renderer.render(data)
+    renderer.toggles.arrows[joint] = False
+    try:
+        without = renderer.render(data)
+    finally:
+        renderer.toggles.arrows[joint] = True
+    rows, columns = np.nonzero(changed(complete, without))
+    # The missing arrow is noticed, even the thin one of 2 % of the limit ...
+    assert len(rows) > 60
+    # ... where it belongs ...
+    centre, depth = renderer.view.project(data.site_xpos[world.joints.centre_site[joint]])
+    reach = 0.17 / renderer.view.pixel_size(float(depth))
+    away = np.hypot(columns - centre[0], (SIZE[1] - rows) - centre[1])
+    assert (away < reach).all()
+    # ... and in the colour of its sign: orange has more red than blue, blue the reverse.
+    red, _, blue = complete[rows, columns].mean(axis=0)
+    assert np.sign(red - blue) == np.sign(TORQUES[joint])
+
+
+def test_arrow_width_in_pixels_grows_with_the_torque(world, renderer) -> None:
+    data = world.make_data()
+    areas = []
+    for share in (0.02, 0.1, 0.4, 1.0):
+        world.set_input(data, "lwr.torques", [0, 0, 0, 0, share * 100, 0, 0])
+        shown = renderer.render(data)
+        renderer.toggles.arrows[:] = False
+        areas.append(int(changed(shown, renderer.render(data)).sum()))
+        renderer.toggles.arrows[:] = True
+    assert (np.diff(areas) > 0.15 * np.array(areas[:-1])).all()
+
+
+def test_billboard_text_is_white_on_its_dark_panel(renderer, world) -> None:
+    data = world.make_data()
+    renderer.toggles.arrows[:] = False
+    renderer.toggles.billboards[:] = True
+    try:
+        pixels = renderer.render(data)
+    finally:
+        renderer.toggles.arrows[:], renderer.toggles.billboards[:] = True, False
+    pen = renderer._decor.pen
+    rows = pen.rows[: pen.count]
+    labels = rows[rows["type"] == int(mujoco.mjtGeom.mjGEOM_LABEL)]
+    assert len(labels) == 7
+    font = renderer.view.font
+    for row in labels:
+        (x, y), _ = renderer.view.project(row["pos"].astype(float))
+        width = font.width(row["label"])
+        box = pixels[
+            SIZE[1] - round(y) - font.height : SIZE[1] - round(y), round(x) : round(x) + width + 3
+        ]
+        bright = box.min(axis=2) > 200
+        assert 0.08 < bright.mean() < 0.5
+        # Nothing of the text lies outside the box that the font's widths predict.
+        columns = np.nonzero(bright.any(axis=0))[0]
+        assert columns[0] <= 0.3 * font.height
+        assert columns[-1] >= width - 0.6 * font.height
+        assert np.median(box) < 90  # the panel behind it
+
+
+def test_picture_without_decor_is_mujocos_own(world) -> None:
+    data = world.make_data()
+    camera = find_camera(world)
+    with HeadlessRenderer(world, 160, 120) as ours:
+        ours.toggles.arrows[:] = False
+        got = ours.render(data)
+    with mujoco.Renderer(world.model, 120, 160) as plain:
+        plain.update_scene(data, camera)
+        assert np.array_equal(got, plain.render())
+
+
+def test_widths_of_the_font_are_those_of_mujoco(world) -> None:
+    with HeadlessRenderer(world, 640, 800) as at_150:
+        context = Font.of_context(at_150._renderer._mjr_context)
+    assert context.height == DEFAULT_FONT.height
+    assert context.widths[32:127].tolist() == DEFAULT_FONT.widths[32:127].tolist()
+
+
+@pytest.mark.parametrize("scale", FONT_HEIGHTS)
+def test_heights_of_the_font_sizes_are_those_of_mujoco(scale: int, world) -> None:
+    font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{scale}")
+    with mujoco.Renderer(world.model, 16, 16, font_scale=font) as renderer:
+        assert renderer._mjr_context.charHeight == FONT_HEIGHTS[scale]
+
+
+def test_text_grows_with_the_picture() -> None:
+    heights = [FONT_HEIGHTS[nearest_font_scale(0.7 * 0.05 * h)] for h in (480, 800, 1080, 2160)]
+    assert heights == [18, 28, 37, 54]
+
+
+def test_an_arrow_geom_is_drawn_as_long_as_we_think() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom size=".001"/></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = mujoco.MjvCamera()
+    camera.distance, camera.azimuth, camera.elevation = 1.0, 90, 0
+    length = 0.2
+    with mujoco.Renderer(model, 401, 401) as renderer:
+        renderer.update_scene(data, camera)
+        renderer.scene.ngeom = 1
+        mujoco.mjv_initGeom(
+            renderer.scene.geoms[0],
+            mujoco.mjtGeom.mjGEOM_ARROW,
+            np.array([0.01, 0.01, ARROW_SIZE_OF_LENGTH * length]),
+            np.zeros(3),
+            np.eye(3).ravel(),
+            np.ones(4, np.float32),
+        )
+        rows, _ = np.nonzero(renderer.render().max(axis=2) > 40)
+    per_metre = 401 / (2 * np.tan(np.deg2rad(model.vis.global_.fovy) / 2))
+    assert (200.5 - rows.min()) / per_metre == pytest.approx(length, abs=0.008)
+
+
+def test_a_named_camera_looks_at_its_target(lwr) -> None:
+    camera = Camera(position=[2.0, 1.0, 1.5], look_at=[0.1, 0.2, 0.3])
+    world = World(Scene(robots=[lwr], cameras={"front": camera}))
+    with HeadlessRenderer(world, 320, 240, "front") as renderer:
+        renderer.render(world.make_data())
+        pixels, _ = renderer.view.project(np.array([0.1, 0.2, 0.3]))
+        assert pixels == pytest.approx([160, 120], abs=0.1)
+        assert renderer.view.position == pytest.approx([2.0, 1.0, 1.5], abs=1e-5)
+    with pytest.raises(UnknownName, match="no camera 'fron'; did you mean 'front'"):
+        find_camera(world, "fron")
+
+
+def test_a_free_camera_takes_azimuth_elevation_distance(world) -> None:
+    camera = find_camera(world, "30,-20,3.5")
+    assert (camera.azimuth, camera.elevation, camera.distance) == (30, -20, 3.5)
+    for wrong in ("30,-20", "30,-20,0", "a,b,c", "1,2,nan"):
+        with pytest.raises(UsageError, match=r"expected a name or azimuth,elevation,distance"):
+            find_camera(world, wrong)
+
+
+def test_the_scenes_view_is_where_one_looks_from(lwr) -> None:
+    view = View(azimuth_deg=12.0, elevation_deg=-3.0, distance=4.0, look_at=[0, 0, 1])
+    camera = find_camera(World(Scene(robots=[lwr], view=view)))
+    assert (camera.azimuth, camera.elevation, camera.distance) == (12, -3, 4)
+    assert camera.lookat == pytest.approx([0, 0, 1])
+
+
+def test_the_default_view_holds_the_whole_robot(lwr) -> None:
+    world = World(Scene(robots=[lwr]))
+    centre, radius = bounding_sphere(world)
+    data = world.make_data()
+    with HeadlessRenderer(world, 800, 600) as renderer:
+        renderer.render(data)
+        pixels, _ = renderer.view.project(data.xpos[world.robots["lwr"].bodies])
+    assert (pixels > 20).all() and (pixels < [780, 580]).all()
+    assert 0.5 < radius < 0.8
+    assert np.ptp(pixels[:, 1]) > 300  # and is no speck in it
+    assert centre[2] == pytest.approx(0.59, abs=0.05)
+
+
+def test_sizes_out_of_range_are_refused(world) -> None:
+    for size in ((0, 100), (100, 20000)):
+        with pytest.raises(RenderError, match="expected 1 to 16384 a side"):
+            HeadlessRenderer(world, *size)
+
+
+def test_an_odd_picture_size_works(world) -> None:
+    with HeadlessRenderer(world, 51, 33) as renderer:
+        assert renderer.render(world.make_data()).shape == (33, 51, 3)
