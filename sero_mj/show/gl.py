@@ -9,7 +9,7 @@ import sys
 BACKENDS = ("egl", "osmesa", "glfw")
 # What a Debian or Ubuntu machine needs for software rendering with each backend.
 PACKAGES = {
-    "egl": "libegl1 libgl1-mesa-dri",
+    "egl": "libegl1 libgl1 libgl1-mesa-dri",
     "osmesa": "libosmesa6",
     "glfw": "libgl1 libgl1-mesa-dri, and a display (xvfb has one)",
 }
@@ -33,10 +33,10 @@ def choose_backend() -> str | None:
 
 def egl_works() -> bool:
     """Whether an EGL device, hardware or software, can be initialised."""
-    try:
-        egl = ctypes.CDLL("libEGL.so.1")
-    except OSError:
+    # PyOpenGL looks GL's own functions up in one of these two, beside EGL.
+    if not (_can_load("libEGL.so.1") and (_can_load("libOpenGL.so.0") or _can_load("libGL.so.1"))):
         return False
+    egl = ctypes.CDLL("libEGL.so.1")
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     egl.eglGetProcAddress.restype = pointer
     egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
@@ -61,10 +61,12 @@ def egl_works() -> bool:
 
 def osmesa_is_there() -> bool:
     """Whether the off-screen Mesa library can be loaded."""
-    for name in _OSMESA_NAMES:
-        try:
-            ctypes.CDLL(name)
-        except OSError:
-            continue
-        return True
-    return False
+    return any(_can_load(name) for name in _OSMESA_NAMES)
+
+
+def _can_load(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
