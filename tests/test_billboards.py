@@ -10,7 +10,6 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.panels import PADDING
 from sero_mj.decor.toggles import Toggles
 from sero_mj.decor.view import View
 
@@ -93,7 +92,7 @@ def test_a_prismatic_joint_shows_newton_and_metres() -> None:
 @settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**31),
-    size=st.sampled_from([(1280, 800), (640, 480), (3840, 2160), (801, 333)]),
+    size=st.sampled_from([(1280, 800), (640, 480), (3840, 2160), (901, 333)]),
     distance=st.floats(1.2, 9),
     azimuth=st.floats(-3, 3),
 )
@@ -118,13 +117,9 @@ def test_text_is_inside_its_panel_and_panels_clear_of_each_other(
     for (low, high), (start, end) in zip(panels, texts, strict=True):
         assert (start >= low - 0.5).all() and (end <= high + 0.5).all()
         assert (low >= -0.5).all() and (high <= np.array(size) + 0.5).all()
-    needed = 4 * (view.font.height * (1 + PADDING + 0.3))  # four in a column, with gaps
-    if needed < size[1]:
-        for i, (low, high) in enumerate(panels):
-            for other_low, other_high in panels[:i]:
-                apart = (low >= other_high - 0.5) | (other_low >= high - 0.5)
-                same_side = abs((low + high)[0] - (other_low + other_high)[0]) < size[0] / 2
-                assert apart.any() or not same_side
+    for i, (low, high) in enumerate(panels):
+        for other_low, other_high in panels[:i]:
+            assert ((low >= other_high - 0.5) | (other_low >= high - 0.5)).any()
 
 
 @pytest.fixture(scope="module")

@@ -39,7 +39,7 @@ def test_more_panels_than_room_overlap_evenly_inside_the_picture() -> None:
     assert np.diff(got) == pytest.approx(np.full(19, 360 / 19))
 
 
-@given(st.integers(2, 10), st.integers(0, 2**31))
+@given(st.integers(2, 40), st.integers(0, 2**31))
 def test_a_small_move_of_the_joints_moves_the_panels_little(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     anchors = rng.uniform(100, 700, (count, 2))
@@ -47,33 +47,34 @@ def test_a_small_move_of_the_joints_moves_the_panels_little(count: int, seed: in
     side = np.arange(count) % 2
     before = columns(anchors, sizes, side, 8.0, 30.0, 1280, 800)
     step = rng.uniform(-1, 1, anchors.shape)
-    # The column turns over where first and last joint of a side are at one height: there a jump
-    # is meant, so keep away from it.
-    for which in (0, 1):
-        of_side = anchors[side == which, 1]
-        if len(of_side) and abs(of_side[-1] - of_side[0]) < 4:
-            return
     after = columns(anchors + step, sizes, side, 8.0, 30.0, 1280, 800)
-    assert np.abs(after - before).max() < 4.0
+    assert np.abs(after - before).max() <= 2.0
 
 
-@given(st.integers(1, 14), st.integers(0, 2**31))
-def test_columns_keep_clear_of_each_other_and_of_the_picture_edge(count: int, seed: int) -> None:
+@given(st.integers(1, 51), st.integers(0, 2**31), st.sampled_from([(1280, 800), (900, 700)]))
+def test_panels_never_cover_each_other_nor_leave_the_picture(count, seed, size) -> None:
     rng = np.random.default_rng(seed)
-    anchors = rng.uniform(0, 1, (count, 2)) * (1280, 800)
-    sizes = np.full((count, 2), (130.0, 38.0))
-    side = np.arange(count) % 2
-    centres = columns(anchors, sizes, side, 8.0, 40.0, 1280, 800)
+    anchors = rng.uniform(0, 1, (count, 2)) * size
+    sizes = np.stack([rng.uniform(90, 150, count), np.full(count, 38.0)], axis=1)
+    side = rng.integers(0, 2, count)
+    centres = columns(anchors, sizes, side, 8.0, 40.0, *size)
     low, high = centres - sizes / 2, centres + sizes / 2
     assert (low >= -1e-6).all()
-    assert (high <= np.array([1280, 800]) + 1e-6).all()
+    assert (high <= np.array(size) + 1e-6).all()
     for i in range(count):
-        for j in range(i):
-            if side[i] == side[j]:
-                assert (low[i] >= high[j] - 1e-6).any() or (low[j] >= high[i] - 1e-6).any()
+        apart = (low[i] >= high[:i] - 1e-6).any(axis=1) | (low[:i] >= high[i] - 1e-6).any(axis=1)
+        assert apart.all()
 
 
-def test_even_joints_stand_left_and_odd_ones_right_of_the_robot() -> None:
+def test_too_many_panels_for_the_picture_still_stay_inside_it() -> None:
+    anchors = np.random.default_rng(0).uniform(0, 400, (60, 2))
+    sizes = np.full((60, 2), (150.0, 40.0))
+    centres = columns(anchors, sizes, np.arange(60) % 2, 8.0, 40.0, 400, 400)
+    assert (centres - sizes / 2 >= -1e-6).all()
+    assert (centres + sizes / 2 <= 400 + 1e-6).all()
+
+
+def test_the_sides_stand_beside_the_robot_at_the_height_of_their_joints() -> None:
     anchors = np.stack([np.full(6, 640.0), np.linspace(100, 700, 6)], axis=1)
     side = np.arange(6) % 2
     centres = columns(anchors, np.full((6, 2), (100.0, 30.0)), side, 8.0, 50.0, 1280, 800)
@@ -82,8 +83,17 @@ def test_even_joints_stand_left_and_odd_ones_right_of_the_robot() -> None:
     assert centres[:, 1] == pytest.approx(anchors[:, 1])
 
 
-def test_a_hanging_chain_keeps_its_panels_beside_its_joints() -> None:
+def test_the_order_in_a_column_never_changes() -> None:
     anchors = np.stack([np.full(4, 640.0), np.linspace(700, 100, 4)], axis=1)
-    side = np.zeros(4, int)
-    centres = columns(anchors, np.full((4, 2), (100.0, 30.0)), side, 8.0, 50.0, 1280, 800)
-    assert centres[:, 1] == pytest.approx(anchors[:, 1])
+    centres = columns(
+        anchors, np.full((4, 2), (100.0, 30.0)), np.zeros(4, int), 8.0, 50.0, 1280, 800
+    )
+    assert (np.diff(centres[:, 1]) >= 38 - 1e-6).all()
+
+
+def test_a_robot_that_fills_the_picture_has_its_panels_over_it() -> None:
+    anchors = np.array([[20.0, 300.0], [1260.0, 500.0]])
+    centres = columns(
+        anchors, np.full((2, 2), (100.0, 30.0)), np.array([0, 1]), 8.0, 50.0, 1280, 800
+    )
+    assert centres[:, 0] == pytest.approx([58.0, 1222.0])

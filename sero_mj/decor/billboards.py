@@ -68,6 +68,7 @@ class Billboards:
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
+        self._rank = _rank(world)
         self._counts = np.array([len(lines) for lines in self._lines], np.intp)
         self._widths: dict[int, Array] = {}
 
@@ -85,16 +86,16 @@ class Billboards:
             return
         texts = self._texts(data, shown)
         sizes = self._sizes(view, shown, texts)
-        centres = np.empty((len(shown), 2))
         gap = view.font.height * 0.3
-        for robot in np.unique(joints.robot[shown]):
-            of_robot = joints.robot[shown] == robot
-            radius = joints.arrow_radius[shown[of_robot]][0]  # clear of the round arrows
-            beside = 2.0 * radius / view.pixel_size(float(depth[of_robot].mean()))
-            centres[of_robot] = columns(
-                anchors[of_robot], sizes[of_robot], self._side[shown[of_robot]], gap,
-                max(beside, 3 * gap), view.width, view.height,
-            )  # fmt: skip
+        # Clear of the round arrows of the joint that is nearest to the eye.
+        radius = 2.0 * joints.arrow_radius[shown].max() / view.pixel_size(float(depth.min()))
+        beside = min(max(radius, 3 * gap), view.width / 8)
+        order = np.argsort(self._rank[shown], kind="stable")
+        centres = np.empty((len(shown), 2))
+        centres[order] = columns(
+            anchors[order], sizes[order], self._side[shown[order]], gap, beside,
+            view.width, view.height,
+        )  # fmt: skip
         edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
         starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
         draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
@@ -133,6 +134,19 @@ class Billboards:
                 if len(text) > len(line.widest):
                     widths[k] = max(widths[k], font.width(text))
         return panel_sizes(widths, self._counts[shown], view)
+
+
+def _rank(world: World) -> NDArray[np.intp]:
+    """Order of the joints from low to high where the scene declares them, (N,).
+
+    It is fixed: sorting by the height of the moment would make panels swap places.
+    """
+    data = world.make_data()
+    heights = data.site_xpos[world.joints.centre_site, 2]
+    order = np.argsort(heights, kind="stable")
+    rank = np.empty(len(order), np.intp)
+    rank[order] = np.arange(len(order))
+    return rank
 
 
 def _line(joint: str, k: int, line: BillboardLine, prismatic: int) -> _Line:

@@ -1,8 +1,8 @@
-"""Where billboards stand in the picture: two tidy columns beside each robot.
+"""Where billboards stand in the picture: tidy columns left and right of the robots.
 
-A column holds the panels of every second joint, in the order of the chain, as near to the height
-of their joints as they can be without covering each other. The order never changes and heights
-follow the joints continuously, so nothing jumps while the camera moves.
+Panels keep their side, their column and their order, whatever the camera does, and their heights
+follow the joints continuously: nothing jumps or flickers while the camera or the robot moves.
+Panels never cover each other as long as the picture has room for them.
 """
 
 from __future__ import annotations
@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+LEFT, RIGHT = 0, 1
 
 
 def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
@@ -46,22 +49,17 @@ def spread(centres: Array, heights: Array, gap: float, low: float, high: float) 
 
 
 def columns(
-    anchors: Array,
-    sizes: Array,
-    side: NDArray[np.intp],
-    gap: float,
-    beside: float,
-    width: int,
-    height: int,
+    anchors: Array, sizes: Array, side: Ints, gap: float, beside: float, width: int, height: int
 ) -> Array:
-    """Lays out the panels of one robot.
+    """Lays out all panels of a picture.
 
     Args:
-        anchors: pixel of every joint, (k, 2).
+        anchors: pixel of every panel's joint, (k, 2), in the order in which panels stand above
+            each other: the first lowest.
         sizes: width and height of every panel, (k, 2), pixels.
-        side: 0 for the left column, 1 for the right one, (k,).
-        gap: space between panels, pixels.
-        beside: space between a column and the outermost joint, pixels.
+        side: `LEFT` or `RIGHT`, (k,).
+        gap: least space between panels, pixels.
+        beside: space between the innermost columns and the outermost joint, pixels.
         width: of the picture, pixels.
         height: of the picture, pixels.
 
@@ -69,15 +67,35 @@ def columns(
         centres of the panels, (k, 2), pixels from the lower left corner.
     """
     centres = np.empty((len(anchors), 2))
-    for which, edge in ((0, anchors[:, 0].min() - beside), (1, anchors[:, 0].max() + beside)):
-        index = (side == which).nonzero()[0]
-        if not len(index):
-            continue
-        widths = sizes[index, 0]
-        x = edge - widths / 2 if which == 0 else edge + widths / 2
-        inner = widths / 2 + gap
-        centres[index, 0] = np.maximum(np.minimum(x, width - inner), inner)
-        # The chain's order, turned over when its last joint hangs below its first.
-        order = index if anchors[index[-1], 1] >= anchors[index[0], 1] else index[::-1]
-        centres[order, 1] = spread(anchors[order, 1], sizes[order, 1], gap, gap, height - gap)
+    if not len(anchors):
+        return centres
+    groups = [_chunks((side == which).nonzero()[0], sizes, gap, height) for which in (LEFT, RIGHT)]
+    widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
+    left, right = (sum(group) for group in widths)
+    # Both sides move inward, over the robot if need be, before anything leaves the picture or
+    # covers the other side.
+    inner_left = max(float(anchors[:, 0].min()) - beside, left)
+    inner_right = min(float(anchors[:, 0].max()) + beside, width - right)
+    inner_left = min(inner_left, width - right - gap)
+    inner_right = max(inner_right, inner_left + gap)
+    for which, outward, start in ((LEFT, -1.0, inner_left), (RIGHT, 1.0, inner_right)):
+        edge = start
+        for column, column_width in zip(groups[which], widths[which], strict=True):
+            # Panels of one column stand flush on the side of the robot.
+            half = sizes[column, 0] / 2
+            x = edge + outward * half
+            centres[column, 0] = np.maximum(np.minimum(x, width - half), half)
+            centres[column, 1] = spread(
+                anchors[column, 1], sizes[column, 1], gap, gap, height - gap
+            )
+            edge += outward * column_width
     return centres
+
+
+def _chunks(index: Ints, sizes: Array, gap: float, height: int) -> list[Ints]:
+    """Splits one side's panels into as few columns as the height allows, of like length."""
+    if not len(index):
+        return []
+    needed = float(sizes[index, 1].sum()) + gap * len(index)
+    count = min(int(np.ceil(needed / max(height - gap, 1.0))), len(index))
+    return np.array_split(index, max(count, 1))
