@@ -130,10 +130,10 @@ def kinematics(rounds: int) -> list[Row]:
          lambda: mujoco.mj_kinematics(world.model, data), batch], rounds * 5,
     )  # fmt: skip
     return [
-        ("dh.frames, 7 joints, one pose", f"{one * 1e6:.0f} us", f"mj_kinematics {mj_one * 1e6:.1f} us",
-         f"{one / mj_one:.0f}", ""),
-        ("dh.frames, 1000 poses at once", f"{many * 1e6:.0f} us", f"1000 mj_kinematics {mj_many * 1e6:.0f} us",
-         f"{many / mj_many:.2f}", ""),
+        ("dh.frames, 7 joints, one pose", f"{one * 1e6:.0f} us",
+         f"mj_kinematics {mj_one * 1e6:.1f} us", f"{one / mj_one:.0f}", ""),
+        ("dh.frames, 1000 poses at once", f"{many * 1e6:.0f} us",
+         f"1000 mj_kinematics {mj_many * 1e6:.0f} us", f"{many / mj_many:.2f}", ""),
     ]  # fmt: skip
 
 
@@ -156,9 +156,10 @@ def start_up(rounds: int) -> list[Row]:
         )  # fmt: skip
     cost = ours_import - nothing
     return [
-        ("sero-mj render, to the first picture", f"{a:.2f} s", f"bare mujoco {b:.2f} s", f"{a / b:.2f}", ""),
-        ("import sero_mj", f"{cost * 1e3:.0f} ms", f"python -c pass {nothing * 1e3:.0f} ms",
-         f"{cost / nothing:.2f}", "under 100 ms"),
+        ("sero-mj render, to the first picture", f"{a:.2f} s",
+         f"bare mujoco {b:.2f} s", f"{a / b:.2f}", ""),
+        ("import sero_mj", f"{cost * 1e3:.0f} ms",
+         f"python -c pass {nothing * 1e3:.0f} ms", f"{cost / nothing:.2f}", "under 100 ms"),
     ]  # fmt: skip
 
 
@@ -185,8 +186,8 @@ def memory(count: int) -> list[Row]:
         before = run(count // 20)
         after = run(count)
     return [
-        (f"memory after {count} frames", f"{after:.1f} MiB", f"after {count // 20}: {before:.1f} MiB",
-         f"{after / before:.3f}", "no growth")
+        (f"memory after {count} frames", f"{after:.1f} MiB",
+         f"after {count // 20}: {before:.1f} MiB", f"{after / before:.3f}", "no growth")
     ]  # fmt: skip
 
 

@@ -35,6 +35,13 @@ def list_scenes() -> list[str]:
     return sorted(path.stem for path in scenes_dir().glob("*.toml"))
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
 def find_model(name: str, beside: Path | None = None) -> Path:
     """Returns the robot file that `name` means.
 
@@ -47,7 +54,7 @@ def find_model(name: str, beside: Path | None = None) -> Path:
     """
     local = (beside or Path.cwd()) / name
     for candidate in (local / "robot.toml", local, models_dir() / name / "robot.toml"):
-        if candidate.suffix == ".toml" and candidate.is_file():
+        if candidate.suffix == ".toml" and _is_file(candidate):
             return candidate
     raise UnknownName("robot model", name, list_models())
 
@@ -59,6 +66,6 @@ def find_scene(name: str) -> Path:
         UnknownName: nothing of that name exists; lists the shipped scenes.
     """
     for candidate in (Path(name), scenes_dir() / f"{name}.toml"):
-        if candidate.is_file():
+        if _is_file(candidate):
             return candidate
     raise UnknownName("scene", name, list_scenes())

@@ -6,13 +6,14 @@ with its fields into `Problem`s that say what was found and what would be right.
 
 from __future__ import annotations
 
+import re
 import reprlib
 from collections.abc import Callable
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from ..errors import DeclarationError, Problem, did_you_mean
@@ -34,9 +35,10 @@ class Declaration(BaseModel):
         arbitrary_types_allowed=True,
         validate_default=True,
         populate_by_name=True,
+        allow_inf_nan=False,
     )
 
-    def __init__(self, **fields: Any) -> None:
+    def __init__(self, /, **fields: Any) -> None:
         try:
             super().__init__(**fields)
         except ValidationError as error:
@@ -88,13 +90,33 @@ def of_shape(*shape: int | None) -> BeforeValidator:
     return BeforeValidator(validate)
 
 
+def _in_range(rgba: Array) -> Array:
+    if (rgba < 0).any() or (rgba > 1).any():
+        raise ValueError(f"found {rgba.tolist()}; expected four numbers from 0 to 1")
+    return rgba
+
+
+def is_name(text: str) -> str:
+    """Returns the text, if it can name a robot, a source or an object in routes and models.
+
+    Raises:
+        ValueError: it has other characters.
+    """
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
+        raise ValueError(
+            f"found {text!r}; expected letters, digits, _ and -, the first a letter or _"
+        )
+    return text
+
+
 def _frame(value: Any) -> Any:
     return frame_from(value, numbers)
 
 
 Vector = Annotated[Array, of_shape(None)]
 Point = Annotated[Array, of_shape(3)]
-Rgba = Annotated[Array, of_shape(4)]
+Rgba = Annotated[Array, of_shape(4), AfterValidator(_in_range)]
+Name = Annotated[str, AfterValidator(is_name)]
 Frame = Annotated[Array, BeforeValidator(_frame)]
 
 
@@ -121,7 +143,8 @@ def _unknown_key(detail: ErrorDetails, kind: type[BaseModel]) -> str:
 def _missing(detail: ErrorDetails, kind: type[BaseModel]) -> str:
     name = str(detail["loc"][-1])
     field = kind.model_fields.get(name)
-    choices = [repr(choice) for choice in get_args(field.annotation)] if field else []
+    literal = field is not None and get_origin(field.annotation) is Literal
+    choices = [repr(choice) for choice in get_args(field.annotation)] if field and literal else []
     return "is required" + (f"; expected {' or '.join(choices)}" if choices else "")
 
 

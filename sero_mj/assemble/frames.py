@@ -44,6 +44,7 @@ def rotation_from_rpy(rpy: Array) -> Array:
 
 def rotation_from_quat(quat: Array) -> Array:
     """Rotation (3, 3) from a unit quaternion w, x, y, z."""
+    quat = quat / np.abs(quat).max()  # squares of huge numbers would overflow
     w, x, y, z = quat / np.linalg.norm(quat)
     return np.array(
         [
@@ -105,7 +106,7 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
             f"found {matrix.size} numbers; expected 4 x 4, or {{ xyz = [...], rpy = [...] }}"
         )
     matrix = matrix.reshape(4, 4).copy()
-    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-12):
+    if matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise ValueError(f"last row is {matrix[3].tolist()}; expected [0, 0, 0, 1] (row-major)")
     matrix[:3, :3] = nearest_rotation(matrix[:3, :3])
     return matrix
@@ -117,7 +118,9 @@ def nearest_rotation(matrix: Array) -> Array:
     Raises:
         ValueError: it is no rotation, not even roughly, or it is a mirror image.
     """
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    # Entries far above 1 are refused before their squares overflow.
+    far = np.abs(matrix).max() > 2.0
+    off = np.inf if far else float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if off > _TYPED_ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
         raise ValueError("upper left 3 x 3 is not a rotation (orthonormal, determinant +1)")
     if off < 1e-14:
@@ -138,6 +141,8 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
     def vector(key: str, length: int) -> Array:
         array = numbers(table[key])
         if array.shape != (length,):
+            if array.size == length:
+                raise ValueError(f"'{key}' is nested; expected {length} numbers in one list")
             raise ValueError(f"'{key}' has {array.size} numbers; expected {length}")
         return array
 
@@ -149,7 +154,7 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
         rotation = rotation_from_rpy(np.deg2rad(vector("rpy_deg", 3)))
     elif "quat" in table:
         quat = vector("quat", 4)
-        if np.linalg.norm(quat) < 1e-6:
+        if np.abs(quat).max() < 1e-6:
             raise ValueError("'quat' is zero; expected a unit quaternion w, x, y, z")
         rotation = rotation_from_quat(quat)
     return frame(rotation, position)

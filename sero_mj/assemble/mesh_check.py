@@ -18,18 +18,22 @@ def mesh_problems(scene: Scene) -> list[Problem]:
         for i, meshes in enumerate(robot.filenames):
             for mesh in meshes:
                 path = Path(robot.directory) / mesh.file
-                problems += _problem(f"robots.{name}.filenames[{i}]", path)
+                problems += _problem(f"robots.{name}.filenames.{i}", path)
         problems += _object_problems(f"robots.{name}.children", robot)
     problems += _object_problems("objects", scene)
     return problems
 
 
 def _object_problems(key: str, owner: SerialRobot | Scene) -> list[Problem]:
-    items = owner.children if isinstance(owner, SerialRobot) else owner.objects
     problems = []
-    for item in items:
+    named = (
+        [(str(k), child) for k, child in enumerate(owner.children)]
+        if isinstance(owner, SerialRobot)
+        else [(item.name, item) for item in owner.objects]
+    )
+    for name, item in named:
         if item.mesh is not None:
-            problems += _problem(f"{key}.{item.name}.mesh", Path(item.directory) / item.mesh)
+            problems += _problem(f"{key}.{name}.mesh", Path(item.directory) / item.mesh)
     return problems
 
 

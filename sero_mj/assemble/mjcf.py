@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
 from . import frames
+from .mjcf_piece import read_piece
 from .objects import Object
-from .robot import LinkMesh, SerialRobot
+from .robot import SerialRobot
+from .robot_parts import LinkMesh
 from .scene import Scene
 from .shapes import SHELL, LinkShape, grow_links
 
@@ -41,7 +43,9 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
     root = mjcf.RootElement(model=scene.name)
     _set_up(root)
     _surroundings(root, scene)
-    problems: list[Problem] = []
+    problems = _clashes(scene)
+    if problems:
+        raise DeclarationError(scene.located(problems))
     for item in scene.objects:
         try:
             _add_object(root, root.worldbody, item)
@@ -57,6 +61,20 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
     if problems:
         raise DeclarationError(scene.located(problems))
     return root
+
+
+def _clashes(scene: Scene) -> list[Problem]:
+    """Names that two things of the model would have."""
+    problems = []
+    taken = {"floor": "the floor has this name"} if scene.floor else {}
+    pieces = {name: "a robot has this name" for name in scene.robots}
+    for item in scene.objects:
+        names = taken if item.mjcf is None else pieces
+        if item.name in names:
+            message = f"{names[item.name]}; expected another name"
+            problems.append(Problem(f"objects.{item.name}", message))
+        taken[item.name] = pieces[item.name] = "two objects have this name"
+    return problems
 
 
 def xml_text(root: mjcf.RootElement) -> str:
@@ -94,11 +112,11 @@ def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
     _pose(flange, robot.flange_frame)
     _add_site(flange, "flange_frame")
     problems: list[Problem] = []
-    for child in robot.children:
+    for k, child in enumerate(robot.children):
         try:
             _add_object(root, flange, child)
         except DeclarationError as error:
-            problems += [problem.inside(f"children.{child.name}") for problem in error.problems]
+            problems += [problem.inside(f"children.{k}") for problem in error.problems]
     problems += geometry.problems
     if problems:
         raise DeclarationError(problems)
@@ -123,7 +141,7 @@ class _Geometry:
             try:
                 self._add_mesh(body, f"link{i}_{k}", mesh)
             except DeclarationError as error:
-                self.problems += [p.inside(f"filenames[{i}]") for p in error.problems]
+                self.problems += [p.inside(f"filenames.{i}") for p in error.problems]
 
     def _add_mesh(self, body: Any, name: str, mesh: LinkMesh) -> None:
         path = Path(self._robot.directory) / mesh.file
@@ -221,7 +239,7 @@ def _mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> 
 
 def _add_object(root: mjcf.RootElement, body: Any, item: Object) -> None:
     if item.mjcf is not None:
-        piece = _read_mjcf(item)
+        piece = read_piece(item.mjcf, Path(item.directory))
         piece.model = item.name
         _pose(body.add("site", name=f"{item.name}_at", group=SITE_GROUP).attach(piece), item.frame)
         return
@@ -231,18 +249,12 @@ def _add_object(root: mjcf.RootElement, body: Any, item: Object) -> None:
     kind: dict[str, Any]
     if item.mesh is not None:
         path = Path(item.directory) / item.mesh
-        kind = {"type": "mesh", "mesh": _mesh_asset(root, item.name, path, item.mesh_scale)}
+        try:
+            asset = _mesh_asset(root, f"object_{item.name}", path, item.mesh_scale)
+        except DeclarationError as error:
+            raise DeclarationError([p.inside("mesh") for p in error.problems]) from error
+        kind = {"type": "mesh", "mesh": asset}
     else:
         assert item.size is not None and item.shape is not None  # checked by Object
         kind = {"type": item.shape, "size": item.size * _HALF.get(item.shape, 1.0)}
     _pose(body.add("geom", name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind), item.frame)
-
-
-def _read_mjcf(item: Object) -> mjcf.RootElement:
-    assert item.mjcf is not None
-    try:
-        if item.mjcf.lstrip().startswith("<"):
-            return mjcf.from_xml_string(item.mjcf, model_dir=item.directory)
-        return mjcf.from_path(str(Path(item.directory) / item.mjcf))
-    except Exception as error:  # PyMJCF raises lxml's, OS and value errors alike
-        raise DeclarationError([Problem("mjcf", f"cannot be read: {error}")]) from error

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from .declaration import Array, Declaration, Frame, Rgba, Vector
+from .declaration import Declaration, Frame, Name, Rgba, Vector
 
-NAME_PATTERN = r"^[A-Za-z_][A-Za-z0-9_-]*$"
-Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 MESH_FORMATS = (".stl", ".obj", ".msh")
 
 # How many numbers `size` has for each shape, and what they are (m).
@@ -32,6 +30,8 @@ def check_mesh_file(file: str) -> str:
         ValueError: it is absolute, contains `..`, or has another ending.
     """
     path = Path(file)
+    if "\0" in file:
+        raise ValueError(f"found {file!r}; expected a file's name")
     if path.is_absolute() or ".." in path.parts:
         raise ValueError(f"found '{file}'; expected a file inside the directory, without '..'")
     if path.suffix.lower() not in MESH_FORMATS:
@@ -69,13 +69,6 @@ class Object(Declaration):
     @classmethod
     def _mesh_is_inside(cls, mesh: str | None) -> str | None:
         return mesh if mesh is None else check_mesh_file(mesh)
-
-    @field_validator("rgba")
-    @classmethod
-    def _rgba_in_range(cls, rgba: Array) -> Array:
-        if (rgba < 0).any() or (rgba > 1).any():
-            raise ValueError(f"found {rgba.tolist()}; expected four numbers from 0 to 1")
-        return rgba
 
     @model_validator(mode="after")
     def _one_kind(self) -> Object:

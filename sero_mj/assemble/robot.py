@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -13,77 +12,29 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 
 from .. import paths
 from ..errors import DeclarationError, did_you_mean
-from .declaration import Array, Declaration, Frame, Rgba, Vector, of_shape
+from .declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
 from .dh import COLUMNS, DhTable
-from .objects import NAME_PATTERN, Name, Object, check_mesh_file
+from .objects import Object
+from .robot_parts import BillboardLine, LinkMesh, as_billboard_lines, as_link_meshes
 from .toml_file import key_lines, located, read_toml
 
 MAX_JOINTS = 64
-_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
+# Limits may stand in degrees instead.
+IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
 # Fields with one entry per joint, checked against dh_params.
 _PER_JOINT = (
     "joint_types",
     "joint_names",
     "position_limits",
+    "position_limits_deg",
     "velocity_limits",
+    "velocity_limits_deg",
     "torque_limits",
     "joint_angles",
     "offsets_to_center_of_joints",
     "torques",
     "billboard_values",
 )
-
-
-class LinkMesh(Declaration):
-    """One mesh file of a link.
-
-    Attributes:
-        file: relative to the robot's `directory`.
-        color: one of the robot's `colors`.
-    """
-
-    file: str
-    color: str | None = None
-
-    @field_validator("file")
-    @classmethod
-    def _is_inside(cls, file: str) -> str:
-        return check_mesh_file(file)
-
-
-class BillboardLine(Declaration):
-    """One line of a joint's billboard.
-
-    Attributes:
-        value: which of the robot's per-joint inputs it shows.
-        label: put before the number when a billboard has several lines.
-        unit: shown behind the number; None for the value's own SI unit.
-        decimals: digits after the point; None for what suits the value.
-        scale: multiplies the value before it is shown (57.2958 for degrees).
-    """
-
-    value: Literal["torques", "joint_angles", "billboard_values"]
-    label: str = ""
-    unit: str | None = None
-    decimals: int | None = Field(None, ge=0, le=9)
-    scale: float = 1.0
-
-
-def _link_meshes(value: Any) -> Any:
-    """A link is a file name, a table with `file` and `color`, a list of those, or "" for none."""
-    if isinstance(value, str):
-        return [{"file": value}] if value else []
-    if isinstance(value, Mapping | LinkMesh):
-        return [value]
-    if isinstance(value, list):
-        return [{"file": entry} if isinstance(entry, str) else entry for entry in value]
-    return value
-
-
-def _billboard_lines(value: Any) -> Any:
-    if isinstance(value, list):
-        return [{"value": line} if isinstance(line, str) else line for line in value]
-    return value
 
 
 class SerialRobot(Declaration):
@@ -99,8 +50,10 @@ class SerialRobot(Declaration):
         dh_columns: what the four columns are.
         joint_types: `revolute` or `prismatic`, n words.
         joint_names: n names; J1, J2, ... by default.
-        position_limits: (n, 2), lower and upper; `position_limits_deg` in degrees.
-        velocity_limits: (n,); `velocity_limits_deg` in degrees per second.
+        position_limits: (n, 2), lower and upper.
+        position_limits_deg: the same in degrees; becomes position_limits.
+        velocity_limits: (n,), per second.
+        velocity_limits_deg: the same in degrees per second; becomes velocity_limits.
         torque_limits: (n,).
         directory: folder of the mesh files.
         filenames: base and n links; a name, a table with file and color, or a list of these.
@@ -133,13 +86,15 @@ class SerialRobot(Declaration):
     dh_columns: list[Literal["alpha", "a", "theta", "d"]] = [*COLUMNS]
     dh_params: Annotated[Array, of_shape(None, 4)] = np.zeros((1, 4))
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
-    joint_names: list[str] | None = None
+    joint_names: list[Name] | None = None
     position_limits: Annotated[Array | None, of_shape(None, 2)] = None
+    position_limits_deg: Annotated[Array | None, of_shape(None, 2)] = None
     velocity_limits: Vector | None = None
+    velocity_limits_deg: Vector | None = None
     torque_limits: Vector | None = None
     directory: str = ""
     colors: dict[str, Rgba] = {}
-    filenames: list[Annotated[list[LinkMesh], BeforeValidator(_link_meshes)]] = []
+    filenames: list[Annotated[list[LinkMesh], BeforeValidator(as_link_meshes)]] = []
     mesh_scale: float = Field(1.0, gt=0)
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
@@ -157,23 +112,9 @@ class SerialRobot(Declaration):
     show_billboards: bool = False
     billboard_scale: float = Field(0.05, gt=0, le=0.5)
     billboard_values: Vector | None = None
-    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(_billboard_lines)] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_degrees(cls, fields: Any) -> Any:
-        if not isinstance(fields, Mapping) or not any(key in fields for key in _DEGREES):
-            return fields
-        fields = dict(fields)
-        for in_degrees, key in _DEGREES.items():
-            if in_degrees not in fields:
-                continue
-            if key in fields:
-                raise ValueError(f"found both {key} and {in_degrees}; expected one of them")
-            if "prismatic" in (fields.get("joint_types") or []):
-                raise ValueError(f"{in_degrees} is for revolute joints only; use {key} in rad, m")
-            fields[key] = np.deg2rad(np.asarray(fields.pop(in_degrees), dtype=float)).tolist()
-        return fields
+    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(as_billboard_lines)] = (
+        None
+    )
 
     @field_validator("dh_columns")
     @classmethod
@@ -201,15 +142,13 @@ class SerialRobot(Declaration):
 
     @field_validator("joint_names")
     @classmethod
-    def _names_are_usable(cls, names: list[str] | None) -> list[str] | None:
+    def _names_differ(cls, names: list[str] | None) -> list[str] | None:
         for name in names or []:
-            if not re.match(NAME_PATTERN, name):
-                raise ValueError(f"found '{name}'; expected letters, digits, _ and -")
             if (names or []).count(name) > 1:
                 raise ValueError(f"'{name}' stands there twice; expected different names")
         return names
 
-    @field_validator("position_limits")
+    @field_validator("position_limits", "position_limits_deg")
     @classmethod
     def _limits_are_ordered(cls, limits: Array | None) -> Array | None:
         if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
@@ -217,12 +156,31 @@ class SerialRobot(Declaration):
             raise ValueError(f"row {row + 1} is {limits[row].tolist()}; expected lower < upper")
         return limits
 
-    @field_validator("velocity_limits", "torque_limits")
+    @field_validator("velocity_limits", "velocity_limits_deg", "torque_limits")
     @classmethod
     def _limits_are_positive(cls, limits: Array | None) -> Array | None:
         if limits is not None and (limits <= 0).any():
             raise ValueError(f"found {limits.tolist()}; expected positive numbers")
         return limits
+
+    @field_validator(*IN_DEGREES)
+    @classmethod
+    def _degrees_suit_the_joints(cls, limits: Array | None, info: ValidationInfo) -> Any:
+        key = IN_DEGREES[str(info.field_name)]
+        if limits is not None and info.data.get(key) is not None:
+            raise ValueError(f"found both {key} and {info.field_name}; expected one of them")
+        if limits is not None and "prismatic" in (info.data.get("joint_types") or []):
+            raise ValueError(f"{info.field_name} is for revolute joints only; use {key} in rad, m")
+        return limits
+
+    @model_validator(mode="after")
+    def _from_degrees(self) -> SerialRobot:
+        for in_degrees, key in IN_DEGREES.items():
+            limits = getattr(self, in_degrees)
+            if limits is not None:
+                setattr(self, key, np.deg2rad(limits))
+                setattr(self, in_degrees, None)
+        return self
 
     @field_validator("filenames")
     @classmethod
@@ -315,6 +273,13 @@ class SerialRobot(Declaration):
         return np.asarray(self.dh.frames(q)[-1] @ self.flange_frame)
 
 
+def set_directory(children: Any, folder: Path) -> None:
+    """Lets the folders of children start from the folder of the file that declares them."""
+    for child in children if isinstance(children, list) else []:
+        if isinstance(child, dict) and isinstance(child.setdefault("directory", ""), str):
+            child["directory"] = str(folder / child["directory"])
+
+
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:
     """Builds a robot from its fields, over those of a robot file when one is given.
 
@@ -330,9 +295,11 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
     below = read_toml(model)
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
-    for child in below.get("children") or []:
-        if isinstance(child, dict):
-            child.setdefault("directory", str(model.parent))
+    set_directory(below.get("children"), model.parent)
+    for in_degrees, key in IN_DEGREES.items():  # an override may be in the other unit
+        for one, other in ((in_degrees, key), (key, in_degrees)):
+            if one in fields:
+                below.pop(other, None)
     try:
         return SerialRobot(**{**below, **fields})
     except DeclarationError as error:

@@ -1,22 +1,31 @@
-"""`Scene`: robots, sources, routes and surroundings, from a TOML file or built in Python."""
+"""`Scene`: robots, sources, routes and surroundings, as they are declared."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from .. import paths
-from ..errors import DeclarationError, Problem, SeroError, did_you_mean
-from .declaration import Declaration, Point
+from ..errors import DeclarationError, Problem
+from .declaration import Array, Declaration, Point
 from .objects import Object
-from .robot import SerialRobot, build_robot
-from .toml_file import key_lines, located, read_toml
+from .robot import SerialRobot
+from .toml_file import key_lines, located
 
-T = TypeVar("T")
+
+def _unit_range(rgb: Array) -> Array:
+    if (rgb < 0).any() or (rgb > 1).any():
+        raise ValueError(f"found {rgb.tolist()}; expected three numbers from 0 to 1")
+    return rgb
+
+
+def _direction(vector: Array) -> Array:
+    if not np.abs(vector).max() > 0:
+        raise ValueError(f"found {vector.tolist()}; expected a direction")
+    return vector
 
 
 class Camera(Declaration):
@@ -31,6 +40,14 @@ class Camera(Declaration):
     position: Point
     look_at: Point = Field(default_factory=lambda: np.zeros(3))
     fovy_deg: float = Field(45.0, gt=0, lt=180)
+
+    @field_validator("look_at")
+    @classmethod
+    def _is_elsewhere(cls, look_at: Array, info: ValidationInfo) -> Array:
+        position = info.data.get("position")
+        if position is not None and np.array_equal(look_at, position):
+            raise ValueError(f"found {look_at.tolist()}; expected another point than position")
+        return look_at
 
 
 class View(Declaration):
@@ -63,8 +80,8 @@ class Light(Declaration):
     """
 
     position: Point
-    direction: Point = Field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
-    diffuse: Point = Field(default_factory=lambda: np.full(3, 0.7))
+    direction: Annotated[Point, AfterValidator(_direction)] = np.array([0.0, 0.0, -1.0])
+    diffuse: Annotated[Point, AfterValidator(_unit_range)] = np.full(3, 0.7)
     directional: bool = True
     cast_shadow: bool = True
 
@@ -83,6 +100,8 @@ class Scene:
         view: where one looks from.
         name: shown in titles and messages.
         file: the file it was read from.
+        broken: what the file declares but could not be built: sections (`robots`) and entries
+            (`robots.lwr`).
 
     Raises:
         DeclarationError: two robots have one name.
@@ -101,6 +120,7 @@ class Scene:
         view: View | None = None,
         name: str = "scene",
         file: Path | None = None,
+        broken: Collection[str] = (),
     ) -> None:
         self.robots: dict[str, SerialRobot] = {}
         self.sources = dict(sources or {})
@@ -112,6 +132,7 @@ class Scene:
         self.view = view or View()
         self.name = name
         self.file = file
+        self.broken = frozenset(broken)
         for robot in robots or []:
             self.add(robot)
 
@@ -127,6 +148,17 @@ class Scene:
         self.robots[robot.name] = robot
         return robot
 
+    def declares(self, section: str, name: str) -> bool:
+        """Whether there is such an entry, be it right or wrong; then one report is enough."""
+        entries = self.robots if section == "robots" else self.sources
+        return name in entries or bool({section, f"{section}.{name}"} & self.broken)
+
+    def declared(self, section: str) -> list[str]:
+        """Names in a section (`robots` or `sources`), those of broken entries included."""
+        entries = self.robots if section == "robots" else self.sources
+        broken = [key.partition(".")[2] for key in self.broken if key.startswith(f"{section}.")]
+        return [*entries, *broken]
+
     def located(self, problems: list[Problem]) -> list[Problem]:
         """Returns the problems with this scene's file and lines, where it came from a file."""
         if self.file is None:
@@ -135,139 +167,3 @@ class Scene:
         return [
             problem if problem.file else located(problem, self.file, lines) for problem in problems
         ]
-
-
-def read_scene(
-    path: Path, overrides: Mapping[str, Any] | None = None
-) -> tuple[Scene, list[Problem]]:
-    """Reads a scene file, as far as it can be understood.
-
-    Args:
-        path: a TOML file.
-        overrides: `robot.field` to its value, over what the file says; routes to it are dropped.
-
-    Returns:
-        the scene without the parts that are wrong, and every problem. Sources and routes are
-        kept as they stand; `sero_mj.drive` checks them, for it knows what they mean.
-
-    Raises:
-        DeclarationError: the file cannot be read at all.
-    """
-    tables = read_toml(path)
-    reader = _Reader(path, tables)
-    for target, value in (overrides or {}).items():
-        robot, _, field = target.partition(".")
-        table = tables.get("robots", {}).get(robot)
-        if isinstance(table, dict) and field:
-            table[field] = value
-            tables.get("routes", {}).pop(target, None)
-        else:
-            names = tables.get("robots", {})
-            reader.wrong(target, f"no robot '{robot}' to set this for{did_you_mean(robot, names)}")
-    scene = reader.scene()
-    return scene, scene.located(reader.problems)
-
-
-class _Reader:
-    """Reads the sections of one file and collects what is wrong with them."""
-
-    def __init__(self, path: Path, tables: dict[str, Any]) -> None:
-        self.path = path
-        self.tables = tables
-        self.problems: list[Problem] = []
-
-    def scene(self) -> Scene:
-        sections: dict[str, Callable[[], Any]] = {
-            "robots": lambda: list(self._each("robots", self._robot).values()),
-            "sources": lambda: self._each("sources", lambda name, table: table),
-            "routes": self._routes,
-            "objects": lambda: list(self._each("objects", self._object).values()),
-            "cameras": lambda: self._each("cameras", lambda _, table: Camera(**table)),
-            "lights": lambda: self._each("lights", lambda _, table: Light(**table)),
-            "view": lambda: View(**self._table("view")),
-            "floor": lambda: self._typed("floor", bool, "true or false"),
-            "name": lambda: self._typed("name", str, "a text"),
-        }
-        for key in self.tables:
-            if key not in sections:
-                self.wrong(key, f"unknown section{did_you_mean(key, sections)}")
-        read = {}
-        for key, reader in sections.items():
-            if key in self.tables:
-                value = self._try(key, reader)
-                if value is not None:
-                    read[key] = value
-        scene = Scene(**{"name": self.path.stem, **read, "file": self.path})
-        camera = scene.view.camera
-        if camera is not None and camera not in self.tables.get("cameras", {}):
-            self.wrong("view.camera", f"no camera '{camera}'{did_you_mean(camera, scene.cameras)}")
-        return scene
-
-    def wrong(self, key: str, message: str) -> None:
-        self.problems.append(Problem(key, message))
-
-    def _try(self, key: str, build: Callable[[], T]) -> T | None:
-        try:
-            return build()
-        except DeclarationError as error:
-            self.problems += [p if p.file else p.inside(key) for p in error.problems]
-        except SeroError as error:
-            self.wrong(key, str(error))
-        return None
-
-    def _typed(self, key: str, kind: type[T], expected: str) -> T | None:
-        value = self.tables[key]
-        if isinstance(value, kind):
-            return value
-        self.wrong(key, f"found {value!r}; expected {expected}")
-        return None
-
-    def _table(self, key: str) -> dict[str, Any]:
-        value = self.tables[key]
-        if isinstance(value, dict):
-            return value
-        raise DeclarationError([Problem("", f"found {value!r}; expected a table [{key}]")])
-
-    def _each(self, key: str, build: Callable[[str, dict[str, Any]], T]) -> dict[str, T]:
-        built: dict[str, T] = {}
-        for name, table in self._table(key).items():
-            place = f"{key}.{name}"
-            if not isinstance(table, dict):
-                self.wrong(place, f"found {table!r}; expected a table [{place}]")
-                continue
-            value = self._try(place, lambda name=name, table=table: build(name, table))  # type: ignore[misc]
-            if value is not None:
-                built[name] = value
-        return built
-
-    def _routes(self) -> dict[str, str]:
-        routes = {}
-        for target, event in self._table("routes").items():
-            if isinstance(event, str):
-                routes[target] = event
-            else:
-                hint = "; put quotes about the whole name" if isinstance(event, dict) else ""
-                self.wrong(
-                    f"routes.{target}",
-                    f'found {event!r}; expected an event such as "udp.values0"{hint}',
-                )
-        return routes
-
-    def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
-        fields = {**table, "name": name}
-        model = fields.pop("model", None)
-        beside = self.path.parent
-        if "directory" in fields and isinstance(fields["directory"], str):
-            fields["directory"] = str(beside / fields["directory"])
-        for child in fields.get("children") or []:
-            if isinstance(child, dict):
-                child.setdefault("directory", str(beside))
-        if model is None:
-            return build_robot(fields)
-        if not isinstance(model, str):
-            raise DeclarationError([Problem("model", f"found {model!r}; expected a robot's name")])
-        return build_robot(fields, paths.find_model(model, beside))
-
-    def _object(self, name: str, table: dict[str, Any]) -> Object:
-        fields = {"directory": str(self.path.parent), **table, "name": name}
-        return Object(**fields)

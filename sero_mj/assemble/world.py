@@ -80,10 +80,14 @@ class World:
             ValueError: not n finite numbers.
         """
         part, key = self.resolve_input(target)
-        array = np.asarray(values, dtype=np.float64)
         n = part.robot.n
+        try:
+            array = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            array = np.empty(0)
         if array.shape != (n,) or not np.isfinite(array).all():
-            raise ValueError(f"{target}: found {array.tolist()}; expected {n} finite numbers")
+            found = array.tolist() if array.size else values
+            raise ValueError(f"{target}: found {found}; expected {n} finite numbers")
         if key == "joint_angles":
             data.qpos[part.qpos] = array
         else:
@@ -97,15 +101,19 @@ class World:
             UnknownName: no such robot or input; lists those that exist.
         """
         robot, _, key = target.partition(".")
-        if robot not in self.robots:
-            raise UnknownName("robot", robot, self.robots)
+        part = self._part(robot)
         if key not in INPUTS:
             raise UnknownName(f"input of {robot}", key, INPUTS)
-        return self.robots[robot], key
+        return part, key
+
+    def _part(self, robot: str) -> RobotPart:
+        if robot not in self.robots:
+            raise UnknownName("robot", robot, self.robots)
+        return self.robots[robot]
 
     def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
         """T_base_flange (4, 4) of the compiled model at `data`, translation in m."""
-        part = self.robots[robot]
+        part = self._part(robot)
         base, flange = part.bodies[0], part.flange_body
         T = np.eye(4)
         rotation = data.xmat[base].reshape(3, 3)

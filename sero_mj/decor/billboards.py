@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.robot import BillboardLine, SerialRobot
+from ..assemble.robot import SerialRobot
+from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..assemble.tables import VALUE_INPUTS
 from ..assemble.world import World

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.scene import Scene, read_scene
+from ..assemble.scene import Scene
+from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..errors import DeclarationError
 from ..receive.source import age
@@ -33,8 +34,7 @@ def load_scene(path: Path, overrides: Mapping[str, Any] | None = None) -> Scene:
         DeclarationError: everything that is wrong in the file, at once.
     """
     scene, problems = read_scene(path, overrides)
-    broken = {p.key.split(".")[1] for p in problems if p.key.startswith("robots.")}
-    problems += scene.located(wire(scene, frozenset(broken - set(scene.robots))).problems)
+    problems += scene.located(wire(scene).problems)
     if problems:
         raise DeclarationError(problems)
     return scene
@@ -79,6 +79,7 @@ class Mirror:
         Raises:
             SourceError: a source cannot be opened.
         """
+        self._applied.clear()
         try:
             for source in self.sources.values():
                 source.open()

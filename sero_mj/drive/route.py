@@ -53,13 +53,11 @@ class Wiring:
     problems: list[Problem] = field(default_factory=list)
 
 
-def wire(scene: Scene, broken_robots: frozenset[str] = frozenset()) -> Wiring:
+def wire(scene: Scene) -> Wiring:
     """Builds the scene's sources and checks its routes, without opening anything.
 
-    Args:
-        scene: robots, sources and routes.
-        broken_robots: robots that the file declares but that could not be built; routes to
-            them are left unchecked, for their number of joints is not known.
+    Routes to robots and sources that are themselves declared wrongly are left unchecked: one
+    report of one mistake is enough.
     """
     wiring = Wiring()
     for name, declared in scene.sources.items():
@@ -69,7 +67,7 @@ def wire(scene: Scene, broken_robots: frozenset[str] = frozenset()) -> Wiring:
             wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
     for target, event in scene.routes.items():
         try:
-            route = _route(scene, wiring.sources, target, event, broken_robots)
+            route = _route(scene, wiring.sources, target, event)
         except DeclarationError as error:
             wiring.problems += [p.inside(f"routes.{target}") for p in error.problems]
         else:
@@ -78,28 +76,24 @@ def wire(scene: Scene, broken_robots: frozenset[str] = frozenset()) -> Wiring:
     return wiring
 
 
-def _route(
-    scene: Scene,
-    sources: Mapping[str, Source],
-    target: str,
-    event: str,
-    broken_robots: frozenset[str],
-) -> Route | None:
+def _route(scene: Scene, sources: Mapping[str, Source], target: str, event: str) -> Route | None:
     problems: list[Problem] = []
     robot, _, key = target.partition(".")
-    if robot not in scene.robots and robot not in broken_robots:
-        problems.append(Problem("", f"no robot '{robot}'{did_you_mean(robot, scene.robots)}"))
+    if not scene.declares("robots", robot):
+        near = did_you_mean(robot, scene.declared("robots"))
+        problems.append(Problem("", f"no robot '{robot}'{near}"))
     elif key not in INPUTS:
         problems.append(Problem("", f"no input '{key}' of {robot}{did_you_mean(key, INPUTS)}"))
     source, _, name = event.partition(".")
-    if source not in scene.sources:
-        problems.append(Problem("", f"no source '{source}'{did_you_mean(source, scene.sources)}"))
+    if not scene.declares("sources", source):
+        near = did_you_mean(source, scene.declared("sources"))
+        problems.append(Problem("", f"no source '{source}'{near}"))
     elif source in sources and name not in sources[source].events:
         events = sources[source].events
         problems.append(Problem("", f"no event '{name}' of {source}{did_you_mean(name, events)}"))
     if problems:
         raise DeclarationError(problems)
-    if source not in sources or robot in broken_robots:
+    if source not in sources or robot not in scene.robots:
         return None  # its own declaration is wrong and already reported
     found, wanted = sources[source].events[name], scene.robots[robot].n
     if found != wanted:

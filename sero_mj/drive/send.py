@@ -146,8 +146,9 @@ def send(
     """
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except socket.gaierror as error:
-        raise SourceError(f"{host}:{port}", f"not an address: {error.strerror}") from error
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
     total = None if duration is None else max(round(duration * rate), 1)
     every = max(round(rate / 10), 1)
     late: list[float] = []

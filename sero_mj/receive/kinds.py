@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..errors import DeclarationError, Problem, did_you_mean
+from ..errors import DeclarationError, Problem, nearest
 from .source import Source
 from .udp import UdpReceiver
 
@@ -22,11 +22,12 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
         return declared
     fields = dict(declared)
     kind = fields.pop("kind", None)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         if kind is None:
             message = f"is required; expected {' or '.join(map(repr, KINDS))}"
         else:
             message = f"found {kind!r}; expected {' or '.join(map(repr, KINDS))}"
-            message += did_you_mean(str(kind), KINDS)
+            near = nearest(kind, KINDS) if isinstance(kind, str) else None
+            message += f"; did you mean '{near}'?" if near else ""
         raise DeclarationError([Problem("kind", message)])
     return KINDS[kind](**{**fields, "name": name})

@@ -20,7 +20,7 @@ from ..errors import StructureError
 Array = NDArray[np.float64]
 
 MAX_PACKET_BYTES = 65_507  # the most that one UDP packet over IPv4 carries
-_TOKEN = re.compile(r"[\s,]*(?:(\d+)\s*([A-Za-z]?))?")
+_TOKEN = re.compile(r"[\s,]*(?:([0-9]+)\s*([A-Za-z]?))?")
 
 
 class Structure:
@@ -62,7 +62,8 @@ class Structure:
         """
         if len(packet) != self.size:
             raise ValueError(f"found {len(packet)} bytes; expected {self.size} for '{self.text}'")
-        values = np.frombuffer(packet, self._dtype).astype(np.float64, copy=False)
+        with np.errstate(invalid="ignore"):  # widening a signalling NaN would warn
+            values = np.frombuffer(packet, self._dtype).astype(np.float64, copy=False)
         return {name: values[part] for name, part in self._slices.items()}
 
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
@@ -95,12 +96,13 @@ def _parse(text: str, item_bytes: int) -> list[int]:
         if token[2] != "F":
             at = token.start(2) if token[2] else token.end()
             raise StructureError(text, at, "expected F for float values after a count (7F)")
-        count = int(token[1])
+        # int() refuses thousands of digits; the first nine are already too many for a packet.
+        count = int(token[1].lstrip("0")[:9] or "0")
         size += count * item_bytes
         if count == 0:
             raise StructureError(text, token.start(1), "expected a count of 1 or more")
         if size > MAX_PACKET_BYTES:
-            reason = f"the packet would have {size} bytes; expected at most {MAX_PACKET_BYTES}"
+            reason = f"the packet would be too long; expected at most {MAX_PACKET_BYTES} bytes"
             raise StructureError(text, token.start(1), reason)
         counts.append(count)
         position = token.end()

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from pydantic import Field, PrivateAttr, field_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from ..assemble.declaration import Declaration
 from ..errors import SourceError, StructureError
@@ -39,25 +39,26 @@ class UdpReceiver(Declaration):
     """
 
     name: str = "udp"
+    is_double: bool = Field(True, alias="double")  # before structure, whose size it decides
     structure: str
     udpport: int = Field(0, alias="port", ge=0, le=65535)
-    host: str = "127.0.0.1"
-    is_double: bool = Field(True, alias="double")
-    buffer_size: int = Field(0, ge=0)
+    host: str = Field("127.0.0.1", min_length=1)
+    buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
     _counters: Counters = PrivateAttr(default_factory=Counters)
     _latest: Packet | None = PrivateAttr(None)
     _taken: int = PrivateAttr(0)
     _first: threading.Event = PrivateAttr(default_factory=threading.Event)
+    _closing: threading.Event = PrivateAttr(default_factory=threading.Event)
     _socket: socket.socket | None = PrivateAttr(None)
     _wake: tuple[socket.socket, socket.socket] | None = PrivateAttr(None)
     _thread: threading.Thread | None = PrivateAttr(None)
 
     @field_validator("structure")
     @classmethod
-    def _structure_parses(cls, text: str) -> str:
+    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
         try:
-            Structure(text)
+            Structure(text, is_double=info.data.get("is_double", True))
         except StructureError as error:
             raise ValueError(str(error)) from None
         return text
@@ -88,27 +89,37 @@ class UdpReceiver(Declaration):
         Raises:
             SourceError: the port is in use, or the address is not one of this machine.
         """
-        family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
-        sock = socket.socket(family, socket.SOCK_DGRAM)
+        self.close()
+        self._socket = self._bound_socket()
+        self._counters, self._latest, self._taken = Counters(), None, 0
+        self._first.clear()
+        self._closing.clear()
+        self._wake = socket.socketpair()
+        self._thread = threading.Thread(target=self._receive, name=f"udp {self.name}", daemon=True)
+        self._thread.start()
+
+    def _bound_socket(self) -> socket.socket:
+        sock = None
         try:
+            family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+            sock = socket.socket(family, socket.SOCK_DGRAM)
+            sock.setblocking(False)
             if self.buffer_size:
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.buffer_size)
             if sys.platform == "linux":
                 sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
             sock.bind((self.host, self.udpport))
-        except OSError as error:
-            sock.close()
+        # A name that cannot be one makes other errors than a name that is not known.
+        except (OSError, TypeError, UnicodeError) as error:
+            if sock is not None:
+                sock.close()
             raise SourceError(self.name, self._why(error)) from error
-        sock.setblocking(False)
-        self._counters, self._latest, self._taken = Counters(), None, 0
-        self._first.clear()
-        self._socket = sock
-        self._wake = socket.socketpair()
-        self._thread = threading.Thread(target=self._receive, name=f"udp {self.name}", daemon=True)
-        self._thread.start()
+        return sock
 
-    def _why(self, error: OSError) -> str:
+    def _why(self, error: Exception) -> str:
         place = f"UDP port {self.udpport} on {self.host}"
+        if not isinstance(error, OSError):
+            return f"{place}: not an address: {error}"
         if error.errno == errno.EADDRINUSE:
             return f"{place} is in use by another program; close that, or choose another port"
         if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
@@ -120,6 +131,7 @@ class UdpReceiver(Declaration):
     def close(self) -> None:
         """Stops the thread and closes the socket; harmless when it is not open."""
         if self._thread is not None and self._wake is not None:
+            self._closing.set()
             self._wake[1].send(b"x")
             self._thread.join()
             for end in self._wake:
@@ -153,13 +165,11 @@ class UdpReceiver(Declaration):
         size = self.layout.size
         scratch = bytearray(size + 1)  # one more byte than is right shows that it was too long
         number = 0
-        while True:
+        while not self._closing.is_set():
             try:
                 length, ancillary, flags, _ = sock.recvmsg_into([scratch], _ANCILLARY_BYTES)
             except BlockingIOError:
-                ready, _, _ = select.select([sock, wake[0]], [], [])
-                if wake[0] in ready:
-                    return
+                select.select([sock, wake[0]], [], [])
                 continue
             except OSError as error:
                 # An ICMP answer to somebody else's packet may surface here; go on receiving.
@@ -189,8 +199,8 @@ class UdpReceiver(Declaration):
 def _not_finite(values: Mapping[str, Any]) -> str:
     """Says where the first NaN or infinity stands; empty when there is none."""
     for event, array in values.items():
-        # A sum is finite only if all terms are, and costs a third of isfinite(...).all().
-        if not np.isfinite(array.sum()) and not (good := np.isfinite(array)).all():
+        good = np.isfinite(array)
+        if not good.all():
             index = int(np.flatnonzero(~good)[0])
             return f"{event}[{index}] is {array[index]}"
     return ""

@@ -1,0 +1,176 @@
+"""Reads a scene file, and says everything that is wrong in it at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from .. import paths
+from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
+from .declaration import is_name
+from .objects import Object
+from .robot import SerialRobot, build_robot, set_directory
+from .scene import Camera, Light, Scene, View
+from .toml_file import read_toml
+
+T = TypeVar("T")
+
+
+def read_scene(
+    path: Path, overrides: Mapping[str, Any] | None = None
+) -> tuple[Scene, list[Problem]]:
+    """Reads a scene file, as far as it can be understood.
+
+    Args:
+        path: a TOML file.
+        overrides: `robot.field` to its value, over what the file says; routes to it are dropped.
+
+    Returns:
+        the scene without the parts that are wrong, and every problem. Sources and routes are
+        kept as they stand; `sero_mj.drive` checks them, for it knows what they mean.
+
+    Raises:
+        DeclarationError: the file cannot be read at all.
+    """
+    reader = _Reader(path, read_toml(path))
+    for target, value in (overrides or {}).items():
+        reader.override(target, value)
+    scene = reader.scene()
+    return scene, scene.located(reader.problems)
+
+
+class _Reader:
+    """Reads the sections of one file and collects what is wrong with them."""
+
+    def __init__(self, path: Path, tables: dict[str, Any]) -> None:
+        self.path = path
+        self.tables = tables
+        self.problems: list[Problem] = []
+        self.broken: list[str] = []
+
+    def scene(self) -> Scene:
+        sections: dict[str, Callable[[], Any]] = {
+            "robots": lambda: list(self._each("robots", self._robot).values()),
+            "sources": lambda: self._each("sources", lambda name, table: table),
+            "routes": self._routes,
+            "objects": lambda: list(self._each("objects", self._object).values()),
+            "cameras": lambda: self._each("cameras", lambda _, table: Camera(**table)),
+            "lights": lambda: self._each("lights", lambda _, table: Light(**table)),
+            "view": lambda: View(**self._table("view")),
+            "floor": lambda: self._typed("floor", bool, "true or false"),
+            "name": lambda: self._typed("name", str, "a text"),
+        }
+        for key in self.tables:
+            if key not in sections:
+                self.wrong(key, f"unknown section{did_you_mean(key, sections)}")
+        read = {}
+        for key, reader in sections.items():
+            if key in self.tables:
+                value = self._try(key, reader)
+                if value is not None:
+                    read[key] = value
+        fields = {"name": self.path.stem, **read, "file": self.path, "broken": self.broken}
+        scene = Scene(**fields)
+        camera = scene.view.camera
+        known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
+        if not known:
+            near = did_you_mean(str(camera), scene.cameras)
+            self.wrong("view.camera", f"no camera '{camera}'{near}")
+        return scene
+
+    def override(self, target: str, value: Any) -> None:
+        """Sets `robot.field` over what the file says."""
+        robot, _, field = target.partition(".")
+        robots, routes = self.tables.get("robots"), self.tables.get("routes")
+        names = robots if isinstance(robots, dict) else {}
+        if robot not in names:
+            self.wrong(target, f"no robot '{robot}' to set this for{did_you_mean(robot, names)}")
+        elif not field:
+            self.wrong(target, f"names no field; expected robot.field, e.g. {robot}.joint_angles")
+        elif isinstance(names[robot], dict):
+            names[robot][field] = value
+            if isinstance(routes, dict):
+                routes.pop(target, None)
+
+    def wrong(self, key: str, message: str) -> None:
+        self.problems.append(Problem(key, message))
+
+    def _try(self, key: str, build: Callable[[], T]) -> T | None:
+        try:
+            return build()
+        except DeclarationError as error:
+            self.problems += [p if p.file else p.inside(key) for p in error.problems]
+        self.broken.append(key)
+        return None
+
+    def _typed(self, key: str, kind: type[T], expected: str) -> T | None:
+        value = self.tables[key]
+        if isinstance(value, kind):
+            return value
+        self.wrong(key, f"found {value!r}; expected {expected}")
+        return None
+
+    def _table(self, key: str) -> dict[str, Any]:
+        value = self.tables[key]
+        if isinstance(value, dict):
+            return value
+        raise DeclarationError([Problem("", f"found {value!r}; expected a table [{key}]")])
+
+    def _each(self, key: str, build: Callable[[str, dict[str, Any]], T]) -> dict[str, T]:
+        built: dict[str, T] = {}
+        for name, table in self._table(key).items():
+            place = f"{key}.{name}"
+            value = self._try(place, partial(self._entry, build, name, table, place))
+            if value is not None:
+                built[name] = value
+        return built
+
+    def _entry(self, build: Callable[[str, Any], T], name: str, table: Any, place: str) -> T:
+        if not isinstance(table, dict):
+            message = f"found {table!r}; expected a table [{place}]"
+            raise DeclarationError([Problem("", message)])
+        if build in (self._robot, self._object):  # these have a field for their name
+            return build(name, table)
+        try:
+            is_name(name)
+        except ValueError as error:
+            raise DeclarationError([Problem("", f"name: {error}")]) from None
+        return build(name, table)
+
+    def _routes(self) -> dict[str, str]:
+        routes = {}
+        for target, event in self._table("routes").items():
+            if isinstance(event, str):
+                routes[target] = event
+            else:
+                hint = "; put quotes about the whole name" if isinstance(event, dict) else ""
+                self.wrong(
+                    f"routes.{target}",
+                    f'found {event!r}; expected an event such as "udp.values0"{hint}',
+                )
+        return routes
+
+    def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
+        fields = {**table, "name": name}
+        model = fields.pop("model", None)
+        beside = self.path.parent
+        if "directory" in fields and isinstance(fields["directory"], str):
+            fields["directory"] = str(beside / fields["directory"])
+        set_directory(fields.get("children"), beside)
+        if model is None:
+            fields.setdefault("directory", str(beside))
+            return build_robot(fields)
+        if not isinstance(model, str):
+            raise DeclarationError([Problem("model", f"found {model!r}; expected a robot's name")])
+        try:
+            path = paths.find_model(model, beside)
+        except UnknownName as error:
+            raise DeclarationError([Problem("model", str(error))]) from None
+        return build_robot(fields, path)
+
+    def _object(self, name: str, table: dict[str, Any]) -> Object:
+        fields = {**table, "name": name}
+        set_directory([fields], self.path.parent)
+        return Object(**fields)

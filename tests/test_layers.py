@@ -1,0 +1,273 @@
+"""The data moves one way: who may import whom, and what `import sero_mj` costs."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import sero_mj
+
+PACKAGE = Path(sero_mj.__file__).parent
+# The folders of DESIGN.md, top to bottom; what is in the first place is above all folders.
+ORDER = ("", "assemble", "receive", "drive", "decor", "show", "cli", "__main__")
+ABOVE_ALL = ("errors", "paths")
+# What the independent check and the packet layer must do without.
+NO_MUJOCO = ("assemble.dh", "assemble.frames", "assemble.shapes", "receive")
+MUJOCO = ("mujoco", "dm_control")
+HOMES: dict[str, str] = sero_mj._HOME
+
+
+def read_package(folder: Path = PACKAGE) -> dict[str, str]:
+    """Module name below `sero_mj` to source; a package has its folder's name."""
+    sources = {}
+    for file in sorted(folder.rglob("*.py")):
+        parts = list(file.relative_to(folder).with_suffix("").parts)
+        if parts[-1] == "__init__":
+            parts.pop()
+        sources[".".join(parts)] = file.read_text(encoding="utf-8")
+    return sources
+
+
+def imported_names(module: str, source: str, *, is_package: bool) -> list[tuple[int, str]]:
+    """Line and full dotted name of every import, wherever it stands; `?` where none can tell."""
+    found: list[tuple[int, str]] = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = [node.module] if node.module else []
+            if node.level:
+                here = ["sero_mj", *filter(None, module.split("."))]
+                base = here[: len(here) - node.level + is_package] + base
+            found += [(node.lineno, ".".join([*base, alias.name])) for alias in node.names]
+        elif isinstance(node, ast.Call):
+            called = ast.unparse(node.func).rpartition(".")[2]
+            if called in ("import_module", "__import__"):
+                found.append((node.lineno, "?"))
+    return found
+
+
+def imports_of(module: str, modules: dict[str, str]) -> list[tuple[int, str]]:
+    """Line and module of every import: ours as `.name` below `sero_mj`, others' by full name."""
+    is_package = not module or any(other.startswith(f"{module}.") for other in modules)
+    found: list[tuple[int, str]] = []
+    for line, full in imported_names(module, modules[module], is_package=is_package):
+        name = full
+        if full in ("sero_mj", "sero_mj.*"):
+            name = "?"  # any public name may be taken from it
+        elif full.startswith("sero_mj."):
+            name = full.removeprefix("sero_mj.")
+            name = HOMES.get(name, name)  # a public name is where it comes from
+            while name and name not in modules:
+                name = name.rpartition(".")[0]  # an attribute of a module
+            name = f".{name}"
+        found.append((line, name))
+    return found
+
+
+def folder_of(module: str) -> str:
+    """Its place in the order; `errors` and `paths` share the first with the package itself."""
+    top = module.partition(".")[0]
+    return "" if top in ABOVE_ALL else top
+
+
+def rank(module: str) -> int:
+    return ORDER.index(folder_of(module))
+
+
+def violations(modules: dict[str, str]) -> list[str]:
+    """Imports against the direction, circles, and imports that hide."""
+    wrong: list[str] = []
+    graph: dict[str, set[str]] = {}
+    for module in modules:
+        graph[module] = set()
+        if not module:
+            continue  # it exports lazily: that is checked by itself
+        for line, name in imports_of(module, modules):
+            target = name.removeprefix(".")
+            if name == "?":
+                wrong.append(f"{module}:{line} hides what it imports")
+            elif name.startswith("."):
+                if target:
+                    graph[module].add(target)
+                beside = folder_of(target) == folder_of(module)
+                if rank(target) >= rank(module) and not beside:
+                    wrong.append(f"{module}:{line} imports {target}")
+    return wrong + [f"circle: {' > '.join(circle)}" for circle in circles(graph)]
+
+
+def circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """One path round for every circle that a depth-first search meets."""
+    found: list[list[str]] = []
+    done: set[str] = set()
+
+    def visit(module: str, path: list[str]) -> None:
+        if module in path:
+            found.append([*path[path.index(module) :], module])
+        elif module not in done:
+            for target in sorted(graph.get(module, ())):
+                visit(target, [*path, module])
+            done.add(module)
+
+    for module in sorted(graph):
+        visit(module, [])
+    return found
+
+
+def reachable(start: str, modules: dict[str, str]) -> dict[str, list[str]]:
+    """The modules that an import of `start` may load, and what each of them takes from others."""
+    todo, seen = [start], {}
+    while todo:
+        module = todo.pop()
+        if module in seen or not module:
+            continue
+        names = [name for _, name in imports_of(module, modules)]
+        todo += [name[1:] for name in names if name.startswith(".")]
+        seen[module] = [name.split(".")[0] for name in names if not name.startswith(".")]
+    return seen
+
+
+def test_every_file_is_in_a_folder_of_the_design() -> None:
+    tops = {module.split(".")[0] for module in read_package()}
+    assert tops <= {*ORDER, *ABOVE_ALL}
+    assert {"", "errors", "assemble", "receive", "drive", "decor", "show", "cli"} <= tops
+
+
+def test_every_import_goes_up_or_beside_without_circles() -> None:
+    modules = read_package()
+    assert violations(modules) == []
+    # It has really read them: so many imports of our own there are at least.
+    found = [name for module in modules for _, name in imports_of(module, modules)]
+    assert sum(name.startswith(".") for name in found) > 100
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "found"),
+    [
+        ("assemble.dh", "from ..receive.source import age", "imports receive.source"),
+        ("assemble.dh", "from ..receive import source", "imports receive.source"),
+        ("assemble.dh", "from .. import receive", "imports receive"),
+        ("assemble.dh", "import sero_mj.receive.udp", "imports receive.udp"),
+        ("assemble.dh", "from sero_mj.drive.route import wire", "imports drive.route"),
+        ("assemble.dh", "from sero_mj import Mirror", "imports drive.mirror"),
+        ("assemble.dh", "from .. import HeadlessRenderer", "imports show.headless"),
+        ("receive.source", "from ..drive.follow import follow", "imports drive.follow"),
+        ("drive.follow", "from ..decor.pen import Pen", "imports decor.pen"),
+        ("drive.follow", "if TYPE_CHECKING:\n    from ..decor.pen import Pen", "decor.pen"),
+        ("drive.follow", "def f():\n    from ..show import gl", "imports show.gl"),
+        ("decor.pen", "from ..show.camera import list_cameras", "imports show.camera"),
+        ("show.gl", "from ..cli import main", "imports cli"),
+        ("errors", "from .assemble import frames", "imports assemble.frames"),
+        ("paths", "def f():\n    from .cli import main", "imports cli"),
+        ("assemble", "from .. import decor", "imports decor"),
+        ("cli.fk", "from ..__main__ import main", "imports __main__"),
+        ("assemble.dh", "from .mjcf import build_mjcf", "circle: assemble.dh > assemble.mjcf"),
+        ("errors", "from . import paths", "circle: errors > paths > errors"),
+        ("drive.follow", "from . import follow", "circle: drive.follow > drive.follow"),
+        ("drive.follow", "import_module('sero_mj.decor.pen')", "hides what it imports"),
+        ("drive.follow", "importlib.import_module(name)", "hides what it imports"),
+        ("drive.follow", "import sero_mj", "hides what it imports"),
+        ("drive.follow", "__import__('sero_mj.decor.pen')", "hides what it imports"),
+    ],
+)
+def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> None:
+    modules = read_package()
+    modules[module] += f"\n{line}\n"
+    assert any(found in wrong for wrong in violations(modules)), violations(modules)
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("drive.follow", "from ..assemble.world import World"),
+        ("drive.follow", "from ..receive import source"),
+        ("drive.follow", "from .. import paths, __version__"),
+        ("drive.follow", "from .. import SerialRobot"),
+        ("cli.fk", "from .arguments import port"),
+        ("__main__", "import sero_mj.show.gl"),
+        ("errors", "import mujoco.viewer, decor"),  # somebody else's decor
+    ],
+)
+def test_the_rule_allows_what_keeps_it(module: str, line: str) -> None:
+    modules = read_package()
+    modules[module] += f"\n{line}\n"
+    assert violations(modules) == []
+
+
+@pytest.mark.parametrize("name", NO_MUJOCO)
+def test_what_checks_mujoco_and_what_reads_packets_does_without_it(name: str) -> None:
+    modules = read_package()
+    for start in [module for module in modules if f"{module}.".startswith(f"{name}.")]:
+        for module, others in reachable(start, modules).items():
+            assert not set(others) & set(MUJOCO), f"{start} imports MuJoCo through {module}"
+
+
+def test_mujoco_is_found_wherever_it_is_imported() -> None:
+    modules = read_package()
+    for module, line in (
+        ("assemble.frames", "def f():\n    import mujoco.viewer"),
+        ("errors", "from dm_control.mjcf import RootElement"),
+    ):
+        found = reachable("receive.udp", {**modules, module: f"{modules[module]}\n{line}\n"})
+        assert set(found[module]) & set(MUJOCO)
+        assert "structure" in " ".join(found)
+
+
+def loaded_after(*modules: str) -> set[str]:
+    """Top-level packages that a fresh interpreter has loaded after importing these."""
+    code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
+    code += "".join(f"import {module}\n" for module in modules)
+    code += "print(*{name.split('.')[0] for name in sys.modules})"
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60
+    )
+    return set(done.stdout.split())
+
+
+def test_importing_the_package_imports_neither_numpy_nor_mujoco() -> None:
+    loaded = loaded_after("sero_mj")
+    assert "sero_mj" in loaded
+    assert not loaded & {"numpy", "pydantic", *MUJOCO}
+
+
+def test_reading_packets_and_checking_kinematics_load_no_mujoco() -> None:
+    names = [m for m in read_package() if any(f"{m}.".startswith(f"{n}.") for n in NO_MUJOCO)]
+    assert "receive.udp" in names
+    loaded = loaded_after(*(f"sero_mj.{name}" for name in names))
+    assert "numpy" in loaded
+    assert not loaded & set(MUJOCO)
+
+
+def test_the_lazy_names_are_those_that_type_checkers_see() -> None:
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    (guarded,) = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    ]
+    seen = {}
+    for node in guarded.body:
+        assert isinstance(node, ast.ImportFrom)
+        for alias in node.names:
+            assert alias.asname == alias.name  # else it is no export to mypy
+            assert alias.name not in seen
+            seen[alias.name] = node.module
+    assert seen == HOMES
+
+
+@pytest.mark.parametrize("name", sorted(HOMES))
+def test_a_lazy_name_is_the_thing_in_its_home(name: str) -> None:
+    home = import_module(f"sero_mj.{HOMES[name]}")
+    assert getattr(sero_mj, name) is getattr(home, name)
+    assert getattr(home, name).__module__ == home.__name__
+    assert name in dir(sero_mj)
+
+
+def test_a_name_that_is_not_there_is_told() -> None:
+    with pytest.raises(AttributeError, match=r"^module 'sero_mj' has no attribute 'Miror'$"):
+        sero_mj.Miror  # noqa: B018

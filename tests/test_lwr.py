@@ -1,0 +1,197 @@
+"""The LWR: its numbers against their sources, its meshes, and what it exports to."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+import shutil
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from sero_mj import paths
+from sero_mj.assemble.objects import Object
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.world import World
+
+HALF_PI = math.pi / 2
+SNIPPET = (
+    '<mujoco><worldbody><body name="jaw" pos="0 0 0.1"><geom size="0.02"/></body></worldbody>'
+    "</mujoco>"
+)
+
+
+def test_table_is_the_papers_with_its_pi_to_the_last_digit(lwr):
+    # PAPER.md Fig. 7 (it writes 1.5708) and orocos_kdl kukaLWR_DHnew.cpp.
+    alpha = [0, HALF_PI, -HALF_PI, -HALF_PI, HALF_PI, HALF_PI, -HALF_PI]
+    expected = np.zeros((7, 4))
+    expected[:, 0], expected[[0, 2, 4], 3] = alpha, [0.31, 0.4, 0.39]
+    np.testing.assert_array_equal(lwr.dh_params, expected)
+    assert (lwr.dh_convention, lwr.types) == ("craig", ["revolute"] * 7)
+    # 0.078: CentroEPiaggio/kuka-lwr, kuka-isir/rtt_lwr, FloBaRoID and Lwr4.java agree.
+    expected = np.eye(4)
+    expected[2, 3] = 0.078
+    np.testing.assert_array_equal(lwr.flange_frame, expected)
+
+
+def test_limits_names_and_offsets_are_the_published_ones(lwr, lwr_world):
+    # ROBOTS.md 1.1 and 1.2.
+    assert lwr.names == ["A1", "A2", "E1", "A3", "A4", "A5", "A6"]
+    reach = np.array([170, 120, 170, 120, 170, 120, 170]) * math.pi / 180
+    np.testing.assert_allclose(lwr.position_limits, np.column_stack([-reach, reach]))
+    np.testing.assert_allclose(lwr_world.model.jnt_range, np.column_stack([-reach, reach]))
+    assert lwr_world.model.jnt_limited.all()
+    speed = np.array([112.5, 112.5, 112.5, 112.5, 180, 112.5, 112.5]) * math.pi / 180
+    np.testing.assert_allclose(lwr.velocity_limits, speed)
+    assert lwr.torque_limits.tolist() == [176, 176, 100, 100, 100, 38, 38]
+    assert lwr.offsets.tolist() == [[0, 0, z] for z in (-0.2, 0, -0.2, 0, -0.2, 0, 0.1)]
+
+
+# ROBOTS.md 4.2: computed from the table and confirmed by the URDF chains of CentroEPiaggio and
+# ISIR; no pose of the LWR is published.
+@pytest.mark.parametrize(
+    ("q", "position", "rotation"),
+    [
+        ([0] * 7, [0, 0, 1.178], np.eye(3)),
+        (np.deg2rad([0, 30, 0, -90, 0, 60, 0]), [-0.537750, 0, 0.383410], np.diag([-1, 1, -1])),
+        ([1.6, 0, -1.6, -1.57, 0, 1.57, -0.8], [-0.390124, 0, 0.632311], None),
+    ],
+)
+def test_flange_stands_at_the_regression_poses(lwr, lwr_world, q, position, rotation):
+    data = lwr_world.make_data()
+    lwr_world.set_input(data, "lwr.joint_angles", q)
+    mujoco.mj_kinematics(lwr_world.model, data)
+    for pose in (lwr.fwd_kin_base_to_flange(q), lwr_world.fwd_kin_base_to_flange(data, "lwr")):
+        np.testing.assert_allclose(pose[:3, 3], position, atol=5e-7)
+        if rotation is not None:
+            np.testing.assert_allclose(pose[:3, :3], rotation, atol=1e-12)
+
+
+def test_flange_follows_the_urdf_chain(lwr):
+    # The second route: lwr.urdf.xacro of kuka-isir/rtt_lwr, whose frames are all parallel to the
+    # base at zero (ROBOTS.md 1.1 and 1.4). Its shoulder is 0.5 mm higher than the paper's.
+    offsets = [0.102 - 0.0005, 0.2085, 0.1915, 0.2085, 0.1915, 0.1985, 0.078]
+    axes = [(2, 1), (1, -1), (2, 1), (1, 1), (2, 1), (1, -1), (2, 1)]
+    for q in np.random.default_rng(7).uniform(-2, 2, (50, 7)):
+        T = np.eye(4)
+        for (axis, sign), offset, angle in zip(axes, offsets, q, strict=True):
+            quat, turn = np.empty(4), np.empty(9)
+            mujoco.mju_axisAngle2Quat(quat, sign * np.eye(3)[axis], angle)
+            mujoco.mju_quat2Mat(turn, quat)
+            T[:3, 3] += T[:3, 2] * offset
+            T[:3, :3] = T[:3, :3] @ turn.reshape(3, 3)
+        np.testing.assert_allclose(lwr.fwd_kin_base_to_flange(q), T, atol=1e-12)
+
+
+def test_meshes_are_few_triangles_each_in_its_links_reach(lwr, lwr_world):
+    model = lwr_world.model
+    assert 0 < model.nmeshface < 9000
+    assert model.ngeom == sum(map(len, lwr.filenames))
+    # Metres, not millimetres, and centred where the links are: 0.12 m round the joints' axes.
+    data = lwr_world.make_data()
+    for geom in range(model.ngeom):
+        mesh = model.geom_dataid[geom]
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = model.mesh_vert[start : start + count]
+        corners = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        assert np.linalg.norm(corners[:, :2], axis=1).max() < 0.13  # the arm stands upright
+        assert corners[:, 2].min() > -1e-6 and corners[:, 2].max() < 1.1785
+    tip = data.body("lwr/flange").xpos[2]
+    assert tip == pytest.approx(1.178)
+
+
+def test_every_mesh_file_is_used_and_every_colour_exists(lwr):
+    used = {mesh.file for link in lwr.filenames for mesh in link}
+    assert used == {path.name for path in (paths.models_dir() / "lwr/meshes").glob("*.stl")}
+    assert {mesh.color for link in lwr.filenames for mesh in link} == set(lwr.colors)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("trimesh") is None, reason="needs trimesh")
+def test_mesh_script_reproduces_the_committed_files_byte_for_byte(tmp_path):
+    source = paths.models_dir() / "lwr"
+    shutil.copy(source / "make_meshes.py", tmp_path)
+    done = subprocess.run(
+        [sys.executable, "make_meshes.py"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    made = {path.name: path.read_bytes() for path in (tmp_path / "meshes").iterdir()}
+    committed = {path.name: path.read_bytes() for path in (source / "meshes").iterdir()}
+    assert made.keys() == committed.keys()
+    different = [name for name in made if made[name] != committed[name]]
+    assert different == []
+    total = re.search(r"^total (\d+)$", done.stdout, re.MULTILINE)
+    # A binary STL file is 84 bytes and 50 for each triangle.
+    assert int(total[1]) == sum((len(file) - 84) // 50 for file in committed.values())
+
+
+def test_shipped_scene_shows_the_lwr_without_a_problem():
+    scene, problems = read_scene(paths.find_scene("lwr_udp"))
+    assert problems == []
+    assert list(scene.robots) == ["lwr"]
+    assert scene.routes == {"lwr.joint_angles": "udp.values0", "lwr.torques": "udp.values1"}
+    assert scene.sources["udp"]["structure"] == "7F7F"
+    assert scene.sources["udp"]["port"] == 32000
+    assert World(scene).model.njnt == 7
+
+
+def export_scene(tmp_path) -> Scene:
+    """Everything that an export has to carry: meshes, a piece of MJCF, grown links, a pose."""
+    (tmp_path / "source").mkdir()
+    meshes = paths.models_dir() / "lwr" / "meshes"
+    shutil.copy(meshes / "link7_white.stl", tmp_path / "source" / "tool.stl")
+    tool = Object(name="tool", mesh="tool.stl", directory=str(tmp_path / "source"))
+    jaw = Object(name="gripper", mjcf=SNIPPET, frame={"xyz": [0, 0, 0.1], "rpy": [0, 0.3, 0]})
+    lwr = SerialRobot.from_model(
+        "lwr",
+        children=[tool, jaw],
+        joint_angles=np.linspace(-1, 1, 7),
+        base_frame={"xyz": [0.5, -0.5, 0.2], "rpy": [0.1, 0.2, 0.3]},
+    )
+    rail = SerialRobot(
+        name="rail",
+        dh_convention="standard",
+        dh_params=[[HALF_PI, 0.1, 0.3, 0.2], [0.2, 0.3, 0, 0.1]],
+        joint_types=["prismatic", "revolute"],
+        joint_angles=[0.25, -0.5],
+    )
+    return Scene(robots=[lwr, rail], objects=[Object(name="axes", shape="axes")])
+
+
+def test_export_loads_in_plain_mujoco_and_stands_the_same(tmp_path):
+    scene = export_scene(tmp_path)
+    world = World(scene)
+    data = world.make_data()
+    shutil.rmtree(tmp_path / "source")  # the export needs nothing from where the files came
+    written = world.export(tmp_path / "a" / "b" / "scene.xml")
+    assert written[0] == tmp_path / "a" / "b" / "scene.xml"
+    assert set(written) == set(written[0].parent.iterdir())
+    assert len(written) == len(set(written)) > 1
+    loaded = mujoco.MjModel.from_xml_path(str(written[0]))
+    fresh = mujoco.MjData(loaded)
+    mujoco.mj_resetDataKeyframe(loaded, fresh, loaded.key("home").id)
+    mujoco.mj_kinematics(loaded, fresh)
+    assert loaded.nbody == world.model.nbody and loaded.nuserdata == world.model.nuserdata
+    for i in range(loaded.nbody):
+        name = mujoco.mj_id2name(loaded, mujoco.mjtObj.mjOBJ_BODY, i)
+        there = data.body(name)
+        np.testing.assert_allclose(fresh.xpos[i], there.xpos, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(fresh.xmat[i], there.xmat, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(fresh.geom_xpos, data.geom_xpos, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(loaded.jnt_range, world.model.jnt_range, rtol=0, atol=1e-12)
+
+
+def test_exporting_twice_gives_the_same_files(tmp_path):
+    world = World(Scene(robots=[SerialRobot(dh_convention="craig", joint_angles=[0.5])]))
+    first = world.export(tmp_path / "scene.xml")[0].read_text()
+    assert world.export(tmp_path / "scene.xml")[0].read_text() == first
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml")).nkey == 1
+
+
+def test_scene_without_joints_exports_without_a_key_frame(tmp_path):
+    path = World(Scene()).export(tmp_path / "empty.xml")[0]
+    assert mujoco.MjModel.from_xml_path(str(path)).nkey == 0

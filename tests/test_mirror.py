@@ -1,0 +1,344 @@
+"""`Mirror`: a world follows its sources, keeps the last good pose, and says what arrived."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.drive.mirror import Mirror, load_scene, restore
+from sero_mj.errors import SourceError
+from sero_mj.receive.source import Packet, age
+from sero_mj.receive.udp import UdpReceiver
+
+Array = NDArray[np.float64]
+SCENES = Path(__file__).parent.parent / "scenes"
+TILTED = {"xyz": [0.3, -0.2, 0.5], "rpy": [0.4, -0.3, 1.1]}
+
+# A robot in a process of its own, with an encoder that is not ours: one packet of doubles.
+ROBOT = """
+import socket, struct, sys
+values = [float(word) for word in sys.argv[2:]]
+packet = struct.pack(f"<{len(values)}d", *values)
+socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(packet, ("127.0.0.1", int(sys.argv[1])))
+"""
+
+
+def until(condition: Callable[[], object], seconds: float = 5.0) -> bool:
+    """Polls until the condition holds; returns whether it came to hold in time."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(2e-4)
+    return True
+
+
+def arm(name: str = "arm", convention: str = "craig") -> SerialRobot:
+    return SerialRobot(
+        name=name,
+        dh_convention=convention,
+        dh_params=[[0.3, 0.2, 0.1, 0.3], [-1.5, 0.0, 0.5, 0.2], [1.2, 0.1, 0.0, 0.4]],
+        joint_types=["revolute", "prismatic", "revolute"],
+        base_frame=TILTED,
+        flange_frame=TILTED,
+        joint_angles=[0.1, 0.2, 0.3],
+        torques=[7.0, 8.0, 9.0],
+    )
+
+
+def mirror_of(*robots: SerialRobot) -> Mirror:
+    """One source feeds angles and torques to all of them alike."""
+    routes = {f"{robot.name}.joint_angles": "udp.values0" for robot in robots}
+    routes |= {f"{robot.name}.torques": "udp.values1" for robot in robots}
+    source = {"kind": "udp", "structure": "3F3F"}
+    return Mirror(Scene(robots=list(robots), sources={"udp": source}, routes=routes, floor=False))
+
+
+def frame_of(mirror: Mirror, name: str) -> Array:
+    site = mirror.world.frames.site[mirror.world.frames.names.index(name)]
+    T = np.eye(4)
+    T[:3, :3] = mirror.data.site_xmat[site].reshape(3, 3)
+    T[:3, 3] = mirror.data.site_xpos[site]
+    return T
+
+
+def largest_difference(mirror: Mirror, robot: SerialRobot, q: Array) -> float:
+    """Between the frames of the model and those of the DH table, which knows no MuJoCo."""
+    expected = robot.dh.frames(q, robot.base_frame)
+    names = ["base", *(f"link{i + 1}" for i in range(robot.n))]
+    found = np.array([frame_of(mirror, f"{robot.name}/{name}") for name in names])
+    flange = frame_of(mirror, f"{robot.name}/flange")
+    return max(
+        float(np.abs(found - expected).max()),
+        float(np.abs(flange - expected[-1] @ robot.flange_frame).max()),
+    )
+
+
+def slot(mirror: Mirror, name: str) -> list[float]:
+    return mirror.data.userdata[mirror.world.slots[name]].tolist()
+
+
+Send = Callable[[Mirror, bytes], object]
+
+
+@pytest.fixture
+def sender() -> Iterator[Send]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        yield lambda mirror, packet: sock.sendto(packet, ("127.0.0.1", port_of(mirror)))
+
+
+def port_of(mirror: Mirror, name: str = "udp") -> int:
+    source = mirror.sources[name]
+    assert isinstance(source, UdpReceiver)
+    return source.port
+
+
+def six(angles: tuple[float, ...], torques: tuple[float, ...] = (1.0, 2.0, 3.0)) -> bytes:
+    return struct.pack("<6d", *angles, *torques)
+
+
+@pytest.mark.parametrize("convention", ["craig", "standard"])
+def test_the_pose_is_that_of_the_dh_table(sender: Send, convention: str) -> None:
+    robot = arm(convention=convention)
+    with mirror_of(robot) as mirror:
+        assert not mirror.advance()
+        assert largest_difference(mirror, robot, robot.home) < 1e-12
+        for seed in range(5):
+            q = np.random.default_rng(seed).uniform(-2, 2, 3)
+            sender(mirror, six(tuple(q)))
+            assert until(mirror.advance)
+            assert largest_difference(mirror, robot, q) < 1e-12
+
+
+def test_the_shipped_scene_follows_a_robot_in_another_process() -> None:
+    scene = load_scene(SCENES / "lwr_udp.toml")
+    scene.sources["udp"]["port"] = 0  # so that tests can run side by side
+    values = np.random.default_rng(1).uniform(-1.5, 1.5, 14)
+    with Mirror(scene) as mirror:
+        words = [repr(float(value)) for value in values]
+        subprocess.run(
+            [sys.executable, "-c", ROBOT, str(port_of(mirror)), *words], check=True, timeout=30
+        )
+        assert mirror.wait(5.0) == []
+        assert mirror.advance()
+        assert largest_difference(mirror, scene.robots["lwr"], values[:7]) < 1e-12
+        assert slot(mirror, "lwr.torques") == values[7:].tolist()
+
+
+def test_our_own_sender_moves_the_shipped_scene() -> None:
+    scene = load_scene(SCENES / "lwr_udp.toml")
+    scene.sources["udp"]["port"] = 0
+    with Mirror(scene) as mirror:
+        command = [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--rate", "200"]
+        command += ["--duration", "0.2", "--port", str(port_of(mirror))]
+        environment = {**os.environ, "PYTHONPATH": str(SCENES.parent)}
+        done = subprocess.run(
+            command, check=True, timeout=60, capture_output=True, text=True, env=environment
+        )
+        assert "sent 40 packets" in done.stdout
+        assert until(lambda: mirror.advance() or slot(mirror, "sources.udp")[0] == 40.0)
+        assert slot(mirror, "sources.udp")[1:3] == [0.0, 0.0]
+        q = mirror.data.qpos[mirror.world.robots["lwr"].qpos].copy()
+        assert np.abs(q).max() > 0.1
+        assert largest_difference(mirror, scene.robots["lwr"], q) < 1e-12
+
+
+def test_several_robots_follow_one_packet(sender: Send) -> None:
+    left, right = arm("left"), arm("right")
+    with mirror_of(left, right) as mirror:
+        q = np.array([0.5, -0.25, 1.5])
+        sender(mirror, six(tuple(q)))
+        assert until(mirror.advance)
+        for robot in (left, right):
+            assert largest_difference(mirror, robot, q) < 1e-12
+            assert slot(mirror, f"{robot.name}.torques") == [1.0, 2.0, 3.0]
+            assert slot(mirror, f"{robot.name}.has") == [1.0, 1.0, 0.0]
+
+
+def test_before_the_first_packet_the_declared_pose_is_shown() -> None:
+    with mirror_of(arm()) as mirror:
+        assert not mirror.advance()
+        assert mirror.data.qpos.tolist() == [0.1, 0.2, 0.3]
+        assert slot(mirror, "arm.torques") == [7.0, 8.0, 9.0]
+        assert slot(mirror, "sources.udp") == [0.0, 0.0, 0.0, -1.0]
+        assert mirror.wait(0.0) == ["udp"]
+
+
+def test_bad_packets_keep_the_last_good_pose_and_are_counted(sender: Send) -> None:
+    bad = [
+        six((math.nan, 0.0, 0.0)),
+        six((1.0, 1.0, 1.0), (0.0, 0.0, -math.inf)),
+        six((1.0, 1.0, 1.0))[:-1],
+        six((1.0, 1.0, 1.0)) + b"\0",
+        b"",
+    ]
+    robot = arm()
+    q = np.array([0.5, -0.25, 1.5])
+    with mirror_of(robot) as mirror:
+        sender(mirror, six(tuple(q)))
+        assert until(mirror.advance)
+        for count, packet in enumerate(bad, start=1):
+            sender(mirror, packet)
+            assert until(lambda count=count: mirror.sources["udp"].counters.malformed == count)
+            assert not mirror.advance()
+            assert slot(mirror, "sources.udp")[:3] == [1.0 + count, count, 0.0]
+        assert largest_difference(mirror, robot, q) < 1e-12
+        assert slot(mirror, "arm.torques") == [1.0, 2.0, 3.0]
+
+
+def test_the_age_of_a_packet_is_the_time_since_it_arrived() -> None:
+    packet = Packet({}, arrival=100.0, number=1)
+    assert age(packet, 100.25) == 0.25
+    assert age(packet) == pytest.approx(time.monotonic() - 100.0, abs=1.0)
+    assert age(None) == math.inf
+    assert age(None, 3.0) == math.inf
+
+
+def test_a_source_that_stops_grows_older(sender: Send) -> None:
+    with mirror_of(arm()) as mirror:
+        before = time.monotonic()
+        sender(mirror, six((0.0, 0.0, 0.0)))
+        assert until(mirror.advance)
+        young = slot(mirror, "sources.udp")[3]
+        assert 0 <= young <= time.monotonic() - before
+        assert until(lambda: mirror.advance() or slot(mirror, "sources.udp")[3] > young + 0.02)
+        assert slot(mirror, "sources.udp")[3] <= time.monotonic() - before
+
+
+def test_what_the_kernel_drops_is_in_the_slot() -> None:
+    mirror = mirror_of(arm())
+    mirror.sources["udp"].counters.dropped = 5  # without a flood, test_udp makes one
+    mirror.advance()
+    assert slot(mirror, "sources.udp") == [0.0, 0.0, 5.0, -1.0]
+
+
+def test_the_time_is_that_since_opening_or_the_one_given() -> None:
+    mirror = mirror_of(arm())
+    before = time.monotonic()
+    with mirror:
+        opened = time.monotonic()
+        assert until(lambda: mirror.advance() or mirror.data.time > 0.01)
+        earliest = time.monotonic() - opened
+        mirror.advance()
+        assert earliest <= mirror.data.time <= time.monotonic() - before
+        mirror.advance(now=12.5)
+        assert mirror.data.time == 12.5
+
+
+def test_after_a_reset_the_latest_packet_is_applied_again(sender: Send) -> None:
+    robot = arm()
+    q = np.array([0.5, -0.25, 1.5])
+    with mirror_of(robot) as mirror:
+        sender(mirror, six(tuple(q)))
+        assert until(mirror.advance)
+        assert not mirror.advance()  # nothing new
+        mirror.reset()
+        assert mirror.data.qpos.tolist() == [0.1, 0.2, 0.3]
+        assert slot(mirror, "arm.torques") == [7.0, 8.0, 9.0]
+        assert mirror.advance()
+        assert largest_difference(mirror, robot, q) < 1e-12
+        assert slot(mirror, "arm.torques") == [1.0, 2.0, 3.0]
+
+
+def test_opened_again_it_follows_from_the_first_packet_on(sender: Send) -> None:
+    mirror = mirror_of(arm())
+    for angle in (0.5, -0.5):
+        with mirror:
+            sender(mirror, six((angle, 0.0, 0.0)))
+            assert mirror.wait(5.0) == []
+            assert mirror.advance()
+            assert mirror.data.qpos[0] == angle
+    mirror.close()  # once more is harmless
+
+
+def test_a_state_brings_back_frames_and_userdata_bit_for_bit(sender: Send) -> None:
+    fields = ("qpos", "userdata", "mocap_pos", "mocap_quat", "xpos", "xmat", "site_xpos")
+    fields += ("site_xmat", "geom_xpos", "geom_xmat", "cam_xpos", "light_xpos", "subtree_com")
+    with mirror_of(arm()) as mirror:
+        sender(mirror, six((0.5, -0.25, 1.5)))
+        assert until(mirror.advance)
+        state = mirror.state()
+        kept = {field: getattr(mirror.data, field).copy() for field in fields}
+        moment = mirror.data.time
+        sender(mirror, six((-1.0, 1.0, -1.0), (4.0, 5.0, 6.0)))
+        assert until(mirror.advance)
+        assert not np.array_equal(mirror.data.xpos, kept["xpos"])
+        fresh = mirror.world.make_data()
+        for data in (mirror.data, fresh):
+            restore(mirror.world, data, state)
+            assert data.time == moment
+            for field, value in kept.items():
+                assert getattr(data, field).tobytes() == value.tobytes(), field
+        # A state is a copy: what comes later does not change it.
+        assert mirror.state().tobytes() == state.tobytes()
+        assert mirror.state() is not state
+
+
+def test_sources_without_a_route_are_not_opened() -> None:
+    sources = {name: {"kind": "udp", "structure": "3F"} for name in ("used", "unused")}
+    mirror = Mirror(Scene(robots=[arm()], sources=sources, routes={"arm.torques": "used.values0"}))
+    assert list(mirror.sources) == ["used"]
+
+
+def test_if_the_second_source_cannot_open_the_first_is_closed() -> None:
+    with UdpReceiver(structure="3F") as blocker:
+        sources = {
+            "first": UdpReceiver(structure="3F", name="first"),
+            "second": {"kind": "udp", "structure": "3F", "port": blocker.port},
+        }
+        routes = {"arm.joint_angles": "first.values0", "arm.torques": "second.values0"}
+        mirror = Mirror(Scene(robots=[arm()], sources=sources, routes=routes))
+        with pytest.raises(SourceError, match=f"source 'second': UDP port {blocker.port} on"):
+            mirror.open()
+        assert not [t.name for t in threading.enumerate() if t.name == "udp first"]
+        assert port_of(mirror, "first") == 0  # no socket, hence no port
+
+
+def test_waiting_names_the_silent_and_ends_in_time(sender: Send) -> None:
+    sources = {name: {"kind": "udp", "structure": "3F3F"} for name in ("udp", "mute", "dumb")}
+    routes = {"a.torques": "udp.values0", "b.torques": "mute.values0", "c.torques": "dumb.values0"}
+    with Mirror(Scene(robots=[arm(n) for n in "abc"], sources=sources, routes=routes)) as mirror:
+        sender(mirror, six((0.0, 0.0, 0.0)))
+        assert until(lambda: mirror.sources["udp"].latest() is not None)
+        start = time.monotonic()
+        assert mirror.wait(0.1) == ["mute", "dumb"]
+        # The time is for all of them together.
+        assert 0.1 <= time.monotonic() - start < 0.19
+
+
+def test_memory_does_not_grow(sender: Send) -> None:
+    with mirror_of(arm()) as mirror:
+
+        def run(count: int) -> None:
+            for k in range(count):
+                sender(mirror, b"nonsense")
+                sender(mirror, six((k * 1e-4, 0.0, 0.0)))
+                assert until(mirror.advance)
+                mirror.state()
+
+        run(200)
+        tracemalloc.start()
+        try:
+            run(100)
+            before, _ = tracemalloc.get_traced_memory()
+            run(1500)
+            after, _ = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        # Were one packet, or one float, kept for each advance, this would be more.
+        assert after - before < 20_000

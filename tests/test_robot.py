@@ -1,0 +1,329 @@
+"""`SerialRobot`: the proto's defaults, what is refused and in which words."""
+
+from __future__ import annotations
+
+import datetime
+import math
+
+import numpy as np
+import pytest
+
+from sero_mj.assemble.dh import COLUMNS
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.errors import DeclarationError
+
+TWO_JOINTS = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
+
+
+def robot(**fields) -> SerialRobot:
+    return SerialRobot(**{"dh_convention": "craig", **fields})
+
+
+def refusal(**fields) -> str:
+    with pytest.raises(DeclarationError) as caught:
+        robot(**fields)
+    return str(caught.value)
+
+
+def test_robot_has_the_defaults_of_the_papers_proto():
+    # PAPER.md, Fig. 3. dhConvention is ours and has no default.
+    bare = robot()
+    assert bare.name == "robot"
+    np.testing.assert_array_equal(bare.dh_params, [[0, 0, 0, 0]])
+    assert (bare.directory, bare.filenames, bare.children) == ("", [], [])
+    np.testing.assert_array_equal(bare.base_frame, np.eye(4))
+    np.testing.assert_array_equal(bare.flange_frame, np.eye(4))
+    np.testing.assert_array_equal(bare.home, [0])
+    assert bare.enable_touch_sensor is True
+    np.testing.assert_array_equal(bare.offsets, [[0, 0, 0]])
+    assert (bare.show_axes, bare.show_arrows, bare.show_billboards) == (False, False, False)
+    assert (bare.axes_size, bare.axes_transparency) == (0.2, 0)
+    assert (bare.arrow_radius, bare.arrow_width_scale) == (0.1, 0.01)
+    assert bare.billboard_scale == 0.05
+    assert (bare.torques, bare.billboard_values) == (None, None)  # events: nothing came yet
+    assert (bare.n, bare.names, bare.types) == (1, ["J1"], ["revolute"])
+
+
+def test_default_frames_are_not_shared_between_robots():
+    robot().base_frame[0, 3] = 1.0
+    assert robot().base_frame[0, 3] == 0.0
+
+
+def test_dh_params_may_be_flat_as_the_paper_writes_them():
+    # PAPER.md, Fig. 7, number by number.
+    flat = [0, 0, 0, 0.31, 1.5708, 0, 0, 0, -1.5708, 0, 0, 0.4, -1.5708, 0, 0, 0,
+            1.5708, 0, 0, 0.39, 1.5708, 0, 0, 0, -1.5708, 0, 0, 0]  # fmt: skip
+    offsets = [0, 0, -0.2, 0, 0, 0, 0, 0, -0.2, 0, 0, 0, 0, 0, -0.2, 0, 0, 0, 0, 0, 0.1]
+    paper = robot(dh_params=flat, offsets_to_center_of_joints=offsets)
+    assert paper.n == 7
+    assert paper.dh.alpha.tolist() == [0, 1.5708, -1.5708, -1.5708, 1.5708, 1.5708, -1.5708]
+    assert paper.dh.d.tolist() == [0.31, 0, 0.4, 0, 0.39, 0, 0]
+    assert not paper.dh.a.any() and not paper.dh.theta.any()
+    assert paper.offsets[:, 2].tolist() == [-0.2, 0, -0.2, 0, -0.2, 0, 0.1]
+
+
+def test_dh_columns_may_be_permuted():
+    permuted = robot(dh_columns=["d", "theta", "a", "alpha"], dh_params=[[4, 3, 2, 1]])
+    assert [getattr(permuted.dh, name)[0] for name in COLUMNS] == [1, 2, 3, 4]
+
+
+def test_per_joint_fields_reach_the_table():
+    mixed = robot(
+        dh_params=TWO_JOINTS,
+        joint_types=["prismatic", "revolute"],
+        joint_names=["rail", "elbow"],
+        joint_angles=[0.5, 1],
+        dh_convention="standard",
+    )
+    assert mixed.dh.revolute.tolist() == [False, True]
+    assert (mixed.dh.convention, mixed.names) == ("standard", ["rail", "elbow"])
+    # By hand: 0.3 + 0.5 up the rail, then 0.4 along x turned by 1 rad.
+    position = [0.4 * math.cos(1), 0.4 * math.sin(1), 0.8]
+    np.testing.assert_allclose(mixed.fwd_kin_base_to_flange()[:3, 3], position, atol=1e-15)
+
+
+def test_limits_in_degrees_are_kept_in_radians():
+    in_degrees = robot(
+        dh_params=TWO_JOINTS,
+        position_limits_deg=[[-170, 170], [-90, 45]],
+        velocity_limits_deg=[180, 90],
+    )
+    np.testing.assert_allclose(
+        in_degrees.position_limits,
+        [[-17 * math.pi / 18, 17 * math.pi / 18], [-math.pi / 2, math.pi / 4]],
+        rtol=1e-15,
+    )
+    np.testing.assert_allclose(in_degrees.velocity_limits, [math.pi, math.pi / 2], rtol=1e-15)
+
+
+def test_link_files_may_be_names_tables_lists_and_empty():
+    links = robot(
+        dh_params=TWO_JOINTS,
+        colors={"red": [1, 0, 0, 1]},
+        filenames=["a.STL", {"file": "sub/b.obj", "color": "red"}, ["c.msh", {"file": "d.stl"}]],
+    ).filenames
+    assert [[(m.file, m.color) for m in link] for link in links] == [
+        [("a.STL", None)],
+        [("sub/b.obj", "red")],
+        [("c.msh", None), ("d.stl", None)],
+    ]
+    assert robot(filenames=[""]).filenames == []  # the proto's default: no geometry
+    assert [len(link) for link in robot(filenames=["", "a.stl"]).filenames] == [0, 1]
+
+
+def test_billboard_lines_may_be_words_and_tables():
+    lines = robot(billboard_lines=["torques", {"value": "joint_angles", "scale": 57.3}])
+    assert [(line.value, line.scale) for line in lines.billboard_lines] == [
+        ("torques", 1.0),
+        ("joint_angles", 57.3),
+    ]
+
+
+WRONG = [
+    ({"dh_convention": None}, "dh_convention: found None; expected 'craig' or 'standard'"),
+    (
+        {"dh_convention": "craigg"},
+        "dh_convention: found 'craigg'; expected 'craig' or 'standard'; did you mean 'craig'?",
+    ),
+    ({"show_axis": True}, "show_axis: unknown key; did you mean 'show_axes'?"),
+    ({"dh_params": [0, 0, 0]}, "dh_params: found 3; expected n x 4 numbers"),
+    ({"dh_params": [[0, 0, 0]]}, "dh_params: found 1 x 3; expected n x 4 numbers"),
+    ({"dh_params": [[0, 0, 0, 0], [0]]}, "dh_params: expected rows of equal length"),
+    ({"dh_params": [["x", 0, 0, 0]]}, "dh_params: found [['x', 0, 0, 0]]; expected numbers"),
+    ({"dh_params": []}, "dh_params: found 0 rows; expected 1 to 64"),
+    ({"dh_params": [0.0] * 260}, "dh_params: found 65 rows; expected 1 to 64"),
+    (
+        {"dh_params": [0, 0, math.nan, 0]},
+        "dh_params: found [0, 0, nan, 0]; expected finite numbers, no NaN or inf",
+    ),
+    (
+        {"dh_columns": ["a", "a", "d", "theta"]},
+        "dh_columns: found ['a', 'a', 'd', 'theta']; expected alpha, a, theta, d in any order",
+    ),
+    (
+        {"dh_columns": ["alfa", "a", "d", "theta"]},
+        "dh_columns.0: found 'alfa'; expected 'alpha', 'a', 'theta' or 'd'; did you mean 'alpha'?",
+    ),
+    (
+        {"joint_types": ["revolut"]},
+        "joint_types.0: found 'revolut'; expected 'revolute' or 'prismatic';"
+        " did you mean 'revolute'?",
+    ),
+    (
+        {"dh_params": TWO_JOINTS, "joint_names": ["a", "a"]},
+        "joint_names: 'a' stands there twice; expected different names",
+    ),
+    ({"joint_names": ["a/b"]}, "joint_names.0: found 'a/b'; expected letters, digits, _ and -, "
+        "the first a letter or _"),
+    ({"joint_names": ["A1\n"]}, "joint_names.0: found 'A1\\n'; expected letters, digits, _ and -, "
+        "the first a letter or _"),
+    (
+        {"position_limits": [[1, -1]]},
+        "position_limits: row 1 is [1.0, -1.0]; expected lower < upper",
+    ),
+    (
+        {"dh_params": TWO_JOINTS, "position_limits": [-1, 1, 2, 2]},
+        "position_limits: row 2 is [2.0, 2.0]; expected lower < upper",
+    ),
+    ({"position_limits": [1, 2, 3]}, "position_limits: found 3; expected n x 2 numbers"),
+    ({"velocity_limits": [-1]}, "velocity_limits: found [-1.0]; expected positive numbers"),
+    ({"torque_limits": [0]}, "torque_limits: found [0.0]; expected positive numbers"),
+    ({"torque_limits": 5}, "torque_limits: found one number; expected n numbers"),
+    ({"joint_angles": "x"}, "joint_angles: found 'x'; expected numbers"),
+    ({"torques": [math.inf]}, "torques: found [inf]; expected finite numbers, no NaN or inf"),
+    ({"filenames": 5}, "filenames: found 5; expected list"),
+    ({"filenames": ["", "", "a.stl"]},
+     "filenames: found 3 entries; expected 2: the base and one per joint"),
+    (
+        {"filenames": ["", "../b.stl"]},
+        "filenames.1.0.file: found '../b.stl'; expected a file inside the directory, without '..'",
+    ),
+    (
+        {"filenames": ["", "a/../../b.stl"]},
+        "filenames.1.0.file: found 'a/../../b.stl';"
+        " expected a file inside the directory, without '..'",
+    ),
+    (
+        {"filenames": ["/etc/b.stl", ""]},
+        "filenames.0.0.file: found '/etc/b.stl';"
+        " expected a file inside the directory, without '..'",
+    ),
+    (
+        {"filenames": ["", "b.wrl"]},
+        "filenames.1.0.file: found 'b.wrl'; expected a mesh that MuJoCo reads (.stl, .obj, .msh)",
+    ),
+    (
+        {"filenames": ["", {"file": "b.stl", "colour": "red"}]},
+        "filenames.1.0.colour: unknown key; did you mean 'color'?",
+    ),
+    (
+        {"filenames": ["", {"file": "b.stl", "color": "gray"}], "colors": {"grey": [1, 1, 1, 1]}},
+        "filenames: b.stl: no color 'gray'; did you mean 'grey'?",
+    ),
+    ({"colors": {"red": [1, 0, 0]}}, "colors.red: found 3; expected 4 numbers"),
+    (
+        {"colors": {"red": [255, 0, 0, 1]}},
+        "colors.red: found [255.0, 0.0, 0.0, 1.0]; expected four numbers from 0 to 1",
+    ),
+    ({"base_frame": [1, 2]},
+     "base_frame: found 2 numbers; expected 4 x 4, or { xyz = [...], rpy = [...] }"),
+    ({"flange_frame": {"xzy": [0, 0, 1]}},
+     "flange_frame: unknown key 'xzy'; did you mean 'xyz'?"),
+    ({"axes_size": -1}, "axes_size: found -1; expected greater than 0"),
+    ({"axes_size": "big"}, "axes_size: found 'big'; expected number"),
+    ({"axes_size": True}, "axes_size: found True; expected number"),
+    ({"axes_transparency": 1.5}, "axes_transparency: found 1.5; expected less than or equal to 1"),
+    ({"billboard_scale": 0.6}, "billboard_scale: found 0.6; expected less than or equal to 0.5"),
+    ({"show_axes": "yes"}, "show_axes: found 'yes'; expected boolean"),
+    (
+        {"billboard_lines": ["torque"]},
+        "billboard_lines.0.value: found 'torque'; expected 'torques', 'joint_angles' or"
+        " 'billboard_values'; did you mean 'torques'?",
+    ),
+    (
+        {"children": [{"name": "a", "shape": "sphere", "size": [1]}] * 2},
+        "children: two children have the name 'a'",
+    ),
+    ({"children": [{"name": "a", "shpe": "box"}]},
+     "children.0.shpe: unknown key; did you mean 'shape'?"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("fields", "text"), WRONG)
+def test_wrong_field_is_refused_with_what_was_found_and_what_is_right(fields, text):
+    assert refusal(**fields) == text
+
+
+def test_convention_has_no_default_and_the_error_says_the_choices():
+    with pytest.raises(DeclarationError) as caught:
+        SerialRobot()
+    assert str(caught.value) == "dh_convention: is required; expected 'craig' or 'standard'"
+
+
+@pytest.mark.parametrize("field", ["axes_size", "arrow_radius", "arrow_width_scale", "mesh_scale"])
+@pytest.mark.parametrize("value", [math.inf, math.nan])
+def test_single_number_that_is_not_finite_is_refused(field, value):
+    text = refusal(**{field: value})
+    assert text.startswith(f"{field}: found {value!r}; expected ")
+
+
+def test_billboard_scale_factor_that_is_not_finite_is_refused():
+    text = refusal(billboard_lines=[{"value": "torques", "scale": math.nan}])
+    assert text == "billboard_lines.0.scale: found nan; expected a finite number"
+
+
+@pytest.mark.parametrize("name", ["my arm", "2arm", "a/b", "a.b", ""])
+def test_unusable_robot_name_is_refused_in_words_not_as_a_pattern(name):
+    text = refusal(name=name)
+    assert text.startswith(f"name: found {name!r}; expected ")
+    assert "letters, digits, _ and -" in text
+    assert "pattern" not in text
+
+
+def test_key_called_self_is_unknown_like_any_other():
+    assert refusal(**{"self": 1}).startswith("self: unknown key")
+
+
+@pytest.mark.parametrize(
+    "field",
+    ["joint_types", "joint_names", "velocity_limits", "torque_limits", "joint_angles", "torques",
+     "billboard_values", "position_limits", "offsets_to_center_of_joints"],
+)  # fmt: skip
+def test_field_with_one_entry_per_joint_must_have_as_many_as_the_table(field):
+    one = {
+        "joint_types": "revolute",
+        "joint_names": "a",
+        "position_limits": [-1, 1],
+        "offsets_to_center_of_joints": [0, 0, 1],
+    }.get(field, 1.0)
+    text = f"{field}: found 1 entries; expected 2, one per row of dh_params"
+    assert refusal(dh_params=TWO_JOINTS, **{field: [one]}) == text
+
+
+def test_all_problems_come_at_once_and_a_wrong_table_causes_no_others():
+    text = refusal(
+        dh_params=[[0, 0, 0, "d"]],
+        joint_angles=[1, 2],
+        torque_limits=[-1, 1],
+        children=[{"name": "a", "shape": "blox"}, 5, {"shape": "sphere", "size": [1]}],
+        shw_axes=1,
+    )
+    assert sorted(line.split(":")[0] for line in text.splitlines()) == [
+        "children.0.shape", "children.1", "children.2.name", "dh_params", "shw_axes",
+        "torque_limits",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "value",
+    [{"a": 1}, datetime.date(2020, 1, 1), ["abc"], ["90"], [[1], [1, 2]], [True], [None], "x"],
+)
+@pytest.mark.parametrize("field", ["position_limits_deg", "velocity_limits_deg"])
+def test_limits_in_degrees_that_are_no_numbers_are_refused_under_their_own_name(field, value):
+    lines = refusal(**{field: value}).splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith(f"{field}: ")
+    assert "expected " in lines[0]
+
+
+def test_wrong_limits_in_degrees_do_not_hide_other_problems():
+    lines = refusal(velocity_limits_deg=["abc"], axes_size=-1).splitlines()
+    assert sorted(line.split(":")[0] for line in lines) == ["axes_size", "velocity_limits_deg"]
+
+
+def test_limits_in_both_units_are_refused_beside_other_problems():
+    text = refusal(velocity_limits_deg=[1], velocity_limits=[1], axes_size=-1)
+    assert "found both velocity_limits and velocity_limits_deg; expected one of them" in text
+    assert "axes_size: found -1; expected greater than 0" in text.splitlines()
+
+
+def test_limits_in_degrees_are_refused_for_sliding_joints():
+    text = refusal(joint_types=["prismatic"], velocity_limits_deg=[1])
+    wanted = "velocity_limits_deg is for revolute joints only; use velocity_limits in rad, m"
+    assert text.endswith(wanted)
+
+
+@pytest.mark.parametrize("types", [5, True])
+def test_joint_types_that_are_no_list_are_refused_beside_limits_in_degrees(types):
+    text = refusal(joint_types=types, velocity_limits_deg=[1])
+    assert f"joint_types: found {types!r}; expected list" in text.splitlines()

@@ -1,0 +1,241 @@
+"""Sending: the packets of a motion, at the right times, whatever the network says."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.drive.motion import InverseDynamics, SineMotion
+from sero_mj.drive.send import MotionPackets, SendReport, send
+from sero_mj.errors import SourceError, StructureError, UsageError
+
+UDP = {"kind": "udp", "port": 4711, "structure": "2F2F2F"}
+ROUTES = {
+    "arm.joint_angles": "udp.values0",
+    "arm.torques": "udp.values1",
+    "arm.billboard_values": "udp.values2",
+}
+
+
+def arm(name: str = "arm", n: int = 2) -> SerialRobot:
+    return SerialRobot(name=name, dh_convention="craig", dh_params=[[1.0, 0.1, 0.0, 0.3]] * n)
+
+
+def scene_of(
+    routes: dict[str, str] = ROUTES, sources: dict[str, Any] | None = None, **robots: int
+) -> Scene:
+    return Scene(
+        robots=[arm(name, n) for name, n in (robots or {"arm": 2}).items()],
+        sources={"udp": UDP} if sources is None else sources,
+        routes=routes,
+    )
+
+
+@pytest.fixture
+def listener() -> Any:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(5.0)
+        yield sock
+
+
+def test_a_thousand_packets_a_second_leave_at_that_rate(listener: socket.socket) -> None:
+    reports: list[SendReport] = []
+    # A busy machine may stall one run of half a second, hardly three.
+    while len(reports) < 3 and not (reports and 950 < reports[-1].rate < 1050):
+        start = time.perf_counter()
+        reports.append(send(lambda t: b"1", *listener.getsockname(), rate=1000, duration=0.5))
+        assert 0.475 < reports[-1].seconds <= time.perf_counter() - start
+    assert 950 < reports[-1].rate < 1050
+    assert (reports[-1].packets, reports[-1].refused) == (500, 0)
+    assert 0 <= reports[-1].jitter_p50 <= reports[-1].jitter_p99 < 0.1
+
+
+def test_packets_leave_in_order_each_at_its_time_and_none_is_missing(
+    listener: socket.socket,
+) -> None:
+    moments: list[float] = []
+    made: list[float] = []
+
+    def packet_at(t: float) -> bytes:
+        moments.append(time.perf_counter())
+        made.append(t)
+        return struct.pack("<d", t)
+
+    start = time.perf_counter()
+    send(packet_at, *listener.getsockname(), rate=500, duration=0.1)
+    assert made == [k / 500 for k in range(50)]
+    assert [struct.unpack("<d", listener.recv(100))[0] for _ in range(50)] == made
+    # The next packet is made when the one before has left: none leaves before its time.
+    assert (np.array(moments[1:]) >= start + np.array(made[:-1])).all()
+
+
+def test_the_rate_of_a_report_is_packets_over_seconds() -> None:
+    assert SendReport(500, 0.5, 0, 0.0, 0.0).rate == 1000.0
+    assert SendReport(0, 0.0, 0, 0.0, 0.0).rate == 0.0
+
+
+def test_lateness_is_reported(listener: socket.socket) -> None:
+    def packet_at(t: float) -> bytes:
+        if t >= 0.05:
+            time.sleep(0.02)  # a motion that takes longer to compute than there is time
+        return b""
+
+    report = send(packet_at, *listener.getsockname(), rate=100, duration=0.1)
+    assert report.packets == 10
+    assert report.jitter_p50 < 0.03 < report.jitter_p99
+    assert report.rate < 80
+
+
+def test_refused_packets_are_counted_and_do_not_stop_it(listener: socket.socket) -> None:
+    # No UDP packet is that long: the system refuses every other one.
+    report = send(
+        lambda t: bytes(70_000 if round(t * 1000) % 2 else 8),
+        *listener.getsockname(),
+        rate=1000,
+        duration=0.02,
+    )
+    assert (report.packets, report.refused) == (20, 10)
+    assert [len(listener.recv(100)) for _ in range(10)] == [8] * 10
+
+
+def test_nobody_needs_to_listen(listener: socket.socket) -> None:
+    address = listener.getsockname()
+    listener.close()
+    assert send(lambda t: b"1", *address, rate=1000, duration=0.02).packets == 20
+
+
+def test_at_least_one_packet_is_sent(listener: socket.socket) -> None:
+    assert send(lambda t: b"1", *listener.getsockname(), rate=10, duration=1e-6).packets == 1
+
+
+@pytest.mark.parametrize("duration", [None, 100.0])
+def test_an_interrupt_ends_it_with_a_report(
+    listener: socket.socket, duration: float | None
+) -> None:
+    def packet_at(t: float) -> bytes:
+        if t >= 0.01:
+            raise KeyboardInterrupt
+        return b"1"
+
+    report = send(packet_at, *listener.getsockname(), rate=1000, duration=duration)
+    assert report.packets == 10
+    assert report.seconds < 5
+
+
+def test_an_interrupt_before_the_first_packet_is_a_report_too(listener: socket.socket) -> None:
+    def packet_at(t: float) -> bytes:
+        raise KeyboardInterrupt
+
+    report = send(packet_at, *listener.getsockname(), rate=1000)
+    assert (report.packets, report.refused, report.jitter_p99) == (0, 0, 0.0)
+
+
+def test_progress_is_told_ten_times_a_second(listener: socket.socket) -> None:
+    told: list[int] = []
+    send(lambda t: b"1", *listener.getsockname(), rate=1000, duration=0.3, on_progress=told.append)
+    assert told == [100, 200, 300]
+
+
+@pytest.mark.parametrize("host", ["no.such.host.invalid", "x" * 70])
+def test_a_host_that_cannot_be_resolved_is_told(host: str) -> None:
+    with pytest.raises(SourceError) as caught:
+        send(lambda t: b"", host, 4711, rate=10, duration=0.1)
+    assert str(caught.value).startswith(f"source '{host}:4711': not an address: ")
+
+
+def test_packets_go_to_ipv6() -> None:
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.bind(("::1", 0))
+        except OSError:
+            pytest.skip("no IPv6 here")
+        sock.settimeout(5.0)
+        send(lambda t: b"six", "::1", sock.getsockname()[1], rate=10, duration=0.1)
+        assert sock.recv(100) == b"six"
+
+
+@pytest.mark.parametrize("t", [0.0, 1.25])
+def test_packets_carry_what_the_routes_lead_to_the_robot(t: float) -> None:
+    packets = MotionPackets(scene_of(), amplitude=0.5)
+    assert packets.source.udpport == 4711
+    assert packets.structure.text == "2F2F2F"
+    position, velocity, acceleration = SineMotion(arm(), 0.5).at(t)
+    torques = InverseDynamics(arm()).torques(position, velocity, acceleration)
+    # Billboards show what else there is: the velocities.
+    expected = struct.pack("<6d", *position, *torques, *velocity)
+    assert packets.at(t) == expected
+    assert math.isfinite(sum(struct.unpack("<6d", expected)))
+
+
+def test_events_that_lead_nowhere_are_zero_and_float32_is_kept() -> None:
+    source = {"kind": "udp", "structure": "5F2F", "double": False}
+    packets = MotionPackets(scene_of({"arm.joint_angles": "udp.values1"}, {"udp": source}))
+    position, _, _ = SineMotion(arm()).at(0.3)
+    assert packets.at(0.3) == struct.pack("<7f", *[0.0] * 5, *position)
+
+
+def test_one_packet_carries_several_robots() -> None:
+    source = {"kind": "udp", "structure": "3F2F"}
+    routes = {"b.joint_angles": "udp.values1", "a.joint_angles": "udp.values0"}
+    packets = MotionPackets(scene_of(routes, {"udp": source}, a=3, b=2))
+    positions = [*SineMotion(arm(n=3)).at(0.7)[0], *SineMotion(arm(n=2)).at(0.7)[0]]
+    assert packets.at(0.7) == struct.pack("<5d", *positions)
+
+
+@pytest.mark.parametrize(("double", "code"), [(True, "d"), (False, "f")])
+def test_another_structure_carries_the_events_it_has(double: bool, code: str) -> None:
+    packets = MotionPackets(scene_of(ROUTES, {"udp": {**UDP, "double": double}}), structure="2F")
+    assert packets.at(0.3) == struct.pack(f"<2{code}", *SineMotion(arm()).at(0.3)[0])
+
+
+def test_one_of_several_sources_is_chosen_by_name() -> None:
+    sources = {"left": {**UDP, "port": 1}, "right": {**UDP, "port": 2}}
+    routes = {"arm.joint_angles": "left.values0", "arm.torques": "right.values0"}
+    packets = MotionPackets(scene_of(routes, sources), source="right")
+    assert packets.source.udpport == 2
+    torques = InverseDynamics(arm()).torques(*SineMotion(arm()).at(0.5))
+    assert packets.at(0.5) == struct.pack("<6d", *torques, *[0.0] * 4)
+
+
+@pytest.mark.parametrize(
+    ("sources", "choice", "message"),
+    [
+        ({}, {}, "choose a UDP source of the scene with --source: none"),
+        ({"a": UDP, "b": UDP}, {}, "choose a UDP source of the scene with --source: a, b"),
+        (
+            {"udp": UDP},
+            {"source": "upd"},
+            "choose a UDP source of the scene with --source: udp",
+        ),
+        (
+            {"udp": UDP, "idle": UDP},
+            {"source": "idle"},
+            "no route leads from 'idle': there is nothing to send",
+        ),
+        (
+            {"udp": UDP},
+            {"structure": "3F"},
+            "structure '3F': values0 has 3 values; arm has 2 joints",
+        ),
+    ],
+)
+def test_what_cannot_be_sent_is_told(
+    sources: dict[str, Any], choice: dict[str, str], message: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        MotionPackets(scene_of(ROUTES if "udp" in sources else {}, sources), **choice)
+    assert str(caught.value) == message
+
+
+def test_a_wrong_structure_is_told() -> None:
+    with pytest.raises(StructureError, match="character 2: found 'X'"):
+        MotionPackets(scene_of(), structure="2X")

@@ -1,0 +1,342 @@
+"""Shapes: links grown from any DH table; objects, their sizes, their files and their names."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import pi
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from sero_mj import paths
+from sero_mj.assemble.dh import DhTable
+from sero_mj.assemble.objects import Object
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.shapes import grow_links
+from sero_mj.assemble.world import World
+from sero_mj.errors import DeclarationError
+
+ANGLES = st.sampled_from([0.0, pi / 2, -pi / 2, pi]) | st.floats(-pi, pi)
+# From a watch to a crane; shorter steps than 1 um are not drawn, so none are asked for here.
+LENGTHS = st.just(0.0) | st.floats(1e-4, 100.0) | st.floats(-100.0, -1e-4)
+ROWS = st.tuples(ANGLES, LENGTHS, ANGLES, LENGTHS)
+TABLES = st.builds(
+    lambda convention, joints: DhTable.from_rows(
+        [row for row, _ in joints], convention, revolute=[turns for _, turns in joints]
+    ),
+    st.sampled_from(["craig", "standard"]),
+    st.lists(st.tuples(ROWS, st.booleans()), min_size=1, max_size=8),
+)
+POINTS = st.tuples(LENGTHS, LENGTHS, LENGTHS)
+
+
+def zeros(n, convention="craig", revolute=True):
+    return DhTable.from_rows(np.zeros((n, 4)), convention, revolute=[revolute] * n)
+
+
+def flange_at(point):
+    T = np.eye(4)
+    T[:3, 3] = point
+    return T
+
+
+def robot_of(table, flange):
+    rows = np.column_stack([table.alpha, table.a, table.theta, table.d])
+    return SerialRobot(
+        dh_convention=table.convention,
+        dh_params=rows,
+        joint_types=["revolute" if turns else "prismatic" for turns in table.revolute],
+        flange_frame=flange,
+    )
+
+
+def in_world(T, points):
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+@given(TABLES, POINTS)
+@example(zeros(1), (0.0, 0.0, 0.0))
+@example(zeros(64, "standard"), (0.0, 0.0, 0.0))
+@example(zeros(3, revolute=False), (0.0, 0.0, 0.0))
+@settings(max_examples=80, deadline=None)
+def test_every_size_is_positive_and_finite_and_every_link_with_a_joint_shows(table, point):
+    links = grow_links(table, flange_at(point))
+    assert len(links) == len(table) + 1
+    for i, shapes in enumerate(links):
+        assert shapes, f"link {i} is invisible"
+        for shape in shapes:
+            assert shape.size.shape == ((3,) if shape.kind == "box" else (1,))
+            assert (shape.size > 0).all() and np.isfinite(shape.size).all()
+            assert np.isfinite(shape.ends).all()
+            assert np.linalg.norm(shape.ends[1] - shape.ends[0]) > 0
+            assert shape.rgba[3] == 1.0
+
+
+@given(TABLES, POINTS, st.integers(0, 2**32 - 1))
+@settings(max_examples=80, deadline=None)
+def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, point, seed):
+    # A turn never opens a gap. A rod that slides does, so those joints stay at zero.
+    q = np.random.default_rng(seed).uniform(-pi, pi, len(table)) * table.revolute
+    frames = table.frames(q)
+    flange = flange_at(point)
+    rods = [
+        in_world(T, shape.ends)
+        for T, shapes in zip(frames, grow_links(table, flange), strict=True)
+        for shape in shapes
+        if shape.kind == "capsule"
+    ]
+    stops = [T[:3, 3] for T in (*frames, frames[-1] @ flange)]
+    tolerance = 1e-10 * max(1.0, np.abs(stops).max())
+    reached = [stops[0]]
+    left = rods
+    while True:  # walk along rods whose one end is already reached
+        touching = [rod for rod in left if _distances(rod, reached).min() < tolerance]
+        if not touching:
+            break
+        reached += [end for rod in touching for end in rod]
+        left = [rod for rod in left if not any(rod is taken for taken in touching)]
+    for i, stop in enumerate(stops):
+        assert _distances([stop], reached).min() < tolerance, f"nothing leads to frame {i}"
+    assert not left, "a rod stands by itself"
+
+
+def _distances(points, others):
+    return np.linalg.norm(np.asarray(points)[:, None] - np.asarray(others)[None], axis=-1)
+
+
+@given(TABLES)
+@settings(max_examples=60, deadline=None)
+def test_every_joint_has_a_housing_about_its_axis(table):
+    frames = table.frames(np.zeros(len(table)))
+    axes, points = table.joint_axes(frames)
+    links = grow_links(table, np.eye(4))
+    for i, turns in enumerate(table.revolute):
+        # The base's pedestal is in link 0; the housing of joint i moves with link i + 1.
+        (housing,) = [shape for shape in links[i + 1] if shape.kind != "capsule"]
+        assert housing.kind == ("cylinder" if turns else "box")
+        ends = in_world(frames[i + 1], housing.ends)
+        scale = max(1.0, np.abs(frames[:, :3, 3]).max())
+        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        np.testing.assert_allclose(along, axes[i], atol=1e-6)
+        if turns:
+            off = np.cross(ends.mean(axis=0) - points[i], axes[i])
+            np.testing.assert_allclose(off, 0, atol=1e-11 * scale)
+        if not turns:
+            np.testing.assert_allclose(
+                np.linalg.norm(ends[1] - ends[0]), 2 * housing.size[2], rtol=1e-6
+            )
+
+
+@given(TABLES)
+@settings(max_examples=30, deadline=None)
+def test_housings_get_thinner_so_that_nested_joints_share_no_surface(table):
+    links = grow_links(table, np.eye(4))
+    radii = [shape.size[0] for link in links[1:] for shape in link if shape.kind != "capsule"]
+    assert all(thicker > thinner for thicker, thinner in pairwise(radii))
+    rods = [shape.size[0] for link in links for shape in link if shape.kind == "capsule"]
+    assert not rods or max(rods) < radii[0]
+
+
+def test_sizes_follow_the_reach_so_a_finger_and_a_crane_look_alike():
+    def sizes(scale):
+        rows = np.array([[0, 0.3, 0, 0.1], [pi / 2, 0, 0, 0.4]]) * [1, scale, 1, scale]
+        links = grow_links(DhTable.from_rows(rows, "craig"), np.eye(4))
+        return np.array([shape.size[0] for link in links for shape in link])
+
+    np.testing.assert_allclose(sizes(100.0), 100 * sizes(1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("convention", ["craig", "standard"])
+def test_capsule_before_a_turning_joint_ends_at_its_anchor(convention):
+    # By hand: a link of 0.5 m along the joint's axis, seen in the frame it stands still in.
+    table = DhTable.from_rows([[pi / 2, 0, 0.3, 0.5]], convention)
+    (rod,) = [shape for shape in grow_links(table, np.eye(4))[0] if shape.kind == "capsule"]
+    end = [0, -0.5, 0] if convention == "craig" else [0, 0, 0.5]
+    np.testing.assert_allclose(rod.ends, [[0, 0, 0], end], atol=1e-15)
+
+
+@given(TABLES, POINTS)
+@example(zeros(64), (0.0, 0.0, 0.0))
+@example(zeros(2, "standard", revolute=False), (0.0, 0.0, 0.0))
+@settings(max_examples=20, deadline=None)
+def test_any_table_compiles_into_geoms_where_the_shapes_are(table, point):
+    robot = robot_of(table, flange_at(point))
+    world = World(Scene(robots=[robot], floor=False))
+    model, data = world.model, world.make_data()
+    links = grow_links(robot.dh, robot.flange_frame)
+    assert model.ngeom == sum(map(len, links))
+    assert (model.geom_size[:, 0] > 0).all()
+    frames = table.frames(np.zeros(len(table)))
+    scale = max(1.0, np.abs(frames[:, :3, 3]).max())
+    for body, T, shapes in zip(world.robots["robot"].bodies, frames, links, strict=True):
+        first = model.body_geomadr[body]
+        for geom, shape in enumerate(shapes, start=first):
+            kind = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
+            assert model.geom_type[geom] == kind
+            assert not model.geom_contype[geom] and not model.geom_conaffinity[geom]
+            centre = in_world(T, shape.ends).mean(axis=0)
+            np.testing.assert_allclose(data.geom_xpos[geom], centre, atol=1e-10 * scale)
+            axis = in_world(T, shape.ends)
+            along = data.geom_xmat[geom].reshape(3, 3)[:, 2]
+            length = np.linalg.norm(axis[1] - axis[0])
+            assert abs(along @ (axis[1] - axis[0])) == pytest.approx(length, rel=1e-9)
+            if shape.kind == "box":
+                np.testing.assert_allclose(model.geom_size[geom], shape.size)
+            else:
+                np.testing.assert_allclose(model.geom_size[geom, :2], [shape.size[0], length / 2])
+
+
+def test_object_fields_are_checked():
+    with pytest.raises(DeclarationError) as caught:
+        Object(name="a", shape="box", size=[1, 2], rgba=[0, 0, 0, 2], mesh_scale=0)
+    assert str(caught.value).splitlines() == [
+        "mesh_scale: found 0; expected greater than 0",
+        "rgba: found [0.0, 0.0, 0.0, 2.0]; expected four numbers from 0 to 1",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({}, "found none of them; expected exactly one of shape, mesh, mjcf"),
+        (
+            {"mesh": "a.stl", "mjcf": "a.xml"},
+            "found mesh and mjcf; expected exactly one of shape, mesh, mjcf",
+        ),
+        (
+            {"shape": "box"},
+            "size of a box: found none; expected positive length x, length y, length z in m",
+        ),
+        (
+            {"shape": "box", "size": [1, 2]},
+            "size of a box: found [1.0, 2.0]; expected positive length x, length y, length z in m",
+        ),
+        (
+            {"shape": "sphere", "size": [0]},
+            "size of a sphere: found [0.0]; expected positive radius in m",
+        ),
+        (
+            {"shape": "capsule", "size": [1]},
+            "size of a capsule: found [1.0]; expected positive radius,"
+            " length between the two centres in m",
+        ),
+        (
+            {"mesh": "../a.stl"},
+            "mesh: found '../a.stl'; expected a file inside the directory, without '..'",
+        ),
+        (
+            {"mesh": "/a.stl"},
+            "mesh: found '/a.stl'; expected a file inside the directory, without '..'",
+        ),
+        (
+            {"mesh": "a.dae"},
+            "mesh: found 'a.dae'; expected a mesh that MuJoCo reads (.stl, .obj, .msh)",
+        ),
+    ],
+)
+def test_object_is_exactly_one_thing_of_a_size(fields, text):
+    with pytest.raises(DeclarationError) as caught:
+        Object(name="a", **fields)
+    assert str(caught.value) == text
+
+
+def test_axes_have_the_protos_length_by_default():
+    assert Object(name="a", shape="axes").size.tolist() == [0.2]
+
+
+SNIPPET = '<mujoco><worldbody><geom name="g" size="1"/></worldbody></mujoco>'
+ARM = '[robots.arm]\ndh_convention = "craig"\n'
+NO_FILE = "No such file or directory"
+# What MuJoCo and the XML parser say themselves is theirs to word, so texts are compared up to it.
+UNREADABLE = [
+    (
+        f'{ARM}filenames = ["a.stl",\n "text.stl"]\ndirectory = "."',
+        [f"s.toml:3: robots.arm.filenames.0: mesh a.stl: {NO_FILE}"],
+    ),
+    (
+        f'{ARM}directory = "."\nfilenames = ["text.stl", "text.stl"]',
+        [f"s.toml:4: robots.arm.filenames.{i}: text.stl is no mesh" for i in (0, 1)],
+    ),
+    (
+        '[objects.a]\n\nmesh = "a.stl"\n[objects.b]\nmesh = "b.stl"',
+        [
+            f"s.toml:{3 + 2 * i}: objects.{name}.mesh: mesh {name}.stl: {NO_FILE}"
+            for i, name in enumerate("ab")
+        ],
+    ),
+    (
+        '[objects.a]\n\nmesh = "text.stl"\n[objects.b]\nmesh = "text.obj"',
+        [
+            "s.toml:3: objects.a.mesh: text.stl is no mesh that MuJoCo reads: ",
+            "s.toml:5: objects.b.mesh: text.obj is no mesh that MuJoCo reads: ",
+        ],
+    ),
+    (
+        '[objects.a]\nmjcf = "a.xml"\n[objects.b]\nmjcf = "<mujoco"\n'
+        '[objects.c]\nmjcf = "<mujoco><blah/></mujoco>"',
+        [f"s.toml:{2 + 2 * i}: objects.{name}.mjcf: cannot be" for i, name in enumerate("abc")],
+    ),
+    (
+        f'{ARM}[[robots.arm.children]]\nname = "t"\nmesh = "a.stl"\n'
+        '[[robots.arm.children]]\nname = "u"\nmjcf = "a.xml"',
+        ["s.toml:5: robots.arm.children.0.mesh: ", "s.toml:8: robots.arm.children.1.mjcf: "],
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "expected"), UNREADABLE)
+def test_files_that_cannot_be_used_are_named_all_at_once_with_key_and_line(
+    tmp_path, text, expected
+):
+    for name in ("text.stl", "text.obj"):
+        (tmp_path / name).write_bytes(b"This is no mesh at all.\n")
+    (tmp_path / "s.toml").write_text(text)
+    scene, problems = read_scene(tmp_path / "s.toml")
+    assert problems == []
+    with pytest.raises(DeclarationError) as caught:
+        World(scene)
+    found = str(caught.value).replace(f"{tmp_path}/", "").splitlines()
+    assert len(found) == len(expected)
+    for line, start in zip(found, expected, strict=True):
+        assert line.startswith(start)
+
+
+BALL = {"shape": "sphere", "size": [1]}
+PIECE = {"mjcf": SNIPPET}
+
+
+@pytest.mark.parametrize(
+    ("items", "key"),
+    [
+        ([("a", BALL), ("a", BALL)], "objects.a"),
+        ([("a", PIECE), ("a", PIECE)], "objects.a"),
+        ([("floor", BALL)], "objects.floor"),  # the floor is a geom of that name
+        ([("arm", PIECE)], "objects.arm"),  # a robot and a piece of MJCF share the name space
+    ],
+)
+def test_two_things_of_one_name_are_refused_by_that_name(items, key):
+    objects = [Object(name=name, **fields) for name, fields in items]
+    robot = SerialRobot(name="arm", dh_convention="craig")
+    with pytest.raises(DeclarationError) as caught:
+        World(Scene(robots=[robot], objects=objects))
+    assert str(caught.value).startswith(f"{key}: ")
+    assert "name" in caught.value.problems[0].message
+
+
+def test_robot_keeps_its_name_and_bodies_beside_an_object_of_that_name():
+    # A geom and a robot do not share a name space, so this is no clash.
+    robot = SerialRobot(name="arm", dh_convention="craig")
+    world = World(Scene(robots=[robot], objects=[Object(name="arm", **BALL)]))
+    assert world.robots["arm"].bodies.tolist() == [1, 2]
+
+
+def test_child_may_have_the_name_of_a_link_mesh():
+    meshes = paths.models_dir() / "lwr" / "meshes"
+    child = Object(name="link0_0", mesh="base_white.stl", directory=str(meshes))
+    world = World(Scene(robots=[SerialRobot.from_model("lwr", children=[child])]))
+    assert world.model.geom("lwr/link0_0").type[0] == mujoco.mjtGeom.mjGEOM_MESH

@@ -1,0 +1,349 @@
+"""`UdpReceiver` on real sockets, fed by this process and by others."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import gc
+import math
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from sero_mj.errors import SeroError, SourceError
+from sero_mj.receive.source import Counters, Packet
+from sero_mj.receive.structure import Structure
+from sero_mj.receive.udp import UdpReceiver
+
+LINUX = sys.platform == "linux"
+
+# A robot in a process of its own, with an encoder that is not ours: packets 1 to COUNT, every
+# value the packet's number.
+ROBOT = """
+import socket, struct, sys, time
+port, count, values = map(int, sys.argv[1:])
+sock = socket.socket(type=socket.SOCK_DGRAM)
+for k in range(1, count + 1):
+    sock.sendto(struct.pack(f"<{values}d", *[float(k)] * values), ("127.0.0.1", port))
+    time.sleep(1e-4)  # as robots do, not as fast as it can
+"""
+
+
+def until(condition: Callable[[], object], seconds: float = 5.0) -> bool:
+    """Polls until the condition holds; returns whether it came to hold in time."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(2e-4)
+    return True
+
+
+def threads_of(name: str) -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == f"udp {name}"]
+
+
+def doubles(*values: float) -> bytes:
+    return struct.pack(f"<{len(values)}d", *values)
+
+
+def values_of(packet: Packet | None, event: str = "values0") -> list[float]:
+    assert packet is not None
+    return packet.values[event].tolist()
+
+
+Send = Callable[[UdpReceiver, bytes], object]
+
+
+def settle(receiver: UdpReceiver, send: Send, length: int = 1) -> bool:
+    """Sends a packet of a wrong length and waits until the receiver tells of it.
+
+    Packets are dealt with one after the other, so all that was sent before is dealt with then.
+    """
+    send(receiver, bytes(length))
+    fault = f"{length} bytes; expected {receiver.layout.size}"
+    return until(lambda: receiver.counters.last_fault == fault)
+
+
+@pytest.fixture
+def sender() -> Iterator[Send]:
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        yield lambda receiver, packet: sock.sendto(packet, ("127.0.0.1", receiver.port))
+
+
+def test_a_packet_arrives_as_it_was_sent(sender: Send) -> None:
+    with UdpReceiver(structure="2F1F") as receiver:
+        assert receiver.latest() is None
+        assert not receiver.wait(0.0)
+        before = time.monotonic()
+        sender(receiver, doubles(1.5, -2.5, 5e-324))
+        assert receiver.wait(5.0)
+        assert values_of(packet := receiver.latest()) == [1.5, -2.5]
+        assert values_of(packet, "values1") == [5e-324]
+        assert packet.number == 1
+        assert before <= packet.arrival <= time.monotonic()
+        assert receiver.counters == Counters(received=1)
+
+
+def test_the_latest_packet_wins_and_the_others_count_as_superseded(sender: Send) -> None:
+    with UdpReceiver(structure="1F") as receiver:
+        for k in range(1, 4):
+            sender(receiver, doubles(k))
+        assert settle(receiver, sender, 1)
+        assert values_of(receiver.latest()) == [3.0]
+        assert receiver.counters.superseded == 2
+        assert receiver.latest() is receiver.latest()  # looking twice supersedes nothing
+        assert receiver.counters.superseded == 2
+        sender(receiver, doubles(4.0))
+        assert settle(receiver, sender, 2)
+        assert values_of(receiver.latest()) == [4.0]
+        counters = receiver.counters
+        assert (counters.received, counters.malformed, counters.superseded) == (6, 2, 2)
+
+
+def test_packets_of_another_process_arrive_whole_and_in_order(sender: Send) -> None:
+    count = 1500
+    # A buffer for all of them: what the kernel drops would only make the test weaker.
+    with UdpReceiver(structure="7F7F", buffer_size=4_000_000) as receiver:
+        command = [sys.executable, "-c", ROBOT, str(receiver.port), str(count), "14"]
+        seen: list[int] = []
+
+        def look() -> bool:
+            packet = receiver.latest()
+            if packet is not None:
+                values = np.concatenate([packet.values["values0"], packet.values["values1"]])
+                assert (values == values[0]).all(), "parts of two packets"
+                if int(values[0]) not in seen[-1:]:
+                    seen.append(int(values[0]))
+            return seen[-1:] == [count]
+
+        with subprocess.Popen(command) as robot:
+            assert until(look, seconds=20.0)
+        assert robot.returncode == 0
+        assert len(seen) > 1
+        assert seen == sorted(set(seen))
+        assert settle(receiver, sender)
+        # Every good packet was either looked at or superseded; the last one only ended the test.
+        assert receiver.counters.superseded == receiver.counters.received - 1 - len(seen)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "bad"),
+    [
+        ("0 bytes; expected 24", "wrong_size", b""),
+        ("23 bytes; expected 24", "wrong_size", bytes(23)),
+        ("25 bytes; expected 24", "wrong_size", bytes(25)),
+        ("25 bytes or more; expected 24", "wrong_size", bytes(26)),
+        ("25 bytes or more; expected 24", "wrong_size", bytes(65_507)),
+        ("values0[1] is nan", "not_finite", doubles(0, math.nan, 0)),
+        ("values0[0] is inf", "not_finite", doubles(math.inf, 0, math.nan)),
+        ("values1[0] is -inf", "not_finite", doubles(0, 0, -math.inf)),
+        ("values0[0] is inf", "not_finite", doubles(math.inf, -math.inf, 0)),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_bad_packet_is_counted_and_the_last_good_one_stays(
+    sender: Send, fault: str, kind: str, bad: bytes
+) -> None:
+    with UdpReceiver(structure="2F1F") as receiver:
+        counters = receiver.counters
+        sender(receiver, doubles(1, 2, 3))
+        sender(receiver, bad)
+        assert until(lambda: counters.last_fault, seconds=2.0)
+        assert counters.last_fault == fault
+        assert (counters.received, counters.malformed, getattr(counters, kind)) == (2, 1, 1)
+        assert values_of(receiver.latest()) == [1.0, 2.0]
+        assert values_of(receiver.latest(), "values1") == [3.0]
+        # It goes on afterwards, and a bad packet has no number.
+        sender(receiver, doubles(4, 5, 6))
+        assert settle(receiver, sender, 3)
+        assert values_of(packet := receiver.latest()) == [4.0, 5.0]
+        assert (packet.number, counters.superseded) == (2, 0)
+
+
+def adds_up(receiver: UdpReceiver, send: Send, sent: int) -> bool:
+    """Whether every packet sent was received or dropped; sends good ones until it is known.
+
+    Linux tells what it dropped, and that only with the packet that comes after.
+    """
+    counters = receiver.counters
+    for total in range(sent + 1, sent + 26):
+        send(receiver, bytes(receiver.layout.size))
+        if until(lambda total=total: counters.received + counters.dropped == total, seconds=0.2):
+            return True
+    return False
+
+
+@pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
+def test_a_flood_of_malformed_packets_is_survived_and_adds_up(sender: Send) -> None:
+    with UdpReceiver(structure="3F") as receiver:
+        for _ in range(20_000):
+            sender(receiver, b"nonsense")
+        assert adds_up(receiver, sender, 20_000)
+        assert receiver.wait(1.0)
+        assert receiver.counters.wrong_size > 0
+
+
+@pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
+@pytest.mark.parametrize("buffer_size", [1, 200_000])
+def test_a_larger_buffer_drops_less(
+    sender: Send, monkeypatch: pytest.MonkeyPatch, buffer_size: int
+) -> None:
+    decode, go_on = Structure.decode, threading.Event()
+
+    def wait_and_decode(self: Structure, packet: bytes) -> dict[str, np.ndarray]:
+        go_on.wait(10.0)  # the thread stands still until all packets are sent
+        return decode(self, packet)
+
+    monkeypatch.setattr(Structure, "decode", wait_and_decode)
+    with UdpReceiver(structure="1F", buffer_size=buffer_size) as receiver:
+        for k in range(100):
+            sender(receiver, doubles(k))
+        go_on.set()
+        assert adds_up(receiver, sender, 100)
+        dropped = receiver.counters.dropped
+        assert dropped == 0 if buffer_size > 1 else dropped > 50
+
+
+@pytest.mark.skipif(not LINUX, reason="127.0.0.2 is of this machine on Linux only")
+def test_it_listens_on_loopback_only_unless_told_otherwise() -> None:
+    with UdpReceiver(structure="1F") as receiver, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.2", receiver.port))  # free, as are the addresses of the network
+    everywhere = UdpReceiver(structure="1F", host="0.0.0.0")
+    with everywhere, socket.socket(type=socket.SOCK_DGRAM) as sock, pytest.raises(OSError):
+        sock.bind(("127.0.0.2", everywhere.port))
+
+
+def test_a_port_in_use_is_told_with_its_number_and_host() -> None:
+    with UdpReceiver(structure="1F", name="first") as first:
+        second = UdpReceiver(structure="1F", name="second", udpport=first.port)
+        with pytest.raises(SourceError) as caught:
+            second.open()
+        assert str(caught.value) == (
+            f"source 'second': UDP port {first.port} on 127.0.0.1 is in use by another program; "
+            "close that, or choose another port"
+        )
+        assert caught.value.source == "second"
+        assert isinstance(caught.value, OSError)
+        assert not threads_of("second")
+        second.close()
+        first_port = first.port
+    with second:  # now that the port is free
+        assert second.port == first_port
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid", "[::1]"])
+def test_an_address_that_is_not_of_this_machine_is_told(host: str) -> None:
+    receiver = UdpReceiver(structure="1F", host=host, udpport=32123)
+    with pytest.raises(SourceError) as caught:
+        receiver.open()
+    assert str(caught.value) == (
+        f"source 'udp': UDP port 32123 on {host}: not an address of this machine; "
+        "expected 127.0.0.1 or 0.0.0.0, say"
+    )
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"host": ""},  # to the system it means every interface
+        {"host": "a\0b"},
+        {"host": "x" * 70},
+        {"buffer_size": 2**31},  # more than setsockopt takes
+    ],
+)
+def test_fields_that_no_socket_takes_are_refused_without_a_leak(fields: dict[str, object]) -> None:
+    with pytest.raises(SeroError), UdpReceiver(structure="1F", **fields):
+        pass
+    gc.collect()  # a socket left open would warn here
+
+
+def test_it_listens_on_ipv6() -> None:
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.bind(("::1", 0))
+        except OSError:
+            pytest.skip("no IPv6 here")
+        with UdpReceiver(structure="1F", host="::1") as receiver:
+            sock.sendto(doubles(6.0), ("::1", receiver.port))
+            assert receiver.wait(5.0)
+            assert values_of(receiver.latest()) == [6.0]
+
+
+def test_a_machine_without_ipv6_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EAFNOSUPPORT, "Address family not supported by protocol")
+
+    receiver = UdpReceiver(structure="1F", host="::1", port=32123)
+    monkeypatch.setattr(socket, "socket", refuse)
+    with pytest.raises(SourceError, match="UDP port 32123 on ::1: Address family not supported"):
+        receiver.open()
+
+
+def test_closing_ends_the_thread_and_frees_the_port() -> None:
+    receiver = UdpReceiver(structure="1F", name="closing")
+    receiver.close()  # before it is open: harmless
+    receiver.open()
+    port = receiver.port
+    assert len(threads_of("closing")) == 1
+    receiver.close()
+    assert not threads_of("closing")
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", port))
+    receiver.close()
+
+
+def test_it_closes_though_packets_never_pause(
+    sender: Send, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receiver = UdpReceiver(structure="1F", name="pouring")
+    decode, pouring = Structure.decode, True
+
+    def decode_and_pour(self: Structure, packet: bytes) -> dict[str, np.ndarray]:
+        # The next packet is there before this one is dealt with: the socket is never empty.
+        if pouring:
+            sender(receiver, packet)
+        return decode(self, packet)
+
+    monkeypatch.setattr(Structure, "decode", decode_and_pour)
+    receiver.open()
+    sender(receiver, doubles(1.0))
+    assert receiver.wait(5.0)
+    closing = threading.Thread(target=receiver.close, daemon=True)
+    closing.start()
+    closing.join(2.0)
+    closed = not closing.is_alive()
+    pouring = False  # or the thread would outlive the test
+    closing.join()
+    assert closed, "close() waits for a pause between packets"
+
+
+def test_it_can_be_opened_again_and_starts_afresh(sender: Send) -> None:
+    receiver = UdpReceiver(structure="1F")
+    for k in (1.0, 2.0):
+        with receiver:
+            assert receiver.latest() is None
+            assert not receiver.wait(0.0)
+            sender(receiver, doubles(0.0))
+            sender(receiver, doubles(k))
+            assert settle(receiver, sender)
+            assert values_of(packet := receiver.latest()) == [k]
+            counters = receiver.counters
+            assert (packet.number, counters.superseded, counters.received) == (2, 1, 3)
+
+
+def test_opening_an_open_receiver_leaks_no_thread() -> None:
+    receiver = UdpReceiver(structure="1F", name="twice")
+    receiver.open()
+    with contextlib.suppress(SourceError):
+        receiver.open()
+    receiver.close()
+    assert not threads_of("twice")
+    gc.collect()  # a socket left open would warn here

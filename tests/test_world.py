@@ -1,0 +1,321 @@
+"""`World`: what a scene is compiled into, its inputs, and the exported MJCF."""
+
+from __future__ import annotations
+
+import struct
+
+import mujoco
+import numpy as np
+import pytest
+
+from sero_mj.assemble import frames
+from sero_mj.assemble.objects import Object
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Camera, Light, Scene
+from sero_mj.assemble.world import World
+from sero_mj.errors import DeclarationError, UnknownName
+
+OBJ = mujoco.mjtObj
+POSE = frames.frame(frames.rotation_from_rpy(np.array([0.3, -0.2, 0.5])), np.array([0.1, 0.2, 0.3]))
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], float)
+SNIPPET = (
+    '<mujoco><worldbody><body name="jaw" pos="0 0 0.5"><geom name="pad" type="sphere" size="0.1"/>'
+    "</body></worldbody></mujoco>"
+)
+# Declared sizes are radii and full lengths, MuJoCo's are half lengths.
+SHAPES = [
+    ("box", [0.2, 0.4, 0.6], [0.1, 0.2, 0.3]),
+    ("sphere", [0.1], [0.1]),
+    ("cylinder", [0.1, 0.6], [0.1, 0.3]),
+    ("capsule", [0.1, 0.6], [0.1, 0.3]),
+    ("ellipsoid", [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]),
+]
+
+
+def arm(name="arm", **fields) -> SerialRobot:
+    """Two joints; the flange is nowhere near a special place."""
+    table = [[0.3, 0.1, 0.2, 0.3], [-0.7, 0.4, -0.1, 0.2]]
+    flange = {"xyz": [0.1, 0.0, 0.2], "rpy": [0.4, 0.1, 0.0]}
+    defaults = {"dh_convention": "craig", "dh_params": table, "flange_frame": flange}
+    return SerialRobot(**{"name": name, **defaults, **fields})
+
+
+def compiled(*robots, **scene):
+    world = World(Scene(**{"robots": list(robots), "floor": False, **scene}))
+    return world, world.model, world.make_data()
+
+
+def refusal(*robots, **scene) -> str:
+    with pytest.raises(DeclarationError) as caught:
+        compiled(*robots, **scene)
+    return str(caught.value)
+
+
+def stl(path, corners=CORNERS):
+    """Writes a tetrahedron."""
+    triangles = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].astype("<f4")
+    records = b"".join(struct.pack("<3f", 0, 0, 0) + t.tobytes() + b"\0\0" for t in triangles)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"test".ljust(80) + struct.pack("<I", 4) + records)
+
+
+def pose_of(data, kind, name):
+    element = getattr(data, kind)(name)
+    return frames.frame(element.xmat.reshape(3, 3), element.xpos)
+
+
+def mesh_corners(model, data, geom):
+    """Corners of a mesh geom in the world; MuJoCo moves meshes into their inertia frames."""
+    mesh = model.geom_dataid[geom]
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    turned = model.mesh_vert[start : start + count] @ data.geom_xmat[geom].reshape(3, 3).T
+    return turned + data.geom_xpos[geom]
+
+
+def assert_same_points(found, expected, tolerance=1e-6):
+    assert found.shape == expected.shape
+    gaps = np.linalg.norm(found[:, None] - expected[None], axis=-1)
+    assert gaps.min(axis=0).max() < tolerance and gaps.min(axis=1).max() < tolerance
+
+
+def holders(item):
+    """The same object fixed to a flange and standing in the scene: world, scope, its parent."""
+    world, _, data = compiled(arm(children=[item], joint_angles=[0.5, -1]))
+    yield world, data, "arm/", pose_of(data, "body", "arm/flange")
+    world, _, data = compiled(objects=[item])
+    yield world, data, "", np.eye(4)
+
+
+@pytest.mark.parametrize(("shape", "size", "halves"), SHAPES)
+def test_shape_stands_in_its_size_and_colour_at_its_frame(shape, size, halves):
+    item = Object(name="it", shape=shape, size=size, frame=POSE, rgba=[0.1, 0.2, 0.3, 0.4])
+    for world, data, scope, parent in holders(item):
+        geom = world.model.geom(f"{scope}it")
+        assert geom.type[0] == getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")
+        np.testing.assert_allclose(geom.size[: len(halves)], halves)
+        np.testing.assert_allclose(geom.rgba, [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
+        T = pose_of(data, "geom", f"{scope}it")
+        np.testing.assert_allclose(T, parent @ POSE, atol=1e-12)
+
+
+def test_axes_are_a_frame_that_is_always_shown():
+    item = Object(name="it", shape="axes", size=[0.3], frame=POSE)
+    for world, data, scope, parent in holders(item):
+        row = world.frames.names.index(f"{scope}it")
+        assert (world.frames.robot[row], world.frames.size[row]) == (-1, 0.3)
+        assert world.frames.alpha[row] == 1
+        site = world.frames.site[row]
+        np.testing.assert_allclose(data.site_xpos[site], (parent @ POSE)[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(
+            data.site_xmat[site].reshape(3, 3), (parent @ POSE)[:3, :3], atol=1e-12
+        )
+
+
+def test_mesh_stands_at_its_frame_in_metres(tmp_path):
+    stl(tmp_path / "part.stl", 1000 * CORNERS)
+    item = Object(name="it", mesh="part.stl", mesh_scale=0.001, frame=POSE, directory=str(tmp_path))
+    for world, data, scope, parent in holders(item):
+        T = parent @ POSE
+        found = mesh_corners(world.model, data, world.model.geom(f"{scope}it").id)
+        assert_same_points(found, CORNERS @ T[:3, :3].T + T[:3, 3])
+
+
+@pytest.mark.parametrize("as_file", [False, True])
+def test_piece_of_mjcf_stands_at_its_frame(tmp_path, as_file):
+    (tmp_path / "tool.xml").write_text(SNIPPET)
+    piece = "tool.xml" if as_file else f"\n  {SNIPPET}"
+    item = Object(name="it", mjcf=piece, frame=POSE, directory=str(tmp_path))
+    for world, data, scope, parent in holders(item):
+        assert world.model.geom(f"{scope}it/pad").size[0] == 0.1
+        T = pose_of(data, "body", f"{scope}it/jaw")
+        np.testing.assert_allclose(T[:3, 3], (parent @ POSE @ [0, 0, 0.5, 1])[:3], atol=1e-12)
+        np.testing.assert_allclose(T[:3, :3], (parent @ POSE)[:3, :3], atol=1e-12)
+
+
+@pytest.mark.parametrize("compiler", ["", '<compiler angle="degree"/>'])
+def test_angles_in_a_piece_of_mjcf_are_degrees_unless_it_says_radian(compiler):
+    # MuJoCo's own default, so a piece means the same here as in a file of its own.
+    text = (
+        f'<mujoco>{compiler}<worldbody><geom name="g" type="box" size="1 2 3" euler="0 0 30"/>'
+        "</worldbody></mujoco>"
+    )
+    _, _, data = compiled(objects=[Object(name="it", mjcf=text)])
+    turned = frames.rotation_about(2, np.pi / 6)
+    np.testing.assert_allclose(pose_of(data, "geom", "it/g")[:3, :3], turned, atol=1e-12)
+
+
+def test_angles_in_a_piece_of_mjcf_that_says_radian_are_radians():
+    text = (
+        '<mujoco><compiler angle="radian"/><worldbody><geom name="g" type="box" size="1 2 3"'
+        ' euler="0 0 0.5"/></worldbody></mujoco>'
+    )
+    _, _, data = compiled(objects=[Object(name="it", mjcf=text)])
+    turned = frames.rotation_about(2, 0.5)
+    np.testing.assert_allclose(pose_of(data, "geom", "it/g")[:3, :3], turned, atol=1e-12)
+
+
+def test_link_meshes_stand_in_their_dh_frames_in_their_colours(tmp_path):
+    files = ["", {"file": "a.stl", "color": "red"}, ["b.stl", "a.stl"]]
+    for i, name in enumerate("ab"):
+        stl(tmp_path / f"{name}.stl", CORNERS * (i + 1) * 1000)
+    robot = arm(directory=str(tmp_path), filenames=files, mesh_scale=0.001,
+                colors={"red": [1, 0, 0, 0.5]}, joint_angles=[0.3, 0.4])  # fmt: skip
+    world, model, data = compiled(robot)
+    assert model.ngeom == 3
+    assert not model.geom_contype.any() and not model.geom_conaffinity.any()
+    np.testing.assert_allclose(model.geom_rgba[0], [1, 0, 0, 0.5])
+    poses = robot.dh.frames(robot.home)
+    for geom, (link, size) in enumerate([(1, 1), (2, 2), (2, 1)]):
+        assert model.geom_bodyid[geom] == world.robots["arm"].bodies[link]
+        T = poses[link]
+        expected = size * CORNERS @ T[:3, :3].T + T[:3, 3]
+        assert_same_points(mesh_corners(model, data, geom), expected)
+
+
+@pytest.mark.parametrize("convention", ["craig", "standard"])
+def test_arrows_stand_at_the_declared_offsets_with_z_along_the_joint(convention):
+    offsets = np.array([[0.1, 0.2, 0.3], [0, 0, -0.2]])
+    robot = arm(dh_convention=convention, offsets_to_center_of_joints=offsets,
+                base_frame=POSE)  # fmt: skip
+    world, _, data = compiled(robot)
+    axes, points = robot.dh.joint_axes(robot.dh.frames(robot.home, POSE))
+    turned = data.site_xmat[world.joints.centre_site].reshape(-1, 3, 3)
+    np.testing.assert_allclose(turned[:, :, 2], axes, atol=1e-12)
+    away = (turned @ offsets[..., None])[..., 0]
+    np.testing.assert_allclose(data.site_xpos[world.joints.centre_site], points + away, atol=1e-12)
+
+
+def test_base_is_a_mocap_body_at_its_frame_and_limits_are_those_declared():
+    limited = arm("a", base_frame=POSE, position_limits=[[-1, 2], [-0.5, 0.25]])
+    world, model, data = compiled(arm("b"), limited)
+    part = world.robots["a"]
+    np.testing.assert_allclose(data.mocap_pos[part.mocap], POSE[:3, 3])
+    np.testing.assert_allclose(pose_of(data, "body", "a/"), POSE, atol=1e-12)
+    assert model.body_mocapid[part.bodies[0]] == part.mocap
+    assert model.jnt_limited.tolist() == [0, 0, 1, 1]
+    np.testing.assert_allclose(model.jnt_range[2:], [[-1, 2], [-0.5, 0.25]])
+
+
+def test_tables_list_the_joints_and_frames_of_all_robots_in_order():
+    left = arm("left", torque_limits=[5, 6], arrow_radius=0.2, axes_transparency=0.25,
+               axes_size=0.3, joint_types=["revolute", "prismatic"])  # fmt: skip
+    right = arm("right", joint_names=["x", "y"], arrow_width_scale=0.02)
+    world, model, _ = compiled(left, right, sources={"udp": {}})
+    joints = world.joints
+    assert joints.names == ["J1", "J2", "x", "y"]
+    assert joints.robot.tolist() == [0, 0, 1, 1]
+    assert joints.revolute.tolist() == [True, False, True, True]
+    assert joints.torque_limit.tolist() == [5, 6, np.inf, np.inf]
+    assert joints.arrow_radius.tolist() == [0.2, 0.2, 0.1, 0.1]
+    assert joints.arrow_width_scale.tolist() == [0.01, 0.01, 0.02, 0.02]
+    assert [part.joints for part in world.robots.values()] == [slice(0, 2), slice(2, 4)]
+    names = [mujoco.mj_id2name(model, OBJ.mjOBJ_JOINT, i) for i in joints.qpos]
+    assert names == ["left/J1", "left/J2", "right/x", "right/y"]
+    taken = [i for slot in world.slots.values() for i in range(slot.start, slot.stop)]
+    assert sorted(taken) == list(range(model.nuserdata))  # no slot lies in another
+    slots = np.r_[world.slots["left.torques"], world.slots["right.torques"]]
+    assert joints.slots["torques"].tolist() == slots.tolist()
+    flags = [world.slots[f"{name}.has"].start for name in ("left", "left", "right", "right")]
+    assert joints.has["torques"].tolist() == [start + 1 for start in flags]
+    assert world.frames.names == [
+        f"{name}/{frame}" for name in ("left", "right")
+        for frame in ("base", "link1", "link2", "flange")
+    ]  # fmt: skip
+    assert world.frames.robot.tolist() == [0] * 4 + [1] * 4
+    assert world.frames.size.tolist() == [0.3] * 4 + [0.2] * 4
+    assert world.frames.alpha.tolist() == [0.75] * 4 + [1] * 4
+
+
+def test_data_starts_at_what_is_declared_and_reset_returns_there():
+    robot = arm(joint_angles=[0.1, 0.2], torques=[3, 4])
+    world, _, data = compiled(robot)
+    start = data.qpos.tolist(), data.userdata.tolist()
+    assert start[0] == [0.1, 0.2]
+    assert data.userdata[world.slots["arm.torques"]].tolist() == [3, 4]
+    assert data.userdata[world.slots["arm.has"]].tolist() == [0, 1, 0]
+    expected = robot.dh.frames([0.1, 0.2])[-1] @ robot.flange_frame
+    np.testing.assert_allclose(pose_of(data, "body", "arm/flange"), expected, atol=1e-12)
+    for key in ("joint_angles", "torques", "billboard_values"):
+        world.set_input(data, f"arm.{key}", [7, 8])
+    assert data.qpos.tolist() == [7, 8]
+    assert data.userdata[world.slots["arm.billboard_values"]].tolist() == [7, 8]
+    assert data.userdata[world.slots["arm.has"]].tolist() == [1, 1, 1]
+    world.reset(data)
+    assert (data.qpos.tolist(), data.userdata.tolist()) == start
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ([1], "arm.torques: found [1.0]; expected 2 finite numbers"),
+        ([1, np.nan], "arm.torques: found [1.0, nan]; expected 2 finite numbers"),
+        ([[1, 2]], "arm.torques: found [[1.0, 2.0]]; expected 2 finite numbers"),
+        (["a", "b"], "arm.torques: found ['a', 'b']; expected 2 finite numbers"),
+    ],
+)
+def test_wrong_values_are_refused_and_change_nothing(values, text):
+    world, _, data = compiled(arm())
+    with pytest.raises(ValueError) as caught:
+        world.set_input(data, "arm.torques", values)
+    assert str(caught.value) == text
+    assert not data.userdata.any()
+
+
+def test_unknown_inputs_and_robots_are_refused_with_the_nearest_name():
+    world, _, data = compiled(arm())
+    for target, text in [
+        ("arm.torque", "no input of arm 'torque'; did you mean 'torques'?"),
+        ("arm", "no input of arm ''; available: billboard_values, joint_angles, torques"),
+        ("amr.torques", "no robot 'amr'; did you mean 'arm'?"),
+    ]:
+        with pytest.raises(UnknownName) as caught:
+            world.set_input(data, target, [1, 2])
+        assert str(caught.value) == text
+    with pytest.raises(UnknownName) as caught:
+        world.fwd_kin_base_to_flange(data, "amr")
+    assert str(caught.value) == "no robot 'amr'; did you mean 'arm'?"
+
+
+def test_cameras_look_at_their_targets_with_the_sky_above():
+    rng = np.random.default_rng(4)
+    spots = [(p, t) for p, t in rng.uniform(-2, 2, (20, 2, 3))]
+    spots += [([0, 0, 2], [0, 0, 0]), ([1, 1, -1], [1, 1, 5]), ([3, 0, 1], [0, 0, 1])]
+    cameras = {
+        f"camera {i}": Camera(position=p, look_at=t, fovy_deg=30 + i)
+        for i, (p, t) in enumerate(spots)
+    }
+    _, model, data = compiled(cameras=cameras)
+    assert model.ncam == len(spots)
+    for i, (position, target) in enumerate(spots):
+        camera = model.camera(f"camera {i}").id
+        rotation = data.cam_xmat[camera].reshape(3, 3)
+        sight = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
+        np.testing.assert_allclose(data.cam_xpos[camera], position, atol=1e-12)
+        np.testing.assert_allclose(-rotation[:, 2], sight, atol=1e-9)
+        assert model.cam_fovy[camera] == 30 + i
+        assert abs(rotation[2, 0]) < 1e-9  # the horizon is level
+        assert rotation[2, 1] >= -1e-12  # and up is up
+
+
+def test_lights_are_those_declared_and_one_shines_when_none_is():
+    lights = {
+        "sun": Light(position=[1, 2, 3], direction=[0, 3, -4], diffuse=[0.1, 0.2, 0.3]),
+        "spot": Light(position=[0, 0, 1], directional=False, cast_shadow=False),
+    }
+    _, model, data = compiled(lights=lights)
+    sun, spot = model.light("sun").id, model.light("spot").id
+    assert model.nlight == 2
+    np.testing.assert_allclose(data.light_xpos[[sun, spot]], [[1, 2, 3], [0, 0, 1]])
+    np.testing.assert_allclose(data.light_xdir[[sun, spot]], [[0, 0.6, -0.8], [0, 0, -1]])
+    np.testing.assert_allclose(model.light_diffuse[[sun, spot]], [[0.1, 0.2, 0.3], [0.7] * 3])
+    assert model.light_castshadow[[sun, spot]].tolist() == [1, 0]
+    kind = mujoco.mjtLightType
+    assert model.light_type[[sun, spot]].tolist() == [kind.mjLIGHT_DIRECTIONAL, kind.mjLIGHT_SPOT]
+    assert compiled()[1].nlight == 1
+
+
+def test_floor_is_at_height_zero_unless_it_is_left_out():
+    _, model, data = compiled(floor=True)
+    assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
+    np.testing.assert_array_equal(pose_of(data, "geom", "floor"), np.eye(4))
+    assert compiled(floor=False)[1].ngeom == 0
