@@ -40,10 +40,17 @@ def view_at(
     )
 
 
+def toggles_of(world: World) -> Toggles:
+    """What the world declares, without the legend."""
+    toggles = Toggles(world)
+    toggles.legend = False
+    return toggles
+
+
 def drawn(world: World, view: View | None = None, **shown: bool) -> Any:
     """The rows that decor draws for a world as declared, features set by name."""
     data = world.make_data()
-    toggles = Toggles(world)
+    toggles = toggles_of(world)
     for name, value in shown.items():
         getattr(toggles, name)[:] = value
     pen = Decor(world).draw(data, toggles, view or view_at())

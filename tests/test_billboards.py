@@ -72,7 +72,7 @@ def test_declared_lines_have_their_own_label_unit_scale_and_decimals() -> None:
         billboard_lines=lines,
     )
     rows = drawn(world)
-    assert labels(rows)[:2] == ["A1    90 deg", "    T   31.26 C"]
+    assert labels(rows)[:2] == ["A1  pos    90 deg", "    T   31.26 C"]
     assert len(of_kind(rows, GEOM.mjGEOM_BOX)) == 7
 
 
@@ -210,3 +210,46 @@ def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
     data = world.make_data()
     data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1)
     assert Decor(world).draw(data, Toggles(world), view_at()).count == 0
+
+
+def test_lines_are_labelled_where_there_are_several() -> None:
+    world = world_of(
+        torques=np.full(7, 10.0),
+        commanded_torques=np.full(7, 12.5),
+        show_billboards=True,
+        billboard_lines=["torques", "commanded_torques", "torque_error"],
+    )
+    assert labels(drawn(world))[:3] == [
+        "A1  msr   10.0 Nm",
+        "    cmd   12.5 Nm",
+        "    err    2.50 Nm",
+    ]
+
+
+def test_huge_values_are_written_with_an_exponent() -> None:
+    world = world_of(torques=np.full(7, 1.0), show_billboards=True)
+    data = world.make_data()
+    data.userdata[world.slots["lwr.torques"]][:2] = (-1.5e300, 123456.0)
+    pen = Decor(world).draw(data, Toggles(world), view_at())
+    assert labels(pen.rows[: pen.count])[:2] == ["A1 -1.500e+300 Nm", "A2 123456.0 Nm"]
+
+
+def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width() -> None:
+    world = world_of(torques=np.full(7, 10.0), show_arrows=True)
+    toggles = Toggles(world)
+    decor, data = Decor(world), world.make_data()
+    pen = decor.draw(data, toggles, view_at())
+    legend = ["arrows: joint torque", "orange: + about z, blue: -", "full width: torque limit"]
+    assert labels(pen.rows[: pen.count]) == legend
+    toggles.arrow_quantity[3:] = 1  # switched live
+    pen = decor.draw(data, toggles, view_at())
+    found = labels(pen.rows[: pen.count])
+    assert found[:3] == legend
+    assert found[3] == "arrows: torque error, commanded - measured"
+    toggles.arrows[:] = False
+    assert decor.draw(data, toggles, view_at()).count == 0
+    # The words are those of the colours: orange is mostly red, blue mostly blue.
+    from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
+
+    assert np.argmax(POSITIVE_RGBA[:3]) == 0
+    assert np.argmax(NEGATIVE_RGBA[:3]) == 2

@@ -81,7 +81,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["send", "lwr_udp", "--rate", "0"], "expected a number above 0"),
         (["send", "lwr_udp", "--port", "70000"], "expected a port from 1 to 65535"),
         (["export", "lwr", "lwr.urdf"], "expected a name that ends in .xml"),
-        (["check", "nothing.toml"], "no scene or robot 'nothing.toml'"),
+        (["check", "nothing.toml"], "nothing.toml: no such file"),
         (["dance"], "invalid choice: 'dance'"),
         ([], "required: COMMAND"),
     ],

@@ -28,6 +28,7 @@ def world() -> World:
 @pytest.fixture(scope="module")
 def renderer(world: World):
     with HeadlessRenderer(world, *SIZE) as renderer:
+        renderer.toggles.legend = False
         yield renderer
 
 

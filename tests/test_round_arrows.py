@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from decor_tools import GEOM, drawn, of_kind, view_at, world_of
+from decor_tools import GEOM, drawn, of_kind, toggles_of, view_at, world_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,9 +19,9 @@ from sero_mj.decor.round_arrows import (
     WIDEST,
     arrow_widths,
 )
-from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.follow import follow
 
+BAND = np.array([0.002])  # the default dead band
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 
 
@@ -29,7 +29,7 @@ def ribbons(world: World, data=None, toggles=None):
     """Boxes of every arrow, (arrows, segments), and the segments per arrow."""
     decor = Decor(world)
     data = world.make_data() if data is None else data
-    pen = decor.draw(data, toggles or Toggles(world), view_at())
+    pen = decor.draw(data, toggles or toggles_of(world), view_at())
     boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
     return boxes.reshape(-1, decor._arrows.segments)
 
@@ -137,18 +137,18 @@ def test_zero_torque_and_missing_torque_show_no_arrow() -> None:
 
 def test_a_hidden_arrow_is_not_drawn_and_the_others_are() -> None:
     world = world_of(torques=np.full(7, 10.0), show_arrows=True)
-    toggles = Toggles(world)
+    toggles = toggles_of(world)
     toggles.arrows[[1, 4]] = False
     assert ribbons(world, toggles=toggles).shape[0] == 5
 
 
 def test_width_at_the_limit_is_the_radius_and_two_percent_is_still_readable() -> None:
     limit, radius = np.array([176.0]), np.array([0.1])
-    full = arrow_widths(limit, limit, radius, np.array([0.01]))
+    full = arrow_widths(limit, limit, radius, np.array([0.01]), BAND)
     assert full == pytest.approx([0.1])
     # A seventh of full width: at 800 pixels height and the default camera, 5 pixels.
-    assert arrow_widths(0.02 * limit, limit, radius, np.array([0.01])) > 0.14 * full
-    assert arrow_widths(limit, limit, radius, np.array([0.02])) == pytest.approx([0.15])
+    assert arrow_widths(0.02 * limit, limit, radius, np.array([0.01]), BAND) > 0.14 * full
+    assert arrow_widths(limit, limit, radius, np.array([0.02]), BAND) == pytest.approx([0.15])
 
 
 @given(
@@ -161,13 +161,15 @@ def test_width_at_the_limit_is_the_radius_and_two_percent_is_still_readable() ->
 def test_width_is_monotone_bounded_and_blind_to_the_sign(a, b, limit, radius, scale) -> None:
     torques = np.array([min(a, b), max(a, b), -max(a, b)])
     limits, radii = np.full(3, limit), np.full(3, radius)
-    low, high, negative = arrow_widths(torques, limits, radii, np.full(3, scale))
+    low, high, negative = arrow_widths(torques, limits, radii, np.full(3, scale), BAND)
     assert 0 <= low <= high == negative <= WIDEST * radius * (1 + 1e-12)
-    assert arrow_widths(np.zeros(3), limits, radii, np.full(3, scale)).tolist() == [0, 0, 0]
+    assert arrow_widths(np.zeros(3), limits, radii, np.full(3, scale), BAND).tolist() == [0, 0, 0]
 
 
 def test_without_a_limit_the_scale_alone_gives_the_width() -> None:
-    width = arrow_widths(np.array([3.0]), np.array([np.inf]), np.array([0.1]), np.array([0.01]))
+    width = arrow_widths(
+        np.array([3.0]), np.array([np.inf]), np.array([0.1]), np.array([0.01]), BAND
+    )
     assert width == pytest.approx([0.03])
 
 
@@ -206,6 +208,60 @@ def test_arrows_of_51_joints_stay_within_their_budget() -> None:
         show_axes=True,
     )
     world = World(Scene(robots=[robot], floor=False))
-    pen = Decor(world).draw(world.make_data(), Toggles(world), view_at(distance=12))
+    pen = Decor(world).draw(world.make_data(), toggles_of(world), view_at(distance=12))
     assert pen.left_out == 0
     assert pen.count < 1024
+
+
+def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None:
+    limit, radius, scale = np.full(4, 50.0), np.full(4, 0.1), np.full(4, 0.01)
+    shares = np.array([0.019, 0.0201, 0.03, 0.04])
+    widths = arrow_widths(shares * limit, limit, radius, scale, np.full(4, 0.02))
+    assert widths[0] == 0
+    assert 0 < widths[1] < 0.1 * widths[3]  # no jump at the edge of the band
+    assert widths[3] == pytest.approx(0.1 * np.sqrt(0.04))
+
+
+def test_an_arrow_beyond_its_limit_is_striped_and_one_at_it_is_not() -> None:
+    for torque, stripes in ((100.0, 0), (101.0, 20), (-150.0, 20)):
+        _, arrows = one_arrow(torque)
+        dark = (arrows["rgba"][0][:, :3] < 0.2).all(axis=1)
+        assert dark.sum() == stripes
+        assert not dark[0]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "expected"),
+    [("torques", [30, 0, 0]), ("torque_error", [-20, 40, 0]), ("joint_accelerations", [0, 0, -2])],
+)
+def test_arrows_show_the_quantity_that_the_scene_chooses(quantity, expected) -> None:
+    pad = [0.0] * 4
+    world = world_of(
+        torques=[30.0, 0, 0, *pad],
+        commanded_torques=[10.0, 40.0, 0, *pad],
+        joint_accelerations=[0.0, 0, -2.0, *pad],
+        acceleration_limits=np.full(7, 4.0),
+        arrow_quantity=quantity,
+        show_arrows=True,
+    )
+    values = np.array([*expected, *pad])
+    limit = world.joints.torque_limit if quantity != "joint_accelerations" else np.full(7, 4.0)
+    arrows = ribbons(world)
+    shown = values.nonzero()[0]
+    assert len(arrows) == len(shown)
+    for arrow, joint in zip(arrows, shown, strict=True):
+        width = 0.1 * np.sqrt(abs(values[joint]) / limit[joint])
+        assert arrow["size"][0, 2] * 2 == pytest.approx(width, rel=1e-5)
+        colour = POSITIVE_RGBA if values[joint] > 0 else NEGATIVE_RGBA
+        assert arrow["rgba"][0] == pytest.approx(colour)
+
+
+def test_one_joint_without_data_loses_its_arrow_and_the_others_go_on() -> None:
+    world = world_of(torques=np.full(7, 20.0), show_arrows=True)
+    data = world.make_data()
+    slot = world.slots["lwr.torques"]
+    for wrong in (np.nan, np.inf, -np.inf, 1e30):
+        data.userdata[slot][2] = wrong
+        assert len(ribbons(world, data)) == 6
+    data.userdata[slot][2] = 20.0
+    assert len(ribbons(world, data)) == 7

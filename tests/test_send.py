@@ -13,6 +13,7 @@ import pytest
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.tables import INPUTS
 from sero_mj.drive.motion import InverseDynamics, SineMotion
 from sero_mj.drive.send import MotionPackets, SendReport, send
 from sero_mj.errors import SourceError, StructureError, UsageError
@@ -174,6 +175,15 @@ def test_packets_carry_what_the_routes_lead_to_the_robot(t: float) -> None:
     expected = struct.pack("<6d", *position, *torques, *velocity)
     assert packets.at(t) == expected
     assert math.isfinite(sum(struct.unpack("<6d", expected)))
+
+
+@pytest.mark.parametrize("key", INPUTS)
+def test_whatever_can_be_routed_can_be_sent(key: str) -> None:
+    packet = MotionPackets(scene_of({f"arm.{key}": "udp.values0"})).at(0.4)
+    numbers = struct.unpack("<6d", packet)
+    assert all(map(math.isfinite, numbers))
+    assert all(numbers[:2])
+    assert not any(numbers[2:])
 
 
 def test_events_that_lead_nowhere_are_zero_and_float32_is_kept() -> None:

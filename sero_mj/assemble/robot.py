@@ -15,7 +15,7 @@ from ..errors import DeclarationError, did_you_mean
 from .declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
 from .dh import COLUMNS, DhTable
 from .objects import Object
-from .robot_parts import BillboardLine, LinkMesh, as_billboard_lines, as_link_meshes
+from .robot_parts import ArrowQuantity, BillboardLine, LinkMesh, as_billboard_lines, as_link_meshes
 from .toml_file import key_lines, located, read_toml
 
 MAX_JOINTS = 64
@@ -32,7 +32,10 @@ _PER_JOINT = (
     "torque_limits",
     "joint_angles",
     "offsets_to_center_of_joints",
+    "acceleration_limits",
     "torques",
+    "commanded_torques",
+    "joint_accelerations",
     "billboard_values",
 )
 
@@ -55,6 +58,7 @@ class SerialRobot(Declaration):
         velocity_limits: (n,), per second.
         velocity_limits_deg: the same in degrees per second; becomes velocity_limits.
         torque_limits: (n,).
+        acceleration_limits: (n,), rad/s2 or m/s2; full width of arrows that show accelerations.
         directory: folder of the mesh files.
         filenames: base and n links; a name, a table with file and color, or a list of these.
             Without files the links grow from the DH table.
@@ -69,11 +73,16 @@ class SerialRobot(Declaration):
         show_axes: whether coordinate axes are shown at the base, every joint and the flange.
         axes_size: their length in m.
         axes_transparency: 0 opaque to 1 invisible.
-        show_arrows: whether round arrows show the torques.
+        show_arrows: whether round arrows are shown.
+        arrow_quantity: what they show: `torques`, `torque_error` (commanded - measured),
+            `joint_accelerations`, or `singularity` (towards it, see `decor.singularity`).
+        arrow_dead_band: share of the limit below which nothing is shown, for noise.
         arrow_radius: of the round arrows, in m.
         arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
             `arrow_radius` wide at the limit, times this over its default of 0.01.
-        torques: (n,) until something is received; None for no data.
+        torques: measured, (n,), until something is received; None for no data.
+        commanded_torques: (n,), likewise.
+        joint_accelerations: (n,), rad/s2 or m/s2, likewise.
         show_billboards: whether billboards are shown.
         billboard_scale: text height over picture height is 0.7 times this.
         billboard_values: (n,) until something is received; None for no data.
@@ -92,6 +101,7 @@ class SerialRobot(Declaration):
     velocity_limits: Vector | None = None
     velocity_limits_deg: Vector | None = None
     torque_limits: Vector | None = None
+    acceleration_limits: Vector | None = None
     directory: str = ""
     colors: dict[str, Rgba] = {}
     filenames: list[Annotated[list[LinkMesh], BeforeValidator(as_link_meshes)]] = []
@@ -108,7 +118,11 @@ class SerialRobot(Declaration):
     show_arrows: bool = False
     arrow_radius: float = Field(0.1, gt=0)
     arrow_width_scale: float = Field(0.01, gt=0)
+    arrow_quantity: ArrowQuantity = "torques"
+    arrow_dead_band: float = Field(0.002, ge=0, lt=1)
     torques: Vector | None = None
+    commanded_torques: Vector | None = None
+    joint_accelerations: Vector | None = None
     show_billboards: bool = False
     billboard_scale: float = Field(0.05, gt=0, le=0.5)
     billboard_values: Vector | None = None
@@ -156,7 +170,9 @@ class SerialRobot(Declaration):
             raise ValueError(f"row {row + 1} is {limits[row].tolist()}; expected lower < upper")
         return limits
 
-    @field_validator("velocity_limits", "velocity_limits_deg", "torque_limits")
+    @field_validator(
+        "velocity_limits", "velocity_limits_deg", "torque_limits", "acceleration_limits"
+    )
     @classmethod
     def _limits_are_positive(cls, limits: Array | None) -> Array | None:
         if limits is not None and (limits <= 0).any():

@@ -10,6 +10,16 @@ from pydantic import Field, field_validator
 from .declaration import Declaration
 from .objects import check_mesh_file
 
+ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
+BillboardValue = Literal[
+    "torques",
+    "commanded_torques",
+    "torque_error",
+    "joint_accelerations",
+    "joint_angles",
+    "billboard_values",
+]
+
 
 class LinkMesh(Declaration):
     """One mesh file of a link.
@@ -32,14 +42,15 @@ class BillboardLine(Declaration):
     """One line of a joint's billboard.
 
     Attributes:
-        value: which of the robot's per-joint inputs it shows.
+        value: which of the robot's per-joint inputs it shows; `torque_error` is commanded -
+            measured.
         label: put before the number when a billboard has several lines.
         unit: shown behind the number; None for the value's own SI unit.
         decimals: digits after the point; None for what suits the value.
         scale: multiplies the value before it is shown (57.2958 for degrees).
     """
 
-    value: Literal["torques", "joint_angles", "billboard_values"]
+    value: BillboardValue
     label: str = ""
     unit: str | None = None
     decimals: int | None = Field(None, ge=0, le=9)

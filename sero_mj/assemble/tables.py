@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from .robot import SerialRobot
+from .robot_parts import ArrowQuantity
 from .scene import Scene
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 # Per-joint inputs that are kept in userdata, and the flags that say whether data came.
-VALUE_INPUTS = ("torques", "billboard_values")
+VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboard_values")
 INPUTS = ("joint_angles", *VALUE_INPUTS)
+ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
 # What a source's slot holds.
 SOURCE_FIELDS = ("received", "malformed", "dropped", "age")
 
@@ -30,6 +32,7 @@ class RobotPart:
     Attributes:
         robot: its declaration.
         qpos: index of every joint in `qpos`, (n,).
+        dofs: index of every joint in `qvel`, (n,).
         mocap: its base's index in `mocap_pos` and `mocap_quat`.
         bodies: ids of the base and every link, (n + 1,).
         flange_body: id of the flange.
@@ -38,6 +41,7 @@ class RobotPart:
 
     robot: SerialRobot
     qpos: Ints
+    dofs: Ints
     mocap: int
     bodies: Ints
     flange_body: int
@@ -54,9 +58,12 @@ class JointTable:
         revolute: whether it turns.
         centre_site: site whose z is the joint's axis, where its arrow and billboard stand.
         qpos: index in `qpos`.
-        slots: for each of `INPUTS`, index in `userdata` of its value (torques, billboard_values).
+        slots: for each of `VALUE_INPUTS`, index in `userdata` of its value.
         has: for each of `INPUTS`, index in `userdata` of the flag that data came.
         torque_limit: Nm or N, inf where there is none.
+        acceleration_limit: rad/s2 or m/s2, inf where there is none.
+        arrow_quantity: index in `ARROW_QUANTITIES` of what its arrow shows at first.
+        arrow_dead_band: share of the limit.
         arrow_radius: m.
         arrow_width_scale: m per Nm.
     """
@@ -69,6 +76,9 @@ class JointTable:
     slots: dict[str, Ints]
     has: dict[str, Ints]
     torque_limit: Array
+    acceleration_limit: Array
+    arrow_quantity: Ints
+    arrow_dead_band: Array
     arrow_radius: Array
     arrow_width_scale: Array
 
@@ -123,7 +133,11 @@ def joint_table(
         return [slots[f"{name}.{key}"] for name in parts]
 
     centres = [f"{robot.name}/centre{i + 1}" for robot in robots for i in range(robot.n)]
-    limits = [np.inf if r.torque_limits is None else r.torque_limits for r in robots]
+
+    def limits_of(field: str) -> Any:
+        limits = [getattr(robot, field) for robot in robots]
+        return gather([np.inf if limit is None else limit for limit in limits])
+
     return JointTable(
         names=[name for robot in robots for name in robot.names],
         robot=gather(range(len(robots)), np.intp),
@@ -138,7 +152,10 @@ def joint_table(
             key: gather([s.start + i for s in slots_of("has")], np.intp)
             for i, key in enumerate(INPUTS)
         },
-        torque_limit=gather(limits),
+        torque_limit=limits_of("torque_limits"),
+        acceleration_limit=limits_of("acceleration_limits"),
+        arrow_quantity=gather([ARROW_QUANTITIES.index(r.arrow_quantity) for r in robots], np.intp),
+        arrow_dead_band=gather([robot.arrow_dead_band for robot in robots]),
         arrow_radius=gather([robot.arrow_radius for robot in robots]),
         arrow_width_scale=gather([robot.arrow_width_scale for robot in robots]),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
@@ -20,10 +21,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
 
     def wrong(message: str) -> DeclarationError:
-        return DeclarationError([Problem("", message, str(path))])
+        line = re.search(r"at line (\d+)", message)
+        return DeclarationError([Problem("", message, str(path), int(line[1]) if line else None)])
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise wrong("no such file") from None
     except OSError as error:
@@ -45,7 +47,7 @@ def key_lines(path: Path) -> dict[str, int]:
     """
     lines: dict[str, int] = {}
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError):
         return lines
     table = ""

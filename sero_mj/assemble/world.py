@@ -155,6 +155,7 @@ class World:
             parts[name] = RobotPart(
                 robot=robot,
                 qpos=self.model.jnt_qposadr[joints].astype(np.intp),
+                dofs=self.model.jnt_dofadr[joints].astype(np.intp),
                 mocap=int(self.model.body_mocapid[ids[0]]),
                 bodies=ids,
                 flange_body=self._id(obj.mjOBJ_BODY, f"{name}/flange"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import mujoco
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from ..assemble.robot import SerialRobot
 from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
-from ..assemble.tables import VALUE_INPUTS
 from ..assemble.world import World
 from .layout import columns
 from .panels import draw_leaders, draw_panels, panel_sizes
@@ -23,9 +23,22 @@ Array = NDArray[np.float64]
 
 LEADER_RGBA = (0.09, 0.11, 0.14, 0.9)
 NO_DATA = b"no data"
+# What lines are called where a billboard has several of them.
+_LABELS = {
+    "torques": "msr",
+    "commanded_torques": "cmd",
+    "torque_error": "err",
+    "joint_accelerations": "acc",
+    "joint_angles": "pos",
+    "billboard_values": "val",
+}
+_PLAIN_BELOW = 1e6  # larger values are written with an exponent
 # Unit and decimals of a value by itself, for revolute and for prismatic joints.
 _UNITS = {
     "torques": (("Nm", 1), ("N", 1)),
+    "commanded_torques": (("Nm", 1), ("N", 1)),
+    "torque_error": (("Nm", 2), ("N", 2)),
+    "joint_accelerations": (("rad/s2", 2), ("m/s2", 2)),
     "joint_angles": (("rad", 3), ("m", 4)),
     "billboard_values": (("", 2), ("", 2)),
 }
@@ -47,6 +60,7 @@ class _Line:
 
     head: str
     form: str
+    scientific: str
     scale: float
     decimals: int
     key: str
@@ -65,7 +79,13 @@ class Billboards:
             robot = parts[joints.robot[i]].robot
             declared = lines_of(robot, world.scene)
             prismatic = int(not joints.revolute[i])
-            self._lines.append([_line(name, k, line, prismatic) for k, line in enumerate(declared)])
+            labels = [line.label or _LABELS[line.value] * (len(declared) > 1) for line in declared]
+            self._lines.append(
+                [
+                    _line(name, k, line, label, prismatic)
+                    for k, (line, label) in enumerate(zip(declared, labels, strict=True))
+                ]
+            )
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
@@ -73,8 +93,23 @@ class Billboards:
         self._counts = np.array([len(lines) for lines in self._lines], np.intp)
         self._widths: dict[int, Array] = {}
 
-    def draw(self, pen: Pen, data: mujoco.MjData, toggles: Toggles, view: View) -> None:
-        """Draws the panel and leader of every joint whose billboard is shown."""
+    def draw(
+        self,
+        pen: Pen,
+        data: mujoco.MjData,
+        toggles: Toggles,
+        view: View,
+        values: dict[str, Array],
+    ) -> None:
+        """Draws the panel and leader of every joint whose billboard is shown.
+
+        Args:
+            pen: where to.
+            data: the world's state.
+            toggles: what is shown.
+            view: of the picture.
+            values: what `joint_values` returned.
+        """
         joints = self._world.joints
         shown = toggles.billboards.nonzero()[0]
         if not len(shown):
@@ -85,7 +120,7 @@ class Billboards:
         shown, anchors, depth = shown[inside], anchors[inside], depth[inside]
         if not len(shown):
             return
-        texts = self._texts(data, shown)
+        texts = self._texts(values, shown)
         sizes = self._sizes(view, shown, texts)
         gap = view.font.height * 0.3
         # Clear of the round arrows of the joint that is nearest to the eye.
@@ -102,23 +137,19 @@ class Billboards:
         draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
         draw_panels(pen, view, centres, sizes, texts)
 
-    def _texts(self, data: mujoco.MjData, shown: NDArray[np.intp]) -> list[list[bytes]]:
-        joints = self._world.joints
-        values = {"joint_angles": data.qpos[joints.qpos]}
-        missing = {"joint_angles": np.zeros(len(joints.names), bool)}
-        for key in VALUE_INPUTS:
-            values[key] = data.userdata[joints.slots[key]]
-            missing[key] = data.userdata[joints.has[key]] <= 0
+    def _texts(self, values: dict[str, Array], shown: NDArray[np.intp]) -> list[list[bytes]]:
         texts = []
         for i in shown:
             lines = []
             for line in self._lines[i]:
-                if missing[line.key][i]:
+                value = float(values[line.key][i])
+                if not math.isfinite(value):
                     lines.append(line.head.encode("ascii") + NO_DATA)
                     continue
                 # Adding zero turns -0.0, which rounding makes of a small negative, into 0.0.
-                value = round(float(values[line.key][i]) * line.scale, line.decimals) + 0.0
-                lines.append((line.head + line.form % value).encode("ascii"))
+                value = round(value * line.scale, line.decimals) + 0.0
+                form = line.form if abs(value) < _PLAIN_BELOW else line.scientific
+                lines.append((line.head + form % value).encode("ascii"))
             texts.append(lines)
         return texts
 
@@ -150,13 +181,14 @@ def _rank(world: World) -> NDArray[np.intp]:
     return rank
 
 
-def _line(joint: str, k: int, line: BillboardLine, prismatic: int) -> _Line:
+def _line(joint: str, k: int, line: BillboardLine, label: str, prismatic: int) -> _Line:
     """Prepares a line: the joint's name stands on the first one, labels on all."""
     unit, decimals = _UNITS[line.value][prismatic]
     unit = unit if line.unit is None else line.unit
     decimals = decimals if line.decimals is None else line.decimals
-    words = [joint if k == 0 else " " * len(joint), line.label]
+    words = [joint if k == 0 else " " * len(joint), label]
     head = "  ".join(word for word in words if word) + " "
     tail = f" {unit}" if unit else ""
     form = f"%{decimals + 5 if decimals else 5}.{decimals}f" + tail.replace("%", "%%")
-    return _Line(head, form, line.scale, decimals, line.value, head + form % -888.8888888)
+    scientific = "%10.3e" + tail.replace("%", "%%")
+    return _Line(head, form, scientific, line.scale, decimals, line.value, head + form % -888.8888)

@@ -7,7 +7,9 @@ import mujoco
 from ..assemble.world import World
 from .axes import draw_axes
 from .billboards import Billboards
+from .legend import Legend
 from .pen import Pen
+from .quantities import arrow_values, joint_values
 from .round_arrows import RoundArrows
 from .status import Status
 from .toggles import Toggles
@@ -26,6 +28,7 @@ class Decor:
         self._world = world
         self._arrows = RoundArrows(world)
         self._billboards = Billboards(world)
+        self._legend = Legend(world)
         self._status = Status(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Pen:
@@ -38,8 +41,11 @@ class Decor:
         """
         pen = self.pen
         pen.clear()
+        values = joint_values(self._world, data)
+        shown, limit = arrow_values(self._world, data, values, toggles.arrow_quantity)
         draw_axes(pen, self._world, data, toggles)
-        self._arrows.draw(pen, data, toggles)
-        self._billboards.draw(pen, data, toggles, view)
+        self._arrows.draw(pen, data, toggles, shown, limit)
+        self._billboards.draw(pen, data, toggles, view, values)
+        self._legend.draw(pen, toggles, view, limit)
         self._status.draw(pen, data, toggles, view)
         return pen

@@ -1,13 +1,13 @@
-"""Round arrows: turn about their joint, and show its torque by direction and width.
+"""Round arrows turn about their joint and show a value by direction and width.
 
 An arrow is a ribbon of thin boxes with a head that tapers in width and thickness, so that it
 reads as an arrow head both from the side and along the axis. It turns at constant speed, by the
 right-hand rule about the joint's z for a positive torque; a colour tells the sign as well.
 
-Width: with a torque limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the limit and
-with the square root of the torque below it, so that 2 % of the limit still has a seventh of the
-full width. Without a limit, `arrow_width_scale` m per Nm. Source: the paper's section 2.2; the
-root is ours.
+Width: with a limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the limit and with the
+square root of the value below it, so that 2 % of the limit still has a seventh of the full width;
+nothing below the dead band. Without a limit, `arrow_width_scale` m per unit. Beyond the limit the
+ribbon is striped. Source: the paper's section 2.2; root, dead band and stripes are ours.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
 NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
+STRIPE_RGBA = (0.08, 0.08, 0.09, 1.0)
+
 TURNING_SPEED = 1.6  # rad/s
 DEFAULT_WIDTH_SCALE = 0.01  # the proto's arrow_width_scale
 INVISIBLE_WIDTH = 0.03  # of the radius; narrower (0.1 % of a torque limit) is no arrow
@@ -42,23 +44,27 @@ _GEOMS_FOR_ARROWS = 620  # the rest of `MAX_GEOMS` is for billboards and axes
 
 
 def arrow_widths(
-    torques: Array, limit: Array, radius: Array, width_scale: Array
+    values: Array, limit: Array, radius: Array, width_scale: Array, dead_band: Array
 ) -> NDArray[np.float64]:
     """Width of the arrow for every joint.
 
     Args:
-        torques: (N,), Nm; the sign does not matter.
-        limit: torque limits (N,), Nm; inf where there is none.
+        values: what arrows show, (N,); the sign does not matter.
+        limit: at which value an arrow is at full width, (N,); inf where there is none.
         radius: `arrow_radius` (N,), m.
-        width_scale: `arrow_width_scale` (N,), m per Nm.
+        width_scale: `arrow_width_scale` (N,), m per unit of the value.
+        dead_band: share of the limit below which an arrow has no width, (N,).
 
     Returns:
-        (N,), m; monotone in the torque, 0 for no torque, at most `WIDEST` times the radius.
+        (N,), m; continuous and monotone in the value, 0 up to the dead band and for NaN, at most
+        `WIDEST` times the radius.
     """
-    size = np.abs(torques)
+    size = np.nan_to_num(np.abs(values))
     limited = np.isfinite(limit)
     share = size / np.where(limited, limit, 1.0)
-    of_limit = radius * (width_scale / DEFAULT_WIDTH_SCALE) * np.sqrt(share)
+    band = np.maximum(dead_band, 1e-9)
+    grown = np.minimum(np.maximum(share / band - 1.0, 0.0), 1.0)
+    of_limit = radius * (width_scale / DEFAULT_WIDTH_SCALE) * np.sqrt(share) * grown
     return np.minimum(np.where(limited, of_limit, size * width_scale), WIDEST * radius)
 
 
@@ -71,24 +77,39 @@ class RoundArrows:
         self.segments = int(np.clip(budget, _FEWEST_SEGMENTS, _MOST_SEGMENTS))
         self._angle, self._half_angle, self._head, self._taper = _ribbon(self.segments)
 
-    def draw(self, pen: Pen, data: mujoco.MjData, toggles: Toggles) -> None:
-        """Draws an arrow for every joint that has a torque and whose arrow is shown."""
+    def draw(
+        self, pen: Pen, data: mujoco.MjData, toggles: Toggles, values: Array, limit: Array
+    ) -> None:
+        """Draws an arrow for every joint that has a value and whose arrow is shown.
+
+        Args:
+            pen: where to.
+            data: the world's state.
+            toggles: what is shown.
+            values: what the arrows show, (N,), NaN for no data.
+            limit: at which value an arrow is at full width, (N,).
+        """
         joints = self._world.joints
-        torques = data.userdata[joints.slots["torques"]]
         widths = arrow_widths(
-            torques, joints.torque_limit, joints.arrow_radius, joints.arrow_width_scale
+            values, limit, joints.arrow_radius, joints.arrow_width_scale, joints.arrow_dead_band
         )
-        has_data = data.userdata[joints.has["torques"]] > 0
-        shown = toggles.arrows & has_data & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
+        shown = toggles.arrows & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
+        over = np.nan_to_num(np.abs(values)) > limit
         turning = (shown & joints.revolute).nonzero()[0]
         sliding = (shown & ~joints.revolute).nonzero()[0]
         if len(turning):
-            self._draw_round(pen, data, turning, torques[turning], widths[turning])
+            self._draw_round(pen, data, turning, values[turning], widths[turning], over[turning])
         if len(sliding):
-            self._draw_straight(pen, data, sliding, torques[sliding], widths[sliding])
+            self._draw_straight(pen, data, sliding, values[sliding], widths[sliding])
 
     def _draw_round(
-        self, pen: Pen, data: mujoco.MjData, index: NDArray[np.intp], torques: Array, widths: Array
+        self,
+        pen: Pen,
+        data: mujoco.MjData,
+        index: NDArray[np.intp],
+        torques: Array,
+        widths: Array,
+        over: NDArray[np.bool_],
     ) -> None:
         joints = self._world.joints
         rows = pen.take(len(index) * self.segments, int(mujoco.mjtGeom.mjGEOM_BOX))
@@ -123,6 +144,10 @@ class RoundArrows:
         grid["size"][..., 1] = (radius[:, None] + thickness / 2) * np.tan(self._half_angle)
         grid["size"][..., 2] = width / 2
         grid["rgba"] = _colours(torques)[:, None]
+        # Beyond the limit the ribbon is striped like a warning tape, whatever its width.
+        striped = grid[over, 1 : self.segments : 2]
+        striped["rgba"] = STRIPE_RGBA
+        grid[over, 1 : self.segments : 2] = striped
 
     def _draw_straight(
         self, pen: Pen, data: mujoco.MjData, index: NDArray[np.intp], forces: Array, widths: Array

@@ -15,8 +15,10 @@ class Toggles:
 
     Attributes:
         arrows: for every joint of the world, (N,).
+        arrow_quantity: what its arrow shows, index in `ARROW_QUANTITIES`, (N,).
         billboards: for every joint, (N,).
         axes: for every frame of the world, (M,).
+        legend: whether it is written what arrows show.
         status: whether faults of the sources are written into the picture.
     """
 
@@ -28,7 +30,9 @@ class Toggles:
             return shown[world.joints.robot] if len(robots) else np.zeros(0, bool)
 
         self.arrows = per_joint("show_arrows")
+        self.arrow_quantity = world.joints.arrow_quantity.copy()
         self.billboards = per_joint("show_billboards")
         shown = np.array([*(robot.show_axes for robot in robots), True])  # -1: always shown
         self.axes = shown[world.frames.robot]
+        self.legend = True
         self.status = True

@@ -15,6 +15,7 @@ from ..assemble.scene import Scene
 from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..errors import DeclarationError
+from ..paths import find_scene
 from ..receive.source import age
 from .follow import follow
 from .route import Route, Router, wire
@@ -22,18 +23,19 @@ from .route import Route, Router, wire
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
-def load_scene(path: Path, overrides: Mapping[str, Any] | None = None) -> Scene:
+def load_scene(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Scene:
     """Reads and checks a scene file, opening nothing.
 
     Args:
-        path: a TOML file.
+        path: a TOML file, or a shipped scene's name.
         overrides: `robot.field` to its value, over what the file says. An input that is set so
             (`lwr.joint_angles`) is no longer routed to.
 
     Raises:
         DeclarationError: everything that is wrong in the file, at once.
+        UnknownName: there is no such scene.
     """
-    scene, problems = read_scene(path, overrides)
+    scene, problems = read_scene(find_scene(str(path)), overrides)
     problems += scene.located(wire(scene).problems)
     if problems:
         raise DeclarationError(problems)

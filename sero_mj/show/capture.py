@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
 from ..drive.mirror import Mirror, restore
-from .film import FilmWriter, save_picture
+from ..errors import RenderError
+from .film import FilmWriter, check_writable, save_picture
 from .headless import DEFAULT_SIZE, HeadlessRenderer
 
+MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is a slip of the finger
 State = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
@@ -49,8 +51,8 @@ def render_picture(
         SeroError: what is wrong with the scene, its sources, the camera or the file.
     """
     with Mirror(scene) as mirror:
-        renderer = HeadlessRenderer(mirror.world, *size, camera)
-        with renderer:
+        check_writable(Path(path))
+        with HeadlessRenderer(mirror.world, *size, camera) as renderer:
             silent = mirror.wait(wait)
             mirror.advance(0.0)
             save_picture(Path(path), renderer.render(mirror.data))
@@ -87,12 +89,14 @@ def render_film(
         SeroError: what is wrong with the scene, its sources, the camera or the file.
     """
     count = max(round(duration * fps), 1)
+    if count > MAX_FRAMES:
+        raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
     with Mirror(scene) as mirror:
         world = mirror.world
         data = world.make_data()
         with (
-            HeadlessRenderer(world, *size, camera) as renderer,
             FilmWriter(Path(path), *size, fps) as film,
+            HeadlessRenderer(world, *size, camera) as renderer,
         ):
             silent = mirror.wait(wait)
             pixels = np.empty((size[1], size[0], 3), np.uint8)

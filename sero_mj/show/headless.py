@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from typing import Any
 
 import mujoco
@@ -106,7 +107,12 @@ def _make_renderer(world: World, width: int, height: int) -> Any:
     try:
         return mujoco.Renderer(model, height, width, font_scale=font)
     except Exception as error:  # every GL backend raises its own
+        advice = "`sero-mj doctor` says what is missing"
+        if not os.environ.get("MUJOCO_GL"):
+            advice = (
+                "mujoco chose its OpenGL backend when it was imported: import sero_mj before it, "
+                "or set MUJOCO_GL=egl"
+            )
         raise RenderError(
-            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
-            "`sero-mj doctor` says what is missing"
+            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; {advice}"
         ) from error

@@ -1,0 +1,72 @@
+"""Per-joint values as decor shows them: what was received, and what follows from it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.tables import ARROW_QUANTITIES, VALUE_INPUTS
+from ..assemble.world import World
+from .singularity import towards_singularity
+
+Array = NDArray[np.float64]
+
+# Beyond this many times its limit a value is a fault of its source, not a measurement.
+ABSURD = 1e3
+
+
+def joint_values(world: World, data: mujoco.MjData) -> dict[str, Array]:
+    """All received values of all joints, and those that follow from them.
+
+    Returns:
+        name to (N,): the `VALUE_INPUTS`, `joint_angles`, and `torque_error` (commanded -
+        measured); NaN where there is no data.
+    """
+    joints, userdata = world.joints, data.userdata
+    values: dict[str, Array] = {"joint_angles": data.qpos[joints.qpos]}
+    for key in VALUE_INPUTS:
+        received = userdata[joints.slots[key]]
+        received[userdata[joints.has[key]] <= 0] = np.nan
+        values[key] = received
+    values["torque_error"] = values["commanded_torques"] - values["torques"]
+    return values
+
+
+def arrow_values(
+    world: World, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """What every joint's arrow shows, and at which value it is at full width.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        values: what `joint_values` returned.
+        quantity: index in `ARROW_QUANTITIES`, (N,).
+
+    Returns:
+        values (N,), NaN where there is no data, and limits (N,), inf where there is none.
+    """
+    joints = world.joints
+    shown = np.full(len(joints.names), np.nan)
+    limit = joints.torque_limit.copy()
+    for code in np.unique(quantity):
+        at = quantity == code
+        name = ARROW_QUANTITIES[code]
+        if name == "singularity":
+            for part in world.robots.values():
+                if at[part.joints].any():
+                    shown[part.joints] = np.where(
+                        at[part.joints],
+                        towards_singularity(world.model, data, part),
+                        shown[part.joints],
+                    )
+            limit[at] = 1.0
+            continue
+        shown[at] = values[name][at]
+        if name == "joint_accelerations":
+            limit[at] = joints.acceleration_limit[at]
+    bounded = np.isfinite(limit)
+    with np.errstate(invalid="ignore"):
+        shown[bounded & (np.abs(shown) > ABSURD * limit)] = np.nan
+    return shown, limit
