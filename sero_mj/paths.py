@@ -56,17 +56,17 @@ def find_model(name: str, beside: Path | None = None) -> Path:
     for candidate in (local / "robot.toml", local, models_dir() / name / "robot.toml"):
         if candidate.suffix == ".toml" and _is_file(candidate):
             return candidate
-    refuse_path(name, beside)
+    _refuse_path(name, beside)
     raise UnknownName("robot model", name, list_models())
 
 
-def refuse_path(name: str, beside: Path | None = None) -> None:
+def _refuse_path(name: str, beside: Path | None = None) -> None:
     """Says what is wrong with a name that is meant as a path, where a list would not help.
 
     Raises:
-        DeclarationError: it ends in .toml or has a folder in front, and there is no such file.
+        DeclarationError: it ends in .toml and there is no such file.
     """
-    if "\0" not in name and (name.endswith(".toml") or "/" in name or "\\" in name):
+    if "\0" not in name and name.endswith(".toml"):
         path = (beside or Path()) / name
         what = "is a folder; expected a TOML file" if _is_folder(path) else "no such file"
         raise DeclarationError([Problem("", what, str(path))])
@@ -88,5 +88,5 @@ def find_scene(name: str) -> Path:
     for candidate in (Path(name), scenes_dir() / f"{name}.toml"):
         if _is_file(candidate):
             return candidate
-    refuse_path(name)
+    _refuse_path(name)
     raise UnknownName("scene", name, list_scenes())

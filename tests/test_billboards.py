@@ -174,7 +174,7 @@ def test_toggles_choose_which_joints_have_billboards(billboard_world) -> None:
 
 def udp_world() -> World:
     lwr = SerialRobot.from_model("lwr")
-    udp = {"kind": "udp", "structure": "7F"}
+    udp = {"kind": "udp", "port": 1, "structure": "7F"}
     return World(
         Scene(robots=[lwr], sources={"udp": udp}, routes={"lwr.joint_angles": "udp.values0"})
     )
@@ -183,11 +183,18 @@ def udp_world() -> World:
 @pytest.mark.parametrize(
     ("slot", "said"),
     [
-        ((0, 0, 0, -1), ["udp: no data yet"]),
-        ((9, 0, 0, 0.1), []),
-        ((12, 3, 0, 0.1), ["udp: 3 of 12 packets malformed, not applied"]),
-        ((12, 0, 2, 0.1), ["udp: 2 packets dropped by the kernel"]),
-        ((3, 3, 0, -1), ["udp: no data yet", "udp: 3 of 3 packets malformed, not applied"]),
+        ((0, 0, 0, -1, 0, 0, 56, -1), ["udp: no data yet"]),
+        ((9, 0, 0, 0.1, 0, 0, 56, -1), []),
+        (
+            (12, 3, 0, 0.1, 2, 5, 56, 1.0),
+            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56", "  NaN or infinity"],
+        ),
+        (
+            (12, 1, 0, 0.1, 1, 5, 56, 1.0),
+            ["udp: 1 of 12 packets not applied", "  5 bytes, expected 56"],
+        ),
+        ((12, 3, 0, 0.1, 2, 5, 56, 6.0), []),  # long ago
+        ((12, 0, 2, 0.1, 0, 0, 56, -1), ["udp: 2 packets dropped by the kernel"]),
     ],
 )
 def test_faults_of_a_source_stand_in_the_corner(slot, said) -> None:
@@ -208,7 +215,7 @@ def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
     lwr = SerialRobot.from_model("lwr")
     world = World(Scene(robots=[lwr], sources={"udp": {"kind": "udp", "structure": "7F"}}))
     data = world.make_data()
-    data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1)
+    data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1, 0, 0, 56, -1)
     assert Decor(world).draw(data, Toggles(world), view_at()).count == 0
 
 

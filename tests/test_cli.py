@@ -77,7 +77,10 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["fk", "lrw"], "no robot model 'lrw'; did you mean 'lwr'?"),
         (["send", "lwr_udp", "--structure", "6F6F"], "values0 has 6 values; lwr has 7 joints"),
         (["send", "lwr_udp", "--structure", "7G"], "structure '7G', character 2: found 'G'"),
-        (["send", "lwr_udp", "--source", "ucp"], "choose a UDP source of the scene"),
+        (
+            ["send", "lwr_udp", "--source", "ucp"],
+            "the scene has no UDP source 'ucp'; did you mean 'udp'?",
+        ),
         (["send", "lwr_udp", "--rate", "0"], "expected a number above 0"),
         (["send", "lwr_udp", "--port", "70000"], "expected a port from 1 to 65535"),
         (["export", "lwr", "lwr.urdf"], "expected a name that ends in .xml"),

@@ -169,7 +169,9 @@ def test_export_loads_in_plain_mujoco_and_stands_the_same(tmp_path):
     shutil.rmtree(tmp_path / "source")  # the export needs nothing from where the files came
     written = world.export(tmp_path / "a" / "b" / "scene.xml")
     assert written[0] == tmp_path / "a" / "b" / "scene.xml"
-    assert set(written) == set(written[0].parent.iterdir())
+    folder = written[0].parent
+    assert set(written) == {path for path in folder.rglob("*") if path.is_file()}
+    assert {path.name for path in folder.iterdir()} == {"scene.xml", "scene_assets"}
     assert len(written) == len(set(written)) > 1
     loaded = mujoco.MjModel.from_xml_path(str(written[0]))
     fresh = mujoco.MjData(loaded)

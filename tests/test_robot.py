@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sero_mj.assemble.dh import COLUMNS
+from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.errors import DeclarationError
 
@@ -121,10 +122,8 @@ def test_billboard_lines_may_be_words_and_tables():
 
 WRONG = [
     ({"dh_convention": None}, "dh_convention: found None; expected 'craig' or 'standard'"),
-    (
-        {"dh_convention": "craigg"},
-        "dh_convention: found 'craigg'; expected 'craig' or 'standard'; did you mean 'craig'?",
-    ),
+    ({"dh_convention": "craigg"},
+     "dh_convention: found 'craigg'; expected 'craig' or 'standard'; did you mean 'craig'?"),
     ({"show_axis": True}, "show_axis: unknown key; did you mean 'show_axes'?"),
     ({"dh_params": [0, 0, 0]}, "dh_params: found 3; expected n x 4 numbers"),
     ({"dh_params": [[0, 0, 0]]}, "dh_params: found 1 x 3; expected n x 4 numbers"),
@@ -132,35 +131,25 @@ WRONG = [
     ({"dh_params": [["x", 0, 0, 0]]}, "dh_params: found [['x', 0, 0, 0]]; expected numbers"),
     ({"dh_params": []}, "dh_params: found 0 rows; expected 1 to 64"),
     ({"dh_params": [0.0] * 260}, "dh_params: found 65 rows; expected 1 to 64"),
-    (
-        {"dh_params": [0, 0, math.nan, 0]},
-        "dh_params: found [0, 0, nan, 0]; expected finite numbers, no NaN or inf",
-    ),
-    (
-        {"dh_columns": ["a", "a", "d", "theta"]},
-        "dh_columns: found ['a', 'a', 'd', 'theta']; expected alpha, a, theta, d in any order",
-    ),
-    (
-        {"dh_columns": ["alfa", "a", "d", "theta"]},
-        "dh_columns.0: found 'alfa'; expected 'alpha', 'a', 'theta' or 'd'; did you mean 'alpha'?",
-    ),
+    ({"dh_params": [0, 0, math.nan, 0]},
+     "dh_params: found [0, 0, nan, 0]; expected finite numbers, no NaN or inf"),
+    ({"dh_columns": ["a", "a", "d", "theta"]},
+     "dh_columns: found ['a', 'a', 'd', 'theta']; expected alpha, a, theta, d in any order"),
+    ({"dh_columns": ["alfa", "a", "d", "theta"]},
+     "dh_columns.0: found 'alfa'; expected 'alpha', 'a', 'theta' or 'd'; did you mean 'alpha'?"),
     (
         {"joint_types": ["revolut"]},
         "joint_types.0: found 'revolut'; expected 'revolute' or 'prismatic';"
         " did you mean 'revolute'?",
     ),
-    (
-        {"dh_params": TWO_JOINTS, "joint_names": ["a", "a"]},
-        "joint_names: 'a' stands there twice; expected different names",
-    ),
+    ({"dh_params": TWO_JOINTS, "joint_names": ["a", "a"]},
+     "joint_names: 'a' stands there twice; expected different names"),
     ({"joint_names": ["a/b"]}, "joint_names.0: found 'a/b'; expected letters, digits, _ and -, "
         "the first a letter or _"),
     ({"joint_names": ["A1\n"]}, "joint_names.0: found 'A1\\n'; expected letters, digits, _ and -, "
         "the first a letter or _"),
-    (
-        {"position_limits": [[1, -1]]},
-        "position_limits: row 1 is [1.0, -1.0]; expected lower < upper",
-    ),
+    ({"position_limits": [[1, -1]]},
+     "position_limits: row 1 is [1.0, -1.0]; expected lower < upper"),
     (
         {"dh_params": TWO_JOINTS, "position_limits": [-1, 1, 2, 2]},
         "position_limits: row 2 is [2.0, 2.0]; expected lower < upper",
@@ -217,8 +206,9 @@ WRONG = [
     ({"show_axes": "yes"}, "show_axes: found 'yes'; expected boolean"),
     (
         {"billboard_lines": ["torque"]},
-        "billboard_lines.0.value: found 'torque'; expected 'torques', 'joint_angles' or"
-        " 'billboard_values'; did you mean 'torques'?",
+        "billboard_lines.0.value: found 'torque'; expected 'torques', 'commanded_torques',"
+        " 'torque_error', 'joint_accelerations', 'joint_angles' or 'billboard_values';"
+        " did you mean 'torques'?",
     ),
     (
         {"children": [{"name": "a", "shape": "sphere", "size": [1]}] * 2},
@@ -327,3 +317,25 @@ def test_limits_in_degrees_are_refused_for_sliding_joints():
 def test_joint_types_that_are_no_list_are_refused_beside_limits_in_degrees(types):
     text = refusal(joint_types=types, velocity_limits_deg=[1])
     assert f"joint_types: found {types!r}; expected list" in text.splitlines()
+
+
+def test_table_in_degrees_becomes_one_in_radians_and_excludes_the_other():
+    columns = ["a", "alpha", "d", "theta"]
+    turned = robot(dh_params_deg=[[1, 90, 2, 180]], dh_columns=columns)
+    np.testing.assert_allclose(turned.dh_params, [[1, math.pi / 2, 2, math.pi]], rtol=1e-15)
+    text = refusal(dh_params=[0, 0, 0, 1], dh_params_deg=[90, 0, 0, 2])
+    assert "found both dh_params and dh_params_deg; expected one of them" in text
+    # Nothing is known about the number of joints, so nothing is said about it.
+    text = refusal(dh_params_deg=[90, 0, 0], joint_angles=[1, 2])
+    assert text == "dh_params_deg: found 3; expected n x 4 numbers"
+
+
+def test_refused_assignment_changes_nothing():
+    box = Object(name="a", shape="box", size=[1, 2, 3])
+    with pytest.raises(DeclarationError, match="size of a box: found"):
+        box.size = [1, 2]
+    assert box.size.tolist() == [1, 2, 3]
+    held = robot(joint_angles=[0.5])
+    with pytest.raises(DeclarationError, match="found 1 entries; expected 2, one per row"):
+        held.dh_params = TWO_JOINTS
+    assert held.n == 1

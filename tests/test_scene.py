@@ -180,6 +180,7 @@ WRONG = {
     "[robots.arm]\n\nmodel = 'lrw'": [
         "s.toml:3: robots.arm.model: no robot model 'lrw'; did you mean 'lwr'?"
     ],
+    "[robots.arm]\n\nmodel = 'none.toml'": ["s.toml:3: robots.arm.model: none.toml: no such file"],
     "[robots.arm]\ndh_conventoin = 'craig'": [
         "s.toml:1: robots.arm.dh_convention: is required; expected 'craig' or 'standard'",
         "s.toml:2: robots.arm.dh_conventoin: unknown key; did you mean 'dh_convention'?",
@@ -320,7 +321,8 @@ def test_file_that_is_no_toml_is_refused_with_its_name(tmp_path, contents, text)
         file.write_bytes(contents)
     with pytest.raises(DeclarationError) as caught:
         read_scene(file)
-    assert str(caught.value).startswith(f"{file}: {text}")
+    line = ":2" if "line 2" in text else ""
+    assert str(caught.value).startswith(f"{file}{line}: {text}")
     assert "\n" not in str(caught.value)
 
 

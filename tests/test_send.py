@@ -216,18 +216,25 @@ def test_one_of_several_sources_is_chosen_by_name() -> None:
     assert packets.at(0.5) == struct.pack("<6d", *torques, *[0.0] * 4)
 
 
+OTHER_UDP = {**UDP, "port": 4712}
+
+
 @pytest.mark.parametrize(
     ("sources", "choice", "message"),
     [
-        ({}, {}, "choose a UDP source of the scene with --source: none"),
-        ({"a": UDP, "b": UDP}, {}, "choose a UDP source of the scene with --source: a, b"),
+        ({}, {}, "the scene has no UDP source; none is available"),
+        (
+            {"a": UDP, "b": OTHER_UDP},
+            {},
+            "the scene has several UDP sources; choose with --source: a, b",
+        ),
         (
             {"udp": UDP},
             {"source": "upd"},
-            "choose a UDP source of the scene with --source: udp",
+            "the scene has no UDP source 'upd'; did you mean 'udp'?",
         ),
         (
-            {"udp": UDP, "idle": UDP},
+            {"udp": UDP, "idle": OTHER_UDP},
             {"source": "idle"},
             "no route leads from 'idle': there is nothing to send",
         ),

@@ -199,7 +199,9 @@ def test_base_is_a_mocap_body_at_its_frame_and_limits_are_those_declared():
 def test_tables_list_the_joints_and_frames_of_all_robots_in_order():
     left = arm("left", torque_limits=[5, 6], arrow_radius=0.2, axes_transparency=0.25,
                axes_size=0.3, joint_types=["revolute", "prismatic"])  # fmt: skip
-    right = arm("right", joint_names=["x", "y"], arrow_width_scale=0.02)
+    right = arm(
+        "right", joint_names=["x", "y"], arrow_width_scale=0.02, arrow_radius=0.1, axes_size=0.2
+    )
     world, model, _ = compiled(left, right, sources={"udp": {}})
     joints = world.joints
     assert joints.names == ["J1", "J2", "x", "y"]
@@ -232,14 +234,14 @@ def test_data_starts_at_what_is_declared_and_reset_returns_there():
     start = data.qpos.tolist(), data.userdata.tolist()
     assert start[0] == [0.1, 0.2]
     assert data.userdata[world.slots["arm.torques"]].tolist() == [3, 4]
-    assert data.userdata[world.slots["arm.has"]].tolist() == [0, 1, 0]
+    assert data.userdata[world.slots["arm.has"]].tolist() == [0, 1, 0, 0, 0]
     expected = robot.dh.frames([0.1, 0.2])[-1] @ robot.flange_frame
     np.testing.assert_allclose(pose_of(data, "body", "arm/flange"), expected, atol=1e-12)
     for key in ("joint_angles", "torques", "billboard_values"):
         world.set_input(data, f"arm.{key}", [7, 8])
     assert data.qpos.tolist() == [7, 8]
     assert data.userdata[world.slots["arm.billboard_values"]].tolist() == [7, 8]
-    assert data.userdata[world.slots["arm.has"]].tolist() == [1, 1, 1]
+    assert data.userdata[world.slots["arm.has"]].tolist() == [1, 1, 0, 0, 1]
     world.reset(data)
     assert (data.qpos.tolist(), data.userdata.tolist()) == start
 
@@ -265,7 +267,11 @@ def test_unknown_inputs_and_robots_are_refused_with_the_nearest_name():
     world, _, data = compiled(arm())
     for target, text in [
         ("arm.torque", "no input of arm 'torque'; did you mean 'torques'?"),
-        ("arm", "no input of arm ''; available: billboard_values, joint_angles, torques"),
+        (
+            "arm",
+            "no input of arm ''; available: billboard_values, "
+            "commanded_torques, joint_accelerations, joint_angles, torques",
+        ),
         ("amr.torques", "no robot 'amr'; did you mean 'arm'?"),
     ]:
         with pytest.raises(UnknownName) as caught:
@@ -319,3 +325,10 @@ def test_floor_is_at_height_zero_unless_it_is_left_out():
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
     np.testing.assert_array_equal(pose_of(data, "geom", "floor"), np.eye(4))
     assert compiled(floor=False)[1].ngeom == 0
+
+
+def test_only_the_floor_throws_no_shadow():
+    # Not even when a thing of that name stands where no floor is.
+    ball = Object(name="floor", shape="sphere", size=[1])
+    assert compiled(floor=True, objects=[])[1].geom_castshadow.tolist() == [False]
+    assert compiled(floor=False, objects=[ball])[1].geom_castshadow.tolist() == [True]

@@ -22,6 +22,9 @@ from .frames import frame_from
 Array = NDArray[np.float64]
 
 
+LARGEST = 1e9  # no length, angle, torque or mass of a robot is larger in SI units
+
+
 class Declaration(BaseModel):
     """Base of everything that can be declared in a file or built in Python.
 
@@ -45,7 +48,24 @@ class Declaration(BaseModel):
             problems: list[Problem] = []
             for detail in error.errors(include_url=False):
                 problems += _problems(detail, type(self))
-            raise DeclarationError(problems) from None
+            # A message may be empty: the cause is reported under another key.
+            raise DeclarationError([p for p in problems if p.message]) from None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Sets a field, if the declaration is still right with it; else changes nothing."""
+        if name.startswith("_"):
+            super().__setattr__(name, value)
+            return
+        fields = type(self).model_fields
+        kept = {key: held for key, held in self.__dict__.items() if key in fields}
+        # What is set in degrees replaces the same in radians, and has become that itself before.
+        kept = {
+            key: held for key, held in kept.items() if f"{key}_deg" != name and key[-4:] != "_deg"
+        }
+        checked = type(self)(**{**kept, name: value})
+        self.__dict__.clear()  # computed properties go as well
+        self.__dict__.update(checked.__dict__)
+        self.__pydantic_fields_set__.add(name)
 
 
 def numbers(value: Any) -> Array:
@@ -63,6 +83,8 @@ def numbers(value: Any) -> Array:
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise ValueError(f"found {reprlib.repr(value)}; expected finite numbers, no NaN or inf")
+    if (np.abs(array) > LARGEST).any():
+        raise ValueError(f"found {reprlib.repr(value)}; expected numbers up to {LARGEST:g}")
     return array
 
 
@@ -132,6 +154,8 @@ def _plain_message(detail: ErrorDetails, kind: type[BaseModel]) -> str:
     if detail["type"] == "value_error":
         return str(detail["ctx"]["error"])
     expected = detail["msg"].replace("Input should be ", "").removeprefix("a valid ")
+    if "dictionary" in expected:
+        expected = "a table"
     return f"found {reprlib.repr(detail['input'])}; expected {expected}"
 
 

@@ -46,6 +46,8 @@ def _problem(key: str, path: Path) -> list[Problem]:
     try:
         mujoco.MjModel.from_xml_string(xml, {file: path.read_bytes()})
     except (ValueError, OSError) as error:
-        reason = str(error).splitlines()[0].removeprefix("Error: ")
+        reason = str(error).splitlines()[0].removeprefix("Error: ").replace(file, path.name)
+        if path.suffix.lower() == ".stl" and b"facet normal" in path.read_bytes()[:1000]:
+            reason = "it is an ASCII STL; save it as a binary one"
         return [Problem(key, f"{path} is no mesh that MuJoCo reads: {reason}")]
     return []

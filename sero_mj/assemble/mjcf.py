@@ -7,6 +7,7 @@ slides along, z of its own frame (craig) or of its parent's (standard).
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ def xml_text(root: mjcf.RootElement) -> str:
     # A floor in its own shadow map is strewn with speckles. PyMJCF 1.0.50 does not know the
     # attribute that MuJoCo 4 has for it.
     text: str = root.to_xml_string()
-    return text.replace('<geom name="floor"', '<geom name="floor" castshadow="false"', 1)
+    return re.sub(r'(<geom name="floor"(?=[^>]*type="plane"))', r'\1 castshadow="false"', text)
 
 
 def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
@@ -160,7 +161,8 @@ def _set_up(root: mjcf.RootElement) -> None:
 
 def _surroundings(root: mjcf.RootElement, scene: Scene) -> None:
     visual = root.visual
-    visual.headlight.ambient, visual.headlight.diffuse = [0.38] * 3, [0.32] * 3
+    # Together with the key light just short of white on a floor seen from above.
+    visual.headlight.ambient, visual.headlight.diffuse = [0.34] * 3, [0.28] * 3
     visual.headlight.specular = [0.05] * 3
     visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
     visual.quality.numslices, visual.quality.numstacks = 24, 10
@@ -189,7 +191,7 @@ def _surroundings(root: mjcf.RootElement, scene: Scene) -> None:
     if not scene.lights:
         root.worldbody.add(
             "light", name="key", pos=[1.5, -1.5, 4], dir=[-0.35, 0.4, -1], directional=True,
-            diffuse=[0.55] * 3, specular=[0.2] * 3, castshadow=True,
+            diffuse=[0.52] * 3, specular=[0.2] * 3, castshadow=True,
         )  # fmt: skip
     for name, camera in scene.cameras.items():
         root.worldbody.add(
@@ -232,7 +234,7 @@ def _mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> 
         contents = path.read_bytes()
     except OSError as error:
         raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
-    asset = mjcf.Asset(contents, path.suffix.lower())
+    asset = mjcf.Asset(contents, path.suffix.lower(), prefix=path.stem)
     # The hull gives a mass even to a mesh with holes; the surface is drawn as it is.
     return root.asset.add("mesh", name=name, file=asset, scale=[scale] * 3, inertia="convex")
 

@@ -23,18 +23,27 @@ SHAPE_SIZES = {
 }
 
 
-def check_mesh_file(file: str) -> str:
-    """Returns the file name, if it stays inside its folder and MuJoCo can read the format.
+def check_inside(file: str) -> str:
+    """Returns the file name, if it stays inside its folder.
 
     Raises:
-        ValueError: it is absolute, contains `..`, or has another ending.
+        ValueError: it is absolute or contains `..`.
     """
     path = Path(file)
     if "\0" in file:
         raise ValueError(f"found {file!r}; expected a file's name")
     if path.is_absolute() or ".." in path.parts:
         raise ValueError(f"found '{file}'; expected a file inside the directory, without '..'")
-    if path.suffix.lower() not in MESH_FORMATS:
+    return file
+
+
+def check_mesh_file(file: str) -> str:
+    """Returns the file name, if it stays inside its folder and MuJoCo can read the format.
+
+    Raises:
+        ValueError: it is absolute, contains `..`, or has another ending.
+    """
+    if Path(check_inside(file)).suffix.lower() not in MESH_FORMATS:
         formats = ", ".join(MESH_FORMATS)
         raise ValueError(f"found '{file}'; expected a mesh that MuJoCo reads ({formats})")
     return file
@@ -70,6 +79,15 @@ class Object(Declaration):
     def _mesh_is_inside(cls, mesh: str | None) -> str | None:
         return mesh if mesh is None else check_mesh_file(mesh)
 
+    @field_validator("mjcf")
+    @classmethod
+    def _mjcf_is_inside(cls, mjcf: str | None) -> str | None:
+        if mjcf is None or mjcf.lstrip().startswith("<"):
+            return mjcf
+        if not mjcf.strip():
+            raise ValueError("is empty; expected an MJCF file or text that starts with <mujoco")
+        return check_inside(mjcf)
+
     @model_validator(mode="after")
     def _one_kind(self) -> Object:
         given = [key for key in ("shape", "mesh", "mjcf") if getattr(self, key) is not None]
@@ -81,7 +99,7 @@ class Object(Declaration):
         meaning = SHAPE_SIZES[self.shape]
         wanted = len(meaning.split(","))
         if self.size is None and self.shape == "axes":
-            self.size = np.array([0.2])
+            self.__dict__["size"] = np.array([0.2])
         found_count = 0 if self.size is None else len(self.size)
         if self.size is None or found_count != wanted or (self.size <= 0).any():
             found = "none" if self.size is None else self.size.tolist()

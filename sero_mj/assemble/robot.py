@@ -3,22 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from .. import paths
 from ..errors import DeclarationError, did_you_mean
 from .declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
 from .dh import COLUMNS, DhTable
-from .objects import Object
-from .robot_parts import ArrowQuantity, BillboardLine, LinkMesh, as_billboard_lines, as_link_meshes
+from .robot_parts import (
+    ArrowQuantity,
+    BillboardLine,
+    Children,
+    Columns,
+    JointNames,
+    Limits,
+    LinkMesh,
+    Ranges,
+    as_billboard_lines,
+    as_link_meshes,
+)
+from .shapes import housing_radii
 from .toml_file import key_lines, located, read_toml
 
 MAX_JOINTS = 64
+_CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
 # Limits may stand in degrees instead.
 IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
 # Fields with one entry per joint, checked against dh_params.
@@ -48,8 +66,10 @@ class SerialRobot(Declaration):
 
     Attributes:
         name: the robot's name in routes, e.g. `lwr` in `lwr.joint_angles`.
+        description: one line about it, for `sero-mj list`.
         dh_convention: `craig` (modified) or `standard`; there is no default.
         dh_params: (n, 4), one row per joint.
+        dh_params_deg: the same with alpha and theta in degrees; becomes dh_params.
         dh_columns: what the four columns are.
         joint_types: `revolute` or `prismatic`, n words.
         joint_names: n names; J1, J2, ... by default.
@@ -71,13 +91,14 @@ class SerialRobot(Declaration):
         enable_touch_sensor: whether a click on the robot toggles its features.
         offsets_to_center_of_joints: (n, 3), moves arrows and billboards in the joint's frame.
         show_axes: whether coordinate axes are shown at the base, every joint and the flange.
-        axes_size: their length in m.
+        axes_size: their length in m. Robots without meshes have their own by default.
         axes_transparency: 0 opaque to 1 invisible.
         show_arrows: whether round arrows are shown.
         arrow_quantity: what they show: `torques`, `torque_error` (commanded - measured),
             `joint_accelerations`, or `singularity` (towards it, see `decor.singularity`).
         arrow_dead_band: share of the limit below which nothing is shown, for noise.
-        arrow_radius: of the round arrows, in m.
+        arrow_radius: of the round arrows, in m. About shapes that grow from the DH table it is
+            by default as large as is needed to be clear of them.
         arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
             `arrow_radius` wide at the limit, times this over its default of 0.01.
         torques: measured, (n,), until something is received; None for no data.
@@ -92,16 +113,17 @@ class SerialRobot(Declaration):
     name: Name = "robot"
     description: str = ""
     dh_convention: Literal["craig", "standard"]
-    dh_columns: list[Literal["alpha", "a", "theta", "d"]] = [*COLUMNS]
+    dh_columns: Columns = [*COLUMNS]
+    dh_params_deg: Annotated[Array | None, of_shape(None, 4)] = None
     dh_params: Annotated[Array, of_shape(None, 4)] = np.zeros((1, 4))
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
-    joint_names: list[Name] | None = None
-    position_limits: Annotated[Array | None, of_shape(None, 2)] = None
-    position_limits_deg: Annotated[Array | None, of_shape(None, 2)] = None
-    velocity_limits: Vector | None = None
-    velocity_limits_deg: Vector | None = None
-    torque_limits: Vector | None = None
-    acceleration_limits: Vector | None = None
+    joint_names: JointNames | None = None
+    position_limits: Ranges = None
+    position_limits_deg: Ranges = None
+    velocity_limits: Limits = None
+    velocity_limits_deg: Limits = None
+    torque_limits: Limits = None
+    acceleration_limits: Limits = None
     directory: str = ""
     colors: dict[str, Rgba] = {}
     filenames: list[Annotated[list[LinkMesh], BeforeValidator(as_link_meshes)]] = []
@@ -109,7 +131,7 @@ class SerialRobot(Declaration):
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
     joint_angles: Vector | None = None
-    children: list[Object] = []
+    children: Children = []
     enable_touch_sensor: bool = True
     offsets_to_center_of_joints: Annotated[Array | None, of_shape(None, 3)] = None
     show_axes: bool = False
@@ -130,16 +152,25 @@ class SerialRobot(Declaration):
         None
     )
 
-    @field_validator("dh_columns")
-    @classmethod
-    def _is_permutation(cls, columns: list[str]) -> list[str]:
-        if sorted(columns) != sorted(COLUMNS):
-            raise ValueError(f"found {columns}; expected alpha, a, theta, d in any order")
-        return columns
+    _model: Path | None = PrivateAttr(None)  # the robot file, for problems found later
 
     @field_validator("dh_params")
     @classmethod
-    def _joint_count(cls, rows: Array) -> Array:
+    def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
+        if "dh_params_deg" not in info.data:
+            raise ValueError("")  # that table is wrong, and this one its default
+        columns = info.data.get("dh_columns", [*COLUMNS])
+        angles = [columns.index("alpha"), columns.index("theta")]
+        in_degrees = info.data.get("dh_params_deg")
+        if in_degrees is not None:
+            rows = in_degrees.copy()
+            rows[:, angles] = np.deg2rad(rows[:, angles])
+        elif (np.abs(rows[:, angles]) > 2 * np.pi + 1e-6).any():
+            largest = float(np.abs(rows[:, angles]).max())
+            raise ValueError(
+                f"found an angle of {largest:g} rad; expected alpha and theta in rad, or "
+                "dh_params_deg for degrees"
+            )
         if not 1 <= len(rows) <= MAX_JOINTS:
             raise ValueError(f"found {len(rows)} rows; expected 1 to {MAX_JOINTS}")
         return rows
@@ -154,31 +185,6 @@ class SerialRobot(Declaration):
             )
         return value
 
-    @field_validator("joint_names")
-    @classmethod
-    def _names_differ(cls, names: list[str] | None) -> list[str] | None:
-        for name in names or []:
-            if (names or []).count(name) > 1:
-                raise ValueError(f"'{name}' stands there twice; expected different names")
-        return names
-
-    @field_validator("position_limits", "position_limits_deg")
-    @classmethod
-    def _limits_are_ordered(cls, limits: Array | None) -> Array | None:
-        if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
-            row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
-            raise ValueError(f"row {row + 1} is {limits[row].tolist()}; expected lower < upper")
-        return limits
-
-    @field_validator(
-        "velocity_limits", "velocity_limits_deg", "torque_limits", "acceleration_limits"
-    )
-    @classmethod
-    def _limits_are_positive(cls, limits: Array | None) -> Array | None:
-        if limits is not None and (limits <= 0).any():
-            raise ValueError(f"found {limits.tolist()}; expected positive numbers")
-        return limits
-
     @field_validator(*IN_DEGREES)
     @classmethod
     def _degrees_suit_the_joints(cls, limits: Array | None, info: ValidationInfo) -> Any:
@@ -191,11 +197,14 @@ class SerialRobot(Declaration):
 
     @model_validator(mode="after")
     def _from_degrees(self) -> SerialRobot:
+        if {"dh_params", "dh_params_deg"} <= self.model_fields_set:
+            raise ValueError("found both dh_params and dh_params_deg; expected one of them")
         for in_degrees, key in IN_DEGREES.items():
             limits = getattr(self, in_degrees)
-            if limits is not None:
-                setattr(self, key, np.deg2rad(limits))
-                setattr(self, in_degrees, None)
+            if limits is not None:  # set without validation, which would come here again
+                self.__dict__[key] = np.deg2rad(limits)
+                self.__dict__[in_degrees] = None
+        self.__dict__["dh_params_deg"] = None
         return self
 
     @field_validator("filenames")
@@ -221,15 +230,6 @@ class SerialRobot(Declaration):
                 )
         return links
 
-    @field_validator("children")
-    @classmethod
-    def _children_differ(cls, children: list[Object]) -> list[Object]:
-        names = [child.name for child in children]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two children have the name '{name}'")
-        return children
-
     @classmethod
     def from_model(cls, model: str, **overrides: Any) -> SerialRobot:
         """Reads a robot file and sets fields over it.
@@ -245,7 +245,7 @@ class SerialRobot(Declaration):
         path = paths.find_model(model)
         return build_robot({"name": path.parent.name, **overrides}, path)
 
-    @cached_property
+    @property
     def dh(self) -> DhTable:
         """The table in numpy."""
         revolute = [kind == "revolute" for kind in self.types]
@@ -267,6 +267,20 @@ class SerialRobot(Declaration):
     def names(self) -> list[str]:
         """Name of every joint."""
         return self.joint_names or [f"J{i + 1}" for i in range(self.n)]
+
+    @property
+    def arrow_radii(self) -> Array:
+        """Radius of every joint's arrow (n,), m: as declared, else clear of grown shapes."""
+        if self.filenames or "arrow_radius" in self.model_fields_set:
+            return np.full(self.n, self.arrow_radius)
+        return _CLEAR_OF_HOUSING * housing_radii(self.dh, self.flange_frame)
+
+    @property
+    def axes_length(self) -> float:
+        """Length of the axes, m: as declared, else in proportion to grown shapes."""
+        if self.filenames or "axes_size" in self.model_fields_set:
+            return self.axes_size
+        return 4.0 * float(housing_radii(self.dh, self.flange_frame)[0])
 
     @property
     def offsets(self) -> Array:
@@ -316,8 +330,13 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
         for one, other in ((in_degrees, key), (key, in_degrees)):
             if one in fields:
                 below.pop(other, None)
+    for one, other in (("dh_params", "dh_params_deg"), ("dh_params_deg", "dh_params")):
+        if one in fields:
+            below.pop(other, None)
     try:
-        return SerialRobot(**{**below, **fields})
+        robot = SerialRobot(**{**below, **fields})
+        robot._model = model
+        return robot
     except DeclarationError as error:
         lines = key_lines(model)
         raise DeclarationError(

@@ -1,14 +1,16 @@
-"""What fields of `SerialRobot` are made of: mesh files and billboard lines."""
+"""What fields of `SerialRobot` are made of: tables, limits, mesh files, billboard lines."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+import numpy as np
+from pydantic import AfterValidator, Field, field_validator
 
-from .declaration import Declaration
-from .objects import check_mesh_file
+from .declaration import Array, Declaration, Name, of_shape
+from .dh import COLUMNS, Column
+from .objects import Object, check_mesh_file
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
 BillboardValue = Literal[
@@ -19,6 +21,47 @@ BillboardValue = Literal[
     "joint_angles",
     "billboard_values",
 ]
+
+
+def _is_permutation(columns: list[str]) -> list[str]:
+    if sorted(columns) != sorted(COLUMNS):
+        raise ValueError(f"found {columns}; expected alpha, a, theta, d in any order")
+    return columns
+
+
+def _differ(names: list[str]) -> list[str]:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"'{name}' stands there twice; expected different names")
+    return names
+
+
+def _are_ordered(limits: Array | None) -> Array | None:
+    if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
+        row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
+        raise ValueError(f"row {row + 1} is {limits[row].tolist()}; expected lower < upper")
+    return limits
+
+
+def _are_positive(limits: Array | None) -> Array | None:
+    if limits is not None and (limits <= 0).any():
+        raise ValueError(f"found {limits.tolist()}; expected positive numbers")
+    return limits
+
+
+def _children_differ(children: list[Object]) -> list[Object]:
+    names = [child.name for child in children]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two children have the name '{name}'")
+    return children
+
+
+Columns = Annotated[list[Column], AfterValidator(_is_permutation)]
+JointNames = Annotated[list[Name], AfterValidator(_differ)]
+Ranges = Annotated[Array | None, of_shape(None, 2), AfterValidator(_are_ordered)]
+Limits = Annotated[Array | None, of_shape(None), AfterValidator(_are_positive)]
+Children = Annotated[list[Object], AfterValidator(_children_differ)]
 
 
 class LinkMesh(Declaration):

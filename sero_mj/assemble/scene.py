@@ -165,5 +165,18 @@ class Scene:
             return problems
         lines = key_lines(self.file)
         return [
-            problem if problem.file else located(problem, self.file, lines) for problem in problems
+            problem if problem.file else located(problem, self.file, lines)
+            for problem in (self._in_its_model(problem, lines) for problem in problems)
         ]
+
+    def _in_its_model(self, problem: Problem, lines: Mapping[str, int]) -> Problem:
+        """A field that the scene takes over from a robot's file is wrong in that file."""
+        section, _, rest = problem.key.partition(".")
+        name, _, key = rest.partition(".")
+        robot = self.robots.get(name) if section == "robots" else None
+        model = None if robot is None else robot._model
+        if problem.file or model is None or not key:
+            return problem
+        if f"{section}.{name}.{key.partition('.')[0]}" in lines:
+            return problem
+        return located(Problem(key, problem.message), model, key_lines(model))

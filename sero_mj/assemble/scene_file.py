@@ -72,6 +72,8 @@ class _Reader:
                 if value is not None:
                     read[key] = value
         fields = {"name": self.path.stem, **read, "file": self.path, "broken": self.broken}
+        if not self.tables:
+            self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
@@ -153,6 +155,9 @@ class _Reader:
         return routes
 
     def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
+        if "name" in table:
+            message = f"is what stands in the header: write [robots.{table['name']}] instead"
+            raise DeclarationError([Problem("name", message)])
         fields = {**table, "name": name}
         model = fields.pop("model", None)
         beside = self.path.parent
@@ -166,7 +171,7 @@ class _Reader:
             raise DeclarationError([Problem("model", f"found {model!r}; expected a robot's name")])
         try:
             path = paths.find_model(model, beside)
-        except UnknownName as error:
+        except (DeclarationError, UnknownName) as error:
             raise DeclarationError([Problem("model", str(error))]) from None
         return build_robot(fields, path)
 

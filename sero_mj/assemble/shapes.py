@@ -44,8 +44,8 @@ class LinkShape:
     rgba: tuple[float, float, float, float]
 
 
-def grow_links(table: DhTable, flange_frame: Array) -> list[list[LinkShape]]:
-    """Returns the shapes of the base and of every link, each in its own frame.
+def housing_radii(table: DhTable, flange_frame: Array) -> Array:
+    """Radius of the housing that grows about every joint, (n,), m.
 
     Args:
         table: n joints.
@@ -57,7 +57,19 @@ def grow_links(table: DhTable, flange_frame: Array) -> list[list[LinkShape]]:
     longest = max(float(steps.max()), _SMALLEST_REACH / n)
     # A chain of many short links must not become a sausage: its radius follows the links.
     radius = min(_RADIUS_OF_REACH * reach, 0.4 * longest)
-    radii = radius * np.linspace(1.0, _TAPER, n + 1)
+    return np.asarray(radius * np.linspace(1.0, _TAPER, n))
+
+
+def grow_links(table: DhTable, flange_frame: Array) -> list[list[LinkShape]]:
+    """Returns the shapes of the base and of every link, each in its own frame.
+
+    Args:
+        table: n joints.
+        flange_frame: T_n_flange (4, 4).
+    """
+    n = len(table)
+    housings = housing_radii(table, flange_frame)
+    radii = np.append(housings, housings[-1] * 0.9)
 
     links: list[list[LinkShape]] = [[] for _ in range(n + 1)]
     for i in range(n):

@@ -22,7 +22,16 @@ VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboar
 INPUTS = ("joint_angles", *VALUE_INPUTS)
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
 # What a source's slot holds.
-SOURCE_FIELDS = ("received", "malformed", "dropped", "age")
+SOURCE_FIELDS = (
+    "received",
+    "malformed",
+    "dropped",
+    "age",  # s since the last good packet, -1 when there was none
+    "wrong_size",  # of the malformed
+    "last_size",  # bytes of the last packet of a wrong size
+    "size",  # bytes of a right one
+    "fault_age",  # s since the last malformed packet, -1 when there was none
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +165,7 @@ def joint_table(
         acceleration_limit=limits_of("acceleration_limits"),
         arrow_quantity=gather([ARROW_QUANTITIES.index(r.arrow_quantity) for r in robots], np.intp),
         arrow_dead_band=gather([robot.arrow_dead_band for robot in robots]),
-        arrow_radius=gather([robot.arrow_radius for robot in robots]),
+        arrow_radius=gather([robot.arrow_radii for robot in robots]),
         arrow_width_scale=gather([robot.arrow_width_scale for robot in robots]),
     )
 
@@ -166,7 +175,7 @@ def frame_table(model: mujoco.MjModel, parts: Mapping[str, RobotPart], scene: Sc
     rows: list[tuple[str, int, str, float, float]] = []
     for index, (name, part) in enumerate(parts.items()):
         robot = part.robot
-        look = (robot.axes_size, 1.0 - robot.axes_transparency)
+        look = (robot.axes_length, 1.0 - robot.axes_transparency)
         rows.append((f"{name}/base", index, f"{name}/base", *look))
         rows += [
             (f"{name}/link{i + 1}", index, f"{name}/frame{i + 1}", *look) for i in range(robot.n)

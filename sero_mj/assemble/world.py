@@ -125,7 +125,7 @@ class World:
         """Writes the MJCF and the files it needs beside it; key frame `home` has the pose.
 
         Args:
-            path: the XML file; assets go into its folder.
+            path: the XML file; meshes go into a folder beside it, `NAME_assets`.
 
         Returns:
             the files written, the XML first.
@@ -134,11 +134,14 @@ class World:
         written = [path]
         if self.model.nq and self._root.find("key", "home") is None:
             self._root.keyframe.add("key", name="home", qpos=self.make_data().qpos)
+        text = xml_text(self._root)
+        folder = path.parent / f"{path.stem}_assets"
         for name, contents in self._root.get_assets().items():
-            asset = path.parent / name
-            asset.write_bytes(contents)
-            written.append(asset)
-        path.write_text(xml_text(self._root) + "\n", encoding="utf-8")
+            folder.mkdir(exist_ok=True)
+            (folder / name).write_bytes(contents)
+            written.append(folder / name)
+            text = text.replace(f'file="{name}"', f'file="{folder.name}/{name}"')
+        path.write_text(text + "\n", encoding="utf-8")
         return written
 
     def _id(self, kind: Any, name: str) -> int:

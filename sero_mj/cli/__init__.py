@@ -11,6 +11,7 @@ from .. import __version__
 from ..errors import DeclarationError, SeroError
 from ..show.gl import choose_backend
 from . import check, demo, doctor, export, fk, listing, render, send
+from .arguments import OneLineParser, join_negative_values
 
 _DESCRIPTION = """\
 sero-mj shows what a torque-controlled robot feels.
@@ -33,7 +34,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Runs one command; exits with 0, or with 2 and a clear line when it cannot be done."""
     choose_backend()
     logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(join_negative_values(given))
     try:
         status = options.run(options)
         sys.stdout.flush()
@@ -51,12 +53,13 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except KeyboardInterrupt:
+        print("sero-mj: interrupted", file=sys.stderr)
         sys.exit(130)
     sys.exit(status)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog="sero-mj",
         description=_DESCRIPTION,
         epilog=_EPILOG,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import re
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,26 @@ if TYPE_CHECKING:
 
 # Subparsers have no public type.
 Commands = Any
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """A parser whose errors are one line, like all others of this program."""
+
+    def error(self, message: str) -> NoReturn:
+        """Prints the line and exits with 2."""
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def join_negative_values(arguments: list[str]) -> list[str]:
+    """Puts `--camera -90,-20,3` as `--camera=-90,-20,3`, for argparse takes -90 for an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        option = joined[-1] if joined else ""
+        if re.match(r"-[\d.]", argument) and option.startswith("--") and "=" not in option:
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def add_command(commands: Commands, name: str, run: Any, summary: str, epilog: str) -> Any:
@@ -47,7 +68,13 @@ def positive(text: str) -> float:
 
 def not_negative(text: str) -> float:
     """A finite number from 0, for argparse."""
-    return 0.0 if text.strip() in ("0", "0.0") else positive(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found '{text}'; expected 0 or a number above")
+    return value
 
 
 def port(text: str) -> int:

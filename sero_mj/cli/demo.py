@@ -11,6 +11,7 @@ from pathlib import Path
 from .arguments import Commands, add_command, positive, size
 
 _SCENE = "lwr_udp"
+_CAMERA = "150,-12,2.0"
 _EPILOG = """\
 Starts `sero-mj send` as another process, which plays a motion to a free UDP port at 1 kHz, and
 writes OUT/lwr.png and OUT/lwr.mp4 of the LWR that mirrors it.
@@ -45,9 +46,9 @@ def run(options: argparse.Namespace) -> int:
     )
     try:
         silent = film_with_progress(
-            scene, film, duration=options.duration, fps=30.0, size=options.size, wait=30.0
+            scene, film, duration=options.duration, size=options.size, camera=_CAMERA, wait=30.0
         )
-        silent += render_picture(scene, picture, size=options.size)
+        silent += render_picture(scene, picture, size=options.size, camera=_CAMERA)
     finally:
         sender.terminate()
         sender.wait()

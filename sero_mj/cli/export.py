@@ -12,8 +12,8 @@ _EPILOG = """\
 example:
   sero-mj export lwr_udp out/lwr.xml && python -m mujoco.viewer --mjcf=out/lwr.xml
 
-Mesh files are written beside the XML. Bodies are named robot/link1 and so on; robots are posed
-as in the scene at their declared joint angles ("home" key frame).
+Mesh files are written to a folder beside the XML. Bodies are named robot/link1 and so on; the key
+frame "home" has the joint angles that the scene declares.
 """
 
 

@@ -117,11 +117,19 @@ def film_with_progress(
         bars.MofNCompleteColumn(),
         bars.TimeRemainingColumn(),
     )
-    with bars.Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
-        task = progress.add_task("rendering", total=None)
-        return render_film(
-            scene,
-            output,
-            on_progress=lambda done, total: progress.update(task, completed=done, total=total),
-            **options,
-        )
+    progress = bars.Progress(*columns, console=Console(stderr=True), disable=quiet)
+    task = progress.add_task("rendering", total=None)
+
+    def update(done: int, total: int) -> None:
+        progress.start()  # only now: an error before the first frame leaves no empty bar
+        progress.update(task, completed=done, total=total)
+
+    try:
+        return render_film(scene, output, on_progress=update, **options)
+    except KeyboardInterrupt:
+        done = int(progress.tasks[task].completed)
+        if done:
+            print(f"sero-mj: {output} holds the {done} frames so far", file=sys.stderr)
+        raise
+    finally:
+        progress.stop()

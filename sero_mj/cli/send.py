@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from ..errors import UsageError
 from .arguments import Commands, add_command, not_negative, port, positive, read_scene_or_model
 
 _EPILOG = """\
@@ -16,6 +17,9 @@ examples:
 Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
 robot's name the packet is its joint angles and its torques. Ctrl-C stops.
 """
+
+
+FASTEST = 1e5  # packets/s; a Python loop does not send faster
 
 
 def add_to(commands: Commands) -> None:
@@ -42,7 +46,12 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
     from ..drive.send import MotionPackets, send
+    from ..receive.structure import Structure
 
+    if options.rate > FASTEST:
+        raise UsageError(f"--rate {options.rate:g}: expected at most {FASTEST:g} packets/s")
+    if options.structure is not None:
+        Structure(options.structure)  # its own error is clearer than what would follow from it
     scene = read_scene_or_model(options.scene)
     if not scene.sources and len(scene.robots) == 1:
         robot = next(iter(scene.robots.values()))
@@ -53,6 +62,8 @@ def run(options: argparse.Namespace) -> int:
             scene.routes[f"{robot.name}.torques"] = "udp.values1"
     packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
     to_port = options.port or packets.source.udpport
+    if not to_port:
+        raise UsageError(f"source '{packets.source.name}' of the scene has no port; give --port")
     print(
         f"sending {packets.structure.text} ({packets.structure.size} bytes) to "
         f"{options.host}:{to_port} at {options.rate:g} Hz; Ctrl-C stops",

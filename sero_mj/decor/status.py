@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
+from typing import Any
+
 import mujoco
 import numpy as np
 
+from ..assemble.tables import SOURCE_FIELDS
 from ..assemble.world import World
 from .panels import draw_panels, panel_sizes
 from .pen import Pen
@@ -13,6 +17,26 @@ from .view import View
 
 FAULT_RGBA = (0.32, 0.03, 0.03, 0.88)
 _MARGIN = 0.5  # of a line's height
+
+
+SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
+_SHOWN_FOR = 5.0  # s after a malformed packet
+
+
+def _complaints(name: str, state: Any) -> list[str]:
+    """What is wrong with one source, a line each."""
+    lines = []
+    if state.age < 0:
+        lines.append(f"{name}: no data yet")
+    if state.malformed and state.fault_age < _SHOWN_FOR:
+        lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
+        if state.wrong_size:
+            lines.append(f"  {state.last_size:.0f} bytes, expected {state.size:.0f}")
+        if state.malformed > state.wrong_size:
+            lines.append("  NaN or infinity")
+    if state.dropped:
+        lines.append(f"{name}: {state.dropped:.0f} packets dropped by the kernel")
+    return lines
 
 
 class Status:
@@ -29,15 +53,7 @@ class Status:
         """Draws the panel in the upper left corner, if there is anything to say."""
         lines = []
         for name, slot in self._slots:
-            received, malformed, dropped, age = data.userdata[slot]
-            if age < 0:
-                lines.append(f"{name}: no data yet")
-            if malformed:
-                lines.append(
-                    f"{name}: {malformed:.0f} of {received:.0f} packets malformed, not applied"
-                )
-            if dropped:
-                lines.append(f"{name}: {dropped:.0f} packets dropped by the kernel")
+            lines += _complaints(name, SourceState(*data.userdata[slot]))
         if not lines or not toggles.status:
             return
         texts = [line.encode("ascii", "replace")[:99] for line in lines]

@@ -145,6 +145,10 @@ class Mirror:
                 counters.malformed,
                 counters.dropped,
                 age(packet, clock) if packet is not None else -1.0,
+                counters.wrong_size,
+                counters.last_size,
+                source.size,
+                clock - counters.last_fault_time if counters.malformed else -1.0,
             )
         follow(self.world.model, data)
         return fresh

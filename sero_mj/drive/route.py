@@ -65,6 +65,7 @@ def wire(scene: Scene) -> Wiring:
             wiring.sources[name] = make_source(name, declared)
         except DeclarationError as error:
             wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
+    wiring.problems += _shared_places(wiring.sources)
     for target, event in scene.routes.items():
         try:
             route = _route(scene, wiring.sources, target, event)
@@ -74,6 +75,21 @@ def wire(scene: Scene) -> Wiring:
             if route is not None:
                 wiring.routes.append(route)
     return wiring
+
+
+def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
+    """Ports that two sources of one scene would listen on."""
+    problems = []
+    taken: dict[tuple[str, int], str] = {}
+    for name, source in sources.items():
+        place = getattr(source, "place", None)
+        if place is None or place[1] == 0:  # no port, or one that the system chooses
+            continue
+        if place in taken:
+            message = f"{place[1]} on {place[0]} is the port of source '{taken[place]}' already"
+            problems.append(Problem(f"sources.{name}.port", message))
+        taken.setdefault(place, name)
+    return problems
 
 
 def _route(scene: Scene, sources: Mapping[str, Source], target: str, event: str) -> Route | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
-from ..errors import SourceError, UsageError
+from ..errors import DeclarationError, SourceError, UsageError, did_you_mean
 from ..receive.structure import Structure
 from ..receive.udp import UdpReceiver
 from .motion import InverseDynamics, SineMotion
@@ -60,6 +60,7 @@ class MotionPackets:
         source: the receiver they are meant for.
 
     Raises:
+        DeclarationError: the scene's sources or routes are wrong.
         UsageError: the scene has no such source, or nothing is routed from it.
     """
 
@@ -71,14 +72,20 @@ class MotionPackets:
         amplitude: float = 1.0,
     ) -> None:
         wiring = wire(scene)
+        if wiring.problems:
+            raise DeclarationError(scene.located(wiring.problems))
         receivers = {
             name: found for name, found in wiring.sources.items() if isinstance(found, UdpReceiver)
         }
         if source is None and len(receivers) == 1:
             source = next(iter(receivers))
         if source not in receivers:
-            names = ", ".join(receivers) or "none"
-            raise UsageError(f"choose a UDP source of the scene with --source: {names}")
+            if source is not None or not receivers:
+                near = did_you_mean(source or "", receivers)
+                named = f" '{source}'" if source else ""
+                raise UsageError(f"the scene has no UDP source{named}{near}")
+            names = ", ".join(receivers)
+            raise UsageError(f"the scene has several UDP sources; choose with --source: {names}")
         self.source: UdpReceiver = receivers[source]
         self.structure = (
             self.source.layout
@@ -119,7 +126,13 @@ class _Player:
     def signals(self, t: float) -> Mapping[str, Array]:
         position, velocity, acceleration = self._motion.at(t)
         torques = self._dynamics.torques(position, velocity, acceleration)
-        return {"joint_angles": position, "torques": torques, "billboard_values": velocity}
+        return {
+            "joint_angles": position,
+            "torques": torques,
+            "commanded_torques": torques,  # a perfect controller: the error is zero
+            "joint_accelerations": acceleration,
+            "billboard_values": velocity,
+        }
 
 
 def send(

@@ -19,9 +19,14 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
         DeclarationError: no such kind, or wrong fields.
     """
     if not isinstance(declared, Mapping):
+        if not hasattr(declared, "events"):
+            message = f"found {declared!r}; expected a table with kind, or a source"
+            raise DeclarationError([Problem("", message)])
         return declared
     fields = dict(declared)
     kind = fields.pop("kind", None)
+    if "name" in fields:
+        raise DeclarationError([Problem("name", "is what stands in the header; leave it out")])
     if not isinstance(kind, str) or kind not in KINDS:
         if kind is None:
             message = f"is required; expected {' or '.join(map(repr, KINDS))}"

@@ -46,6 +46,8 @@ class Counters:
             when a robot sends faster than pictures are made.
         dropped: packets that the kernel threw away because its buffer was full.
         last_fault: what was wrong with the last malformed packet.
+        last_size: bytes of the last packet of a wrong size.
+        last_fault_time: when the last malformed packet came, on the clock of `time.monotonic`.
     """
 
     received: int = 0
@@ -54,6 +56,8 @@ class Counters:
     superseded: int = 0
     dropped: int = 0
     last_fault: str = ""
+    last_size: int = 0
+    last_fault_time: float = 0.0
 
     @property
     def malformed(self) -> int:
@@ -75,6 +79,10 @@ class Source(Protocol):
     @property
     def events(self) -> Mapping[str, int]:
         """Event name to its number of values."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of a packet."""
 
     def open(self) -> None:
         """Starts receiving; raises SourceError."""

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import StructureError
+from ..errors import StructureError, UnknownName
 
 Array = NDArray[np.float64]
 
@@ -70,11 +70,13 @@ class Structure:
         """Returns the packet that carries these events; events that are not given are zero.
 
         Raises:
-            KeyError: an event that this structure does not have.
+            UnknownName: an event that this structure does not have.
             ValueError: an event with another number of values.
         """
         packet = np.zeros(self.size // self._dtype.itemsize, self._dtype)
         for name, given in values.items():
+            if name not in self._slices:
+                raise UnknownName("event", name, self.events)
             part = self._slices[name]
             array = np.asarray(given)
             if array.shape != (self.events[name],):

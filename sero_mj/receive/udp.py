@@ -42,7 +42,7 @@ class UdpReceiver(Declaration):
     is_double: bool = Field(True, alias="double")  # before structure, whose size it decides
     structure: str
     udpport: int = Field(0, alias="port", ge=0, le=65535)
-    host: str = Field("127.0.0.1", min_length=1)
+    host: str = "127.0.0.1"
     buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
     _counters: Counters = PrivateAttr(default_factory=Counters)
@@ -63,6 +63,18 @@ class UdpReceiver(Declaration):
             raise ValueError(str(error)) from None
         return text
 
+    @field_validator("host")
+    @classmethod
+    def _host_is_an_address(cls, host: str) -> str:
+        if not host or any(character.isspace() for character in host):
+            raise ValueError(f"found {host!r}; expected an address such as 127.0.0.1 or 0.0.0.0")
+        return host
+
+    @property
+    def place(self) -> tuple[str, int]:
+        """Address and port it listens on; no two sources can share one."""
+        return self.host, self.udpport
+
     @cached_property
     def layout(self) -> Structure:
         """The decoder."""
@@ -77,6 +89,11 @@ class UdpReceiver(Declaration):
     def events(self) -> Mapping[str, int]:
         """Event name to its number of values."""
         return self.layout.events
+
+    @property
+    def size(self) -> int:
+        """Bytes of a packet."""
+        return self.layout.size
 
     @property
     def port(self) -> int:
@@ -174,6 +191,7 @@ class UdpReceiver(Declaration):
             except OSError as error:
                 # An ICMP answer to somebody else's packet may surface here; go on receiving.
                 self._counters.last_fault = f"socket: {error.strerror}"
+                self._closing.wait(0.01)  # an error that stays must not take a whole core
                 continue
             arrival = time.monotonic()
             counters = self._counters
@@ -182,6 +200,7 @@ class UdpReceiver(Declaration):
                 counters.dropped = _dropped_by_kernel(ancillary, counters.dropped)
             if length != size or flags & socket.MSG_TRUNC:
                 counters.wrong_size += 1
+                counters.last_size, counters.last_fault_time = length, arrival
                 more = " or more" if flags & socket.MSG_TRUNC else ""
                 counters.last_fault = f"{length} bytes{more}; expected {size}"
                 continue
@@ -189,6 +208,7 @@ class UdpReceiver(Declaration):
             fault = _not_finite(values)
             if fault:
                 counters.not_finite += 1
+                counters.last_fault_time = arrival
                 counters.last_fault = fault
                 continue
             number += 1
