@@ -132,4 +132,5 @@ def film_with_progress(
             print(f"sero-mj: {output} holds the {done} frames so far", file=sys.stderr)
         raise
     finally:
-        progress.stop()
+        if progress.live.is_started:
+            progress.stop()

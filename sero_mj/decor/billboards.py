@@ -14,7 +14,7 @@ from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from .layout import columns
-from .panels import draw_leaders, draw_panels, panel_sizes
+from .panels import Panels, draw_leaders, panel_sizes
 from .pen import Pen
 from .toggles import Toggles
 from .view import View
@@ -100,8 +100,8 @@ class Billboards:
         toggles: Toggles,
         view: View,
         values: dict[str, Array],
-    ) -> None:
-        """Draws the panel and leader of every joint whose billboard is shown.
+    ) -> Panels:
+        """Lays out the panel and draws the leader of every joint whose billboard is shown.
 
         Args:
             pen: where to.
@@ -109,17 +109,21 @@ class Billboards:
             toggles: what is shown.
             view: of the picture.
             values: what `joint_values` returned.
+
+        Returns:
+            the panels, for `draw_panels`.
         """
+        nothing = Panels(np.empty((0, 2)), np.empty((0, 2)), [])
         joints = self._world.joints
         shown = toggles.billboards.nonzero()[0]
         if not len(shown):
-            return
+            return nothing
         anchors, depth = view.project(data.site_xpos[joints.centre_site[shown]])
         inside = (depth > view.near) & (anchors >= 0).all(1)
         inside &= (anchors < [view.width, view.height]).all(1)
         shown, anchors, depth = shown[inside], anchors[inside], depth[inside]
         if not len(shown):
-            return
+            return nothing
         texts = self._texts(values, shown)
         sizes = self._sizes(view, shown, texts)
         gap = view.font.height * 0.3
@@ -135,7 +139,7 @@ class Billboards:
         edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
         starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
         draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
-        draw_panels(pen, view, centres, sizes, texts)
+        return Panels(centres, sizes, texts)
 
     def _texts(self, values: dict[str, Array], shown: NDArray[np.intp]) -> list[list[bytes]]:
         texts = []

@@ -8,6 +8,7 @@ from ..assemble.world import World
 from .axes import draw_axes
 from .billboards import Billboards
 from .legend import Legend
+from .panels import draw_panels
 from .pen import Pen
 from .quantities import arrow_values, joint_values
 from .round_arrows import RoundArrows
@@ -45,7 +46,10 @@ class Decor:
         shown, limit = arrow_values(self._world, data, values, toggles.arrow_quantity)
         draw_axes(pen, self._world, data, toggles)
         self._arrows.draw(pen, data, toggles, shown, limit)
-        self._billboards.draw(pen, data, toggles, view, values)
-        self._legend.draw(pen, toggles, view, limit)
-        self._status.draw(pen, data, toggles, view)
+        panels = [
+            self._billboards.draw(pen, data, toggles, view, values),
+            self._legend.panels(toggles, view, limit),
+            self._status.panels(data, toggles, view),
+        ]
+        draw_panels(pen, view, [group for group in panels if group is not None])
         return pen

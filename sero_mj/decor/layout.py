@@ -97,5 +97,7 @@ def _chunks(index: Ints, sizes: Array, gap: float, height: int) -> list[Ints]:
     if not len(index):
         return []
     needed = float(sizes[index, 1].sum()) + gap * len(index)
+    if needed <= height - gap:
+        return [index]
     count = min(int(np.ceil(needed / max(height - gap, 1.0))), len(index))
     return np.array_split(index, max(count, 1))

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from ..assemble.tables import ARROW_QUANTITIES
 from ..assemble.world import World
-from .panels import draw_panels, panel_sizes
-from .pen import Pen
+from .panels import Panels, panel_sizes
 from .toggles import Toggles
 from .view import View
 
@@ -28,33 +27,42 @@ _UNLIMITED = "width grows with the value"
 
 
 class Legend:
-    """Draws one panel for every quantity that arrows show, in the lower left corner."""
+    """One panel for every quantity that arrows show, in the lower left corner."""
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self._key: object = None
+        self._panels: Panels | None = None
 
-    def draw(self, pen: Pen, toggles: Toggles, view: View, limit: Array) -> None:
-        """Draws it, if any arrow is toggled on and the legend is wanted.
+    def panels(self, toggles: Toggles, view: View, limit: Array) -> Panels | None:
+        """Returns the panels, or None when no arrow is on or no legend is wanted.
 
         Args:
-            pen: where to.
             toggles: what is shown.
             view: of the picture.
             limit: at which value an arrow is at full width, (N,).
         """
         if not toggles.legend or not toggles.arrows.any():
-            return
-        line = view.font.height
-        margin = _MARGIN * line
-        base = margin
-        for code in np.unique(toggles.arrow_quantity[toggles.arrows]):
+            return None
+        key = (toggles.arrows.tobytes(), toggles.arrow_quantity.tobytes(), view.font.height)
+        if key != self._key:  # it stands in a corner and changes only when toggles do
+            self._key, self._panels = key, self._laid_out(toggles, view, limit)
+        return self._panels
+
+    def _laid_out(self, toggles: Toggles, view: View, limit: Array) -> Panels:
+        margin = _MARGIN * view.font.height
+        corner = np.array([margin, margin])
+        centres, sizes, texts = [], [], []
+        for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist())):
             shown = toggles.arrows & (toggles.arrow_quantity == code)
             what, width = _WORDS[ARROW_QUANTITIES[code]]
             if not np.isfinite(limit[shown]).any():
                 width = _UNLIMITED
-            texts = [f"arrows: {what}".encode(), _SIGNS, width.encode()]
-            widest = max(view.font.width(text) for text in texts)
-            size = panel_sizes(np.array([widest]), len(texts), view)
-            corner = np.array([margin, base])
-            draw_panels(pen, view, corner + size / 2, size, [texts], _RGBA)
-            base += float(size[0, 1]) + margin
+            lines = [f"arrows: {what}".encode(), _SIGNS, width.encode()]
+            widest = max(view.font.width(line) for line in lines)
+            size = panel_sizes(np.array([widest]), len(lines), view)[0]
+            centres.append(corner + size / 2)
+            sizes.append(size)
+            texts.append(lines)
+            corner = corner + np.array([0.0, size[1] + margin])
+        return Panels(np.array(centres), np.array(sizes), texts, _RGBA)

@@ -50,7 +50,7 @@ def arrow_values(
     joints = world.joints
     shown = np.full(len(joints.names), np.nan)
     limit = joints.torque_limit.copy()
-    for code in np.unique(quantity):
+    for code in set(quantity.tolist()):
         at = quantity == code
         name = ARROW_QUANTITIES[code]
         if name == "singularity":

@@ -59,7 +59,8 @@ def arrow_widths(
         (N,), m; continuous and monotone in the value, 0 up to the dead band and for NaN, at most
         `WIDEST` times the radius.
     """
-    size = np.nan_to_num(np.abs(values))
+    size = np.abs(values)
+    size[~np.isfinite(size)] = 0.0
     limited = np.isfinite(limit)
     share = size / np.where(limited, limit, 1.0)
     band = np.maximum(dead_band, 1e-9)
@@ -94,7 +95,7 @@ class RoundArrows:
             values, limit, joints.arrow_radius, joints.arrow_width_scale, joints.arrow_dead_band
         )
         shown = toggles.arrows & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
-        over = np.nan_to_num(np.abs(values)) > limit
+        over = np.abs(values) > limit  # false for NaN
         turning = (shown & joints.revolute).nonzero()[0]
         sliding = (shown & ~joints.revolute).nonzero()[0]
         if len(turning):

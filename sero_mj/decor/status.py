@@ -10,8 +10,7 @@ import numpy as np
 
 from ..assemble.tables import SOURCE_FIELDS
 from ..assemble.world import World
-from .panels import draw_panels, panel_sizes
-from .pen import Pen
+from .panels import Panels, panel_sizes
 from .toggles import Toggles
 from .view import View
 
@@ -49,16 +48,16 @@ class Status:
             if any(event.partition(".")[0] == name for event in world.scene.routes.values())
         ]
 
-    def draw(self, pen: Pen, data: mujoco.MjData, toggles: Toggles, view: View) -> None:
-        """Draws the panel in the upper left corner, if there is anything to say."""
+    def panels(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Panels | None:
+        """Returns the panel in the upper left corner, or None when there is nothing to say."""
         lines = []
         for name, slot in self._slots:
             lines += _complaints(name, SourceState(*data.userdata[slot]))
         if not lines or not toggles.status:
-            return
+            return None
         texts = [line.encode("ascii", "replace")[:99] for line in lines]
         widest = max(view.font.width(text) for text in texts)
         size = panel_sizes(np.array([widest]), len(texts), view)
         margin = _MARGIN * view.font.height
         corner = np.array([margin, view.height - margin])
-        draw_panels(pen, view, corner + size * (0.5, -0.5), size, [texts], FAULT_RGBA)
+        return Panels(corner + size * (0.5, -0.5), size, [texts], FAULT_RGBA)

@@ -42,8 +42,8 @@ def save_picture(path: Path, pixels: Pixels) -> None:
     Raises:
         RenderError: the file cannot be written, or the format is unknown.
     """
+    check_writable(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(pixels).save(path)
     except (OSError, ValueError) as error:
         raise RenderError(f"cannot write {path}: {error}") from error
@@ -76,8 +76,8 @@ class FilmWriter:
         self._width, self._height = width - width % 2, height - height % 2
         if not (self._width and self._height):
             raise RenderError(f"film size {width}x{height}: expected at least 2x2 pixels")
+        check_writable(path)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             self._container = av.open(str(self._part), "w")
         except (OSError, ValueError) as error:
             raise RenderError(f"cannot write {path}: {error}") from error
