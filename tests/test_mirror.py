@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from polling import until
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
@@ -37,16 +38,6 @@ values = [float(word) for word in sys.argv[2:]]
 packet = struct.pack(f"<{len(values)}d", *values)
 socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(packet, ("127.0.0.1", int(sys.argv[1])))
 """
-
-
-def until(condition: Callable[[], object], seconds: float = 5.0) -> bool:
-    """Polls until the condition holds; returns whether it came to hold in time."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(2e-4)
-    return True
 
 
 def arm(name: str = "arm", convention: str = "craig") -> SerialRobot:

@@ -9,13 +9,12 @@ import math
 import socket
 import struct
 import threading
-import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from polling import until
 
 from sero_mj.errors import SeroError, StructureError
 from sero_mj.receive.structure import Structure
@@ -253,16 +252,6 @@ packets = st.one_of(
         st.binary(min_size=1, max_size=32),
     ),
 )
-
-
-def until(condition: Callable[[], object], seconds: float = 5.0) -> bool:
-    """Polls until the condition holds; returns whether it came to hold in time."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(2e-4)
-    return True
 
 
 def runs(name: str) -> bool:

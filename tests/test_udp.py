@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from polling import until
 
 from sero_mj.errors import SeroError, SourceError
 from sero_mj.receive.source import Counters, Packet
@@ -34,16 +35,6 @@ for k in range(1, count + 1):
     sock.sendto(struct.pack(f"<{values}d", *[float(k)] * values), ("127.0.0.1", port))
     time.sleep(1e-4)  # as robots do, not as fast as it can
 """
-
-
-def until(condition: Callable[[], object], seconds: float = 5.0) -> bool:
-    """Polls until the condition holds; returns whether it came to hold in time."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(2e-4)
-    return True
 
 
 def threads_of(name: str) -> list[threading.Thread]:

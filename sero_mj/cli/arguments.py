@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -57,23 +59,21 @@ def add_command(commands: Commands, name: str, run: Any, summary: str, epilog: s
 
 def positive(text: str) -> float:
     """A finite number above 0, for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found '{text}'; expected a number above 0")
-    return value
+    return _number(text, "a number above 0", lambda value: value > 0)
 
 
 def not_negative(text: str) -> float:
     """A finite number from 0, for argparse."""
+    return _number(text, "0 or a number above", lambda value: value >= 0)
+
+
+def _number(text: str, expected: str, fits: Callable[[float], bool]) -> float:
     try:
         value = float(text)
     except ValueError:
-        value = float("nan")
-    if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found '{text}'; expected 0 or a number above")
+        value = math.nan
+    if not (math.isfinite(value) and fits(value)):
+        raise argparse.ArgumentTypeError(f"found '{text}'; expected {expected}")
     return value
 
 
