@@ -123,7 +123,11 @@ def test_interrupting_a_film_keeps_what_was_filmed(tmp_path) -> None:
     film = tmp_path / "film.mp4"
     command = [sys.executable, "-u", "-m", "sero_mj", "render", "lwr", "-o", str(film)]
     process = subprocess.Popen(
-        [*command, "--size", "160x120", "--duration", "1000"], stderr=subprocess.PIPE, text=True
+        [*command, "--size", "160x120", "--duration", "1000"],
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell starts what it runs in the background with this signal ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
     )
     assert process.stderr is not None
     part = tmp_path / ".film.mp4.part.mp4"
@@ -209,6 +213,23 @@ def test_render_sets_fields_over_the_scenes(capsys, tmp_path) -> None:
     a, b = (np.asarray(Image.open(path), int) for path in (plain, posed))
     assert a.shape == (120, 160, 3)
     assert (np.abs(a - b).max(axis=2) > 60).sum() > 200
+
+
+@pytest.mark.gl
+def test_a_click_in_a_picture_brings_up_what_it_would_in_a_window(capsys, caplog, tmp_path) -> None:
+    plain, clicked = tmp_path / "plain.png", tmp_path / "clicked.png"
+    options = ["--size", "320x240", "--camera", "150,-14,2.2"]
+    run(capsys, "render", "lwr", "-o", str(plain), *options)
+    status, _, _ = run(capsys, "render", "lwr", "-o", str(clicked), *options, "--click", "160,150")
+    assert status == 0
+    assert re.search(r"click at 160,150: link lwr/link\d", caplog.text)
+    a, b = (np.asarray(Image.open(path), int) for path in (plain, clicked))
+    assert (np.abs(a - b).max(axis=2) > 60).sum() > 500  # a billboard
+    run(capsys, "render", "lwr", "-o", str(clicked), *options, "--click", "2,2")
+    assert "click at 2,2: nothing there" in caplog.text
+    status, _, err = run(capsys, "render", "lwr", "-o", str(clicked), "--click", "2")
+    assert status == 2
+    assert "expected X,Y or X,Y,shift" in err
 
 
 def test_settings_are_toml_or_numbers_with_commas() -> None:

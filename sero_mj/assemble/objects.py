@@ -103,7 +103,8 @@ class Object(Declaration):
         found_count = 0 if self.size is None else len(self.size)
         if self.size is None or found_count != wanted or (self.size <= 0).any():
             found = "none" if self.size is None else self.size.tolist()
+            article = "an" if self.shape[0] in "ae" else "a"
             raise ValueError(
-                f"size of a {self.shape}: found {found}; expected positive {meaning} in m"
+                f"size of {article} {self.shape}: found {found}; expected positive {meaning} in m"
             )
         return self

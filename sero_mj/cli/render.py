@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ examples:
   sero-mj render lwr -o pose.png --set lwr.joint_angles=0,0.5,0,-1.5,0,1,0 \\
       --set lwr.torques=10,-80,5,30,0,-2,1 --set lwr.show_arrows=true
   sero-mj render lwr_udp -o top.png --camera 90,-80,2.5 --size 640x480
+  sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
 
 --set takes any field of a robot (sero-mj list --fields shows them), as TOML. An input that is set
 is not received. A film of live sources shows real time, however long rendering takes.
@@ -56,6 +58,15 @@ def add_to(commands: Commands) -> None:
         help="set a field over the scene's; may be repeated",
     )
     parser.add_argument(
+        "--click",
+        action="append",
+        default=[],
+        type=_click,
+        dest="clicks",
+        metavar="X,Y[,shift]",
+        help="click on a pixel, counted from the upper left, before rendering; may be repeated",
+    )
+    parser.add_argument(
         "--wait",
         type=not_negative,
         default=2.0,
@@ -63,6 +74,17 @@ def add_to(commands: Commands) -> None:
         help="how long to wait for the first packet (default 2)",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar, no closing line")
+
+
+def _click(text: str) -> tuple[float, float, bool]:
+    parts = text.split(",")
+    shift = parts[2:] == ["shift"]
+    try:
+        if len(parts) == 2 or shift:
+            return float(parts[0]), float(parts[1]), shift
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected X,Y or X,Y,shift in pixels")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -73,6 +95,8 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"-o {output}: expected a name that ends in .png, .jpg, .webp or .mp4")
     if not is_film and (options.duration or options.fps):
         raise UsageError(f"-o {output}: --duration and --fps are for films (.mp4)")
+    if options.clicks:  # what was hit is worth a line
+        logging.getLogger("sero_mj.show.capture").setLevel(logging.INFO)
     scene = read_scene_or_model(options.scene, options.settings)
     if is_film:
         silent = film_with_progress(
@@ -84,12 +108,18 @@ def run(options: argparse.Namespace) -> int:
             size=options.size,
             camera=options.camera,
             wait=options.wait,
+            clicks=options.clicks,
         )
     else:
         from ..show.capture import render_picture
 
         silent = render_picture(
-            scene, output, size=options.size, camera=options.camera, wait=options.wait
+            scene,
+            output,
+            size=options.size,
+            camera=options.camera,
+            wait=options.wait,
+            clicks=options.clicks,
         )
     for name in silent:
         print(

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from ..assemble.world import World
-from .pen import Pen
+from .pen import Kind, Pen
 from .toggles import Toggles
 
 # Red, green, blue as is customary, in shades that differ in lightness as well.
@@ -31,7 +31,7 @@ def draw_axes(pen: Pen, world: World, data: mujoco.MjData, toggles: Toggles) -> 
     shown = toggles.axes.nonzero()[0]
     table = world.frames
     shown = shown[table.alpha[shown] > 0]
-    rows = pen.take(3 * len(shown), int(mujoco.mjtGeom.mjGEOM_BOX))
+    rows = pen.take(3 * len(shown), int(mujoco.mjtGeom.mjGEOM_BOX), Kind.AXES, np.repeat(shown, 3))
     if not len(rows):
         return
     sites = table.site[shown]

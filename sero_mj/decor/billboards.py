@@ -15,7 +15,7 @@ from ..assemble.scene import Scene
 from ..assemble.world import World
 from .layout import columns
 from .panels import Panels, draw_leaders, panel_sizes
-from .pen import Pen
+from .pen import Kind, Pen
 from .toggles import Toggles
 from .view import View
 
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 LEADER_RGBA = (0.09, 0.11, 0.14, 0.9)
 NO_DATA = b"no data"
+NO_LIMIT = b"none"
 # What lines are called where a billboard has several of them.
 _LABELS = {
     "torques": "msr",
@@ -41,6 +42,16 @@ _UNITS = {
     "joint_accelerations": (("rad/s2", 2), ("m/s2", 2)),
     "joint_angles": (("rad", 3), ("m", 4)),
     "billboard_values": (("", 2), ("", 2)),
+    "torque_limit": (("Nm", 1), ("N", 1)),
+    "torque_share": (("%", 1), ("%", 1)),
+}
+# What a click on an arrow brings up: the precise numbers (section 2.2), and what they are called.
+_DETAILS = {
+    "commanded_torques": "cmd",
+    "torques": "msr",
+    "torque_error": "err",
+    "torque_limit": "limit",
+    "torque_share": "share",
 }
 
 
@@ -82,7 +93,7 @@ class Billboards:
             labels = [line.label or _LABELS[line.value] * (len(declared) > 1) for line in declared]
             self._lines.append(
                 [
-                    _line(name, k, line, label, prismatic)
+                    _line(name, k, line.value, label, prismatic, line)
                     for k, (line, label) in enumerate(zip(declared, labels, strict=True))
                 ]
             )
@@ -90,8 +101,14 @@ class Billboards:
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
         self._rank = _rank(world)
-        self._counts = np.array([len(lines) for lines in self._lines], np.intp)
-        self._widths: dict[int, Array] = {}
+        self._details = [
+            [
+                _line(name, k, key, label, int(not joints.revolute[i]))
+                for k, (key, label) in enumerate(_DETAILS.items())
+            ]
+            for i, name in enumerate(joints.names)
+        ]
+        self._widths: dict[int, dict[int, int]] = {}
 
     def draw(
         self,
@@ -115,7 +132,7 @@ class Billboards:
         """
         nothing = Panels(np.empty((0, 2)), np.empty((0, 2)), [])
         joints = self._world.joints
-        shown = toggles.billboards.nonzero()[0]
+        shown = (toggles.billboards | toggles.details).nonzero()[0]
         if not len(shown):
             return nothing
         anchors, depth = view.project(data.site_xpos[joints.centre_site[shown]])
@@ -124,8 +141,13 @@ class Billboards:
         shown, anchors, depth = shown[inside], anchors[inside], depth[inside]
         if not len(shown):
             return nothing
-        texts = self._texts(values, shown)
-        sizes = self._sizes(view, shown, texts)
+        lines = [self._details[i] if toggles.details[i] else self._lines[i] for i in shown]
+        if toggles.details.any():
+            limit = joints.torque_limit
+            share = 100 * np.abs(values["torques"]) / limit
+            values = {**values, "torque_limit": limit, "torque_share": share}
+        texts = _texts(values, shown, lines)
+        sizes = self._sizes(view, shown, lines, texts)
         gap = view.font.height * 0.3
         # Clear of the round arrows of the joint that is nearest to the eye.
         radius = 2.0 * joints.arrow_radius[shown].max() / view.pixel_size(float(depth.min()))
@@ -139,37 +161,50 @@ class Billboards:
         edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
         starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
         draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
-        return Panels(centres, sizes, texts)
+        return Panels(centres, sizes, texts, kind=Kind.BILLBOARD, items=shown)
 
-    def _texts(self, values: dict[str, Array], shown: NDArray[np.intp]) -> list[list[bytes]]:
-        texts = []
-        for i in shown:
-            lines = []
-            for line in self._lines[i]:
-                value = float(values[line.key][i])
-                if not math.isfinite(value):
-                    lines.append(line.head.encode("ascii") + NO_DATA)
-                    continue
-                # Adding zero turns -0.0, which rounding makes of a small negative, into 0.0.
-                value = round(value * line.scale, line.decimals) + 0.0
-                form = line.form if abs(value) < _PLAIN_BELOW else line.scientific
-                lines.append((line.head + form % value).encode("ascii"))
-            texts.append(lines)
-        return texts
-
-    def _sizes(self, view: View, shown: NDArray[np.intp], texts: list[list[bytes]]) -> Array:
+    def _sizes(
+        self,
+        view: View,
+        shown: NDArray[np.intp],
+        lines: list[list[_Line]],
+        texts: list[list[bytes]],
+    ) -> Array:
         """Panel sizes that do not change with the digits, unless a number is unusually long."""
         font = view.font
         if font.height not in self._widths:
-            self._widths[font.height] = np.array(
-                [max(font.width(line.widest) for line in lines) for lines in self._lines]
-            )
-        widths = self._widths[font.height][shown]
-        for k, (i, lines) in enumerate(zip(shown, texts, strict=True)):
-            for text, line in zip(lines, self._lines[i], strict=True):
+            self._widths[font.height] = {}
+        known = self._widths[font.height]
+        widths = np.empty(len(shown))
+        for k, (of_joint, of_text) in enumerate(zip(lines, texts, strict=True)):
+            key = id(of_joint)
+            if key not in known:
+                known[key] = max(font.width(line.widest) for line in of_joint)
+            widths[k] = known[key]
+            for text, line in zip(of_text, of_joint, strict=True):
                 if len(text) > len(line.widest):
                     widths[k] = max(widths[k], font.width(text))
-        return panel_sizes(widths, self._counts[shown], view)
+        return panel_sizes(widths, np.array([len(of_joint) for of_joint in lines]), view)
+
+
+def _texts(
+    values: dict[str, Array], shown: NDArray[np.intp], lines: list[list[_Line]]
+) -> list[list[bytes]]:
+    texts = []
+    for i, of_joint in zip(shown, lines, strict=True):
+        text = []
+        for line in of_joint:
+            value = float(values[line.key][i])
+            if not math.isfinite(value):
+                missing = NO_LIMIT if line.key == "torque_limit" else NO_DATA
+                text.append(line.head.encode("ascii") + missing)
+                continue
+            # Adding zero turns -0.0, which rounding makes of a small negative, into 0.0.
+            value = round(value * line.scale, line.decimals) + 0.0
+            form = line.form if abs(value) < _PLAIN_BELOW else line.scientific
+            text.append((line.head + form % value).encode("ascii"))
+        texts.append(text)
+    return texts
 
 
 def _rank(world: World) -> NDArray[np.intp]:
@@ -185,14 +220,18 @@ def _rank(world: World) -> NDArray[np.intp]:
     return rank
 
 
-def _line(joint: str, k: int, line: BillboardLine, label: str, prismatic: int) -> _Line:
+def _line(
+    joint: str, k: int, key: str, label: str, prismatic: int, declared: BillboardLine | None = None
+) -> _Line:
     """Prepares a line: the joint's name stands on the first one, labels on all."""
-    unit, decimals = _UNITS[line.value][prismatic]
-    unit = unit if line.unit is None else line.unit
-    decimals = decimals if line.decimals is None else line.decimals
+    unit, decimals = _UNITS[key][prismatic]
+    scale = 1.0
+    if declared is not None:
+        unit = unit if declared.unit is None else declared.unit
+        decimals = decimals if declared.decimals is None else declared.decimals
+        scale = declared.scale
     words = [joint if k == 0 else " " * len(joint), label]
     head = "  ".join(word for word in words if word) + " "
-    tail = f" {unit}" if unit else ""
-    form = f"%{decimals + 5 if decimals else 5}.{decimals}f" + tail.replace("%", "%%")
-    scientific = "%10.3e" + tail.replace("%", "%%")
-    return _Line(head, form, scientific, line.scale, decimals, line.value, head + form % -888.8888)
+    tail = (f" {unit}" if unit else "").replace("%", "%%")
+    form = f"%{decimals + 5 if decimals else 5}.{decimals}f" + tail
+    return _Line(head, form, "%10.3e" + tail, scale, decimals, key, head + form % -888.8888)

@@ -7,6 +7,7 @@ import mujoco
 from ..assemble.world import World
 from .axes import draw_axes
 from .billboards import Billboards
+from .frame_names import name_panels
 from .legend import Legend
 from .panels import draw_panels
 from .pen import Pen
@@ -48,6 +49,7 @@ class Decor:
         self._arrows.draw(pen, data, toggles, shown, limit)
         panels = [
             self._billboards.draw(pen, data, toggles, view, values),
+            name_panels(self._world, data, toggles, view),
             self._legend.panels(toggles, view, limit),
             self._status.panels(data, toggles, view),
         ]

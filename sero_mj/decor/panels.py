@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .pen import Pen
+from .pen import Kind, Pen
 from .view import View
 
 Array = NDArray[np.float64]
@@ -38,12 +38,16 @@ class Panels:
         sizes: (k, 2), pixels.
         texts: the lines of every panel, top first.
         rgba: their colour.
+        kind: what they belong to.
+        items: which joint or frame every panel belongs to, (k,).
     """
 
     centres: Array
     sizes: Array
     texts: list[list[bytes]]
     rgba: tuple[float, float, float, float] = PANEL_RGBA
+    kind: Kind = Kind.NONE
+    items: NDArray[np.intp] | None = None
 
 
 def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
@@ -63,9 +67,15 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     rgba = np.repeat([group.rgba for group in groups], [len(g.texts) for g in groups], axis=0)
     depth = _PANEL_DEPTH * view.near
     pixel = view.pixel_size(depth)
+    first = pen.count
     rows = pen.take(len(texts), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
+    for group in groups:
+        if group.items is not None:
+            pen.kinds[first : first + len(group.texts)] = group.kind
+            pen.items[first : first + len(group.texts)] = group.items
+        first += len(group.texts)
     rows["pos"] = view.at(centres, depth)
     rows["mat"] = view.facing
     rows["size"][:, :2] = sizes * (pixel / 2)

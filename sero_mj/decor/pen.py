@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Any
 
 import mujoco
@@ -16,12 +17,24 @@ MAX_GEOMS = 1024  # MuJoCo Studio's web viewer silently drops what is over it
 ARROW_SIZE_OF_LENGTH = 2.0
 
 
+class Kind(IntEnum):
+    """What a geom belongs to; a click finds it by this and by the number of its item."""
+
+    NONE = 0
+    ARROW = 1  # item: joint of the world
+    BILLBOARD = 2  # item: joint
+    AXES = 3  # item: frame
+    NAME = 4  # item: frame; the panel with its name
+
+
 class Pen:
     """A buffer of decor geoms that is cleared and filled again every frame.
 
     Attributes:
         rows: all geoms as a structured array (`geoms.GEOM`); the first `count` are in use.
         count: how many are in use.
+        kinds: what every geom belongs to (`Kind`).
+        items: which joint or frame that is.
         left_out: how many found no room in this frame.
     """
 
@@ -34,6 +47,8 @@ class Pen:
         self.rows["category"] = int(mujoco.mjtCatBit.mjCAT_DECOR)
         self.rows["objtype"] = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
         self.rows["shininess"] = 0.3
+        self.kinds = np.zeros(capacity, np.uint8)
+        self.items = np.zeros(capacity, np.intp)
         self.count = 0
         self.left_out = 0
 
@@ -42,18 +57,29 @@ class Pen:
         self.count = 0
         self.left_out = 0
 
-    def take(self, n: int, kind: int) -> NDArray[Any]:
+    def take(
+        self, n: int, geom: int, kind: Kind = Kind.NONE, items: NDArray[np.intp] | int = 0
+    ) -> NDArray[Any]:
         """Returns the next n rows to be filled, of one geom type.
 
         The caller sets size, pos, mat and rgba. When there is no room for all of them none is
         given and `left_out` grows, so that nothing is drawn in part.
+
+        Args:
+            n: how many.
+            geom: `mjtGeom`.
+            kind: what they belong to.
+            items: which joint or frame, (n,).
         """
         if self.count + n > len(self.rows):
             self.left_out += n
             return self.rows[:0]
-        rows = self.rows[self.count : self.count + n]
+        place = slice(self.count, self.count + n)
+        rows = self.rows[place]
+        self.kinds[place] = kind
+        self.items[place] = items
         self.count += n
-        rows["type"] = kind
+        rows["type"] = geom
         rows["label"] = b""
         rows["emission"] = 0.35
         rows["specular"] = 0.1

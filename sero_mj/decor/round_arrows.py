@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world import World
-from .pen import ARROW_SIZE_OF_LENGTH, MAX_GEOMS, Pen
+from .pen import ARROW_SIZE_OF_LENGTH, MAX_GEOMS, Kind, Pen
 from .toggles import Toggles
 
 Array = NDArray[np.float64]
@@ -113,7 +113,12 @@ class RoundArrows:
         over: NDArray[np.bool_],
     ) -> None:
         joints = self._world.joints
-        rows = pen.take(len(index) * self.segments, int(mujoco.mjtGeom.mjGEOM_BOX))
+        rows = pen.take(
+            len(index) * self.segments,
+            int(mujoco.mjtGeom.mjGEOM_BOX),
+            Kind.ARROW,
+            np.repeat(index, self.segments),
+        )
         if not len(rows):
             return
         sign = np.sign(torques)[:, None]
@@ -155,7 +160,7 @@ class RoundArrows:
     ) -> None:
         """A prismatic joint's force: a straight arrow along its axis."""
         joints = self._world.joints
-        rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW))
+        rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
         if not len(rows):
             return
         mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()

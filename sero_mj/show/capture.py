@@ -7,12 +7,14 @@ are rendered from these states, at whatever speed.
 
 from __future__ import annotations
 
+import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,8 +24,12 @@ from ..errors import RenderError
 from .film import FilmWriter, check_writable, save_picture
 from .headless import DEFAULT_SIZE, HeadlessRenderer
 
+log = logging.getLogger(__name__)
+
 MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is a slip of the finger
 State = NDArray[np.float64]
+# Pixel from the upper left corner, and whether Shift is held.
+Click = tuple[float, float, bool]
 OnProgress = Callable[[int, int], None]
 
 
@@ -34,6 +40,7 @@ def render_picture(
     size: tuple[int, int] = DEFAULT_SIZE,
     camera: str | None = None,
     wait: float = 2.0,
+    clicks: Sequence[Click] = (),
 ) -> list[str]:
     """Renders one picture of a scene as it is now.
 
@@ -43,6 +50,7 @@ def render_picture(
         size: width and height, pixels.
         camera: see `find_camera`.
         wait: how long to wait for the first packet of every source, s.
+        clicks: where to click first.
 
     Returns:
         the sources that stayed silent; their robots stand where the scene declares them.
@@ -55,6 +63,7 @@ def render_picture(
         with HeadlessRenderer(mirror.world, *size, camera) as renderer:
             silent = mirror.wait(wait)
             mirror.advance(0.0)
+            _click(renderer, mirror.data, clicks)
             save_picture(Path(path), renderer.render(mirror.data))
     return silent
 
@@ -68,6 +77,7 @@ def render_film(
     size: tuple[int, int] = DEFAULT_SIZE,
     camera: str | None = None,
     wait: float = 2.0,
+    clicks: Sequence[Click] = (),
     on_progress: OnProgress | None = None,
 ) -> list[str]:
     """Renders a film of a scene, in real time when it has live sources.
@@ -80,6 +90,7 @@ def render_film(
         size: width and height, pixels.
         camera: see `find_camera`.
         wait: how long to wait for the first packet of every source, s.
+        clicks: where to click before the first frame.
         on_progress: called with the frames done and the frames in all.
 
     Returns:
@@ -102,10 +113,19 @@ def render_film(
             pixels = np.empty((size[1], size[0], 3), np.uint8)
             for done, state in enumerate(_states(mirror, count, fps), start=1):
                 restore(world, data, state)
+                if done == 1:
+                    _click(renderer, data, clicks)
                 film.add(renderer.render(data, out=pixels))
                 if on_progress is not None:
                     on_progress(done, count)
     return silent
+
+
+def _click(renderer: HeadlessRenderer, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
+    for x, y, all_joints in clicks:
+        picked = renderer.click(data, x, y, all_joints=all_joints)
+        what = "nothing there" if picked is None else f"{picked.kind} {picked.name}"
+        log.info("click at %g,%g: %s", x, y, what)
 
 
 def _states(mirror: Mirror, count: int, fps: float) -> Iterator[State]:

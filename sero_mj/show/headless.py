@@ -18,6 +18,7 @@ from ..decor.toggles import Toggles
 from ..decor.view import View
 from ..errors import RenderError
 from .camera import find_camera
+from .interaction import Picked, click, pick
 
 log = logging.getLogger(__name__)
 
@@ -86,6 +87,33 @@ class HeadlessRenderer:
             log.warning("%d decor geoms found no room and are not shown", left_out)
         pixels: NDArray[np.uint8] = renderer.render(out=out)
         return pixels
+
+    def pick(
+        self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
+    ) -> Picked | None:
+        """Returns what is seen at a pixel, counted from the upper left corner of the picture.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, 0 to width.
+            y: down, 0 to height.
+            tolerance: see `interaction.pick`.
+        """
+        renderer = self._renderer
+        renderer.update_scene(data, self.camera)
+        view = View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
+        pen = self._decor.draw(data, self.toggles, view)
+        # A pixel's middle is half a pixel from its corner.
+        pixel = (x + 0.5, renderer.height - y - 0.5)
+        return pick(self.world, data, pen, view, pixel, tolerance)
+
+    def click(
+        self, data: mujoco.MjData, x: float, y: float, *, all_joints: bool = False
+    ) -> Picked | None:
+        """Clicks on a pixel, counted from the upper left corner, and returns what was hit."""
+        picked = self.pick(data, x, y)
+        click(self.world, self.toggles, picked, all_joints=all_joints)
+        return picked
 
     def close(self) -> None:
         """Frees the OpenGL context."""

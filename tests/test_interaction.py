@@ -1,0 +1,277 @@
+"""What is at a pixel and what a click does, against a render of the segmentation."""
+
+import mujoco
+import numpy as np
+import pytest
+from decor_tools import of_kind, toggles_of, view_at, world_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sero_mj.assemble.objects import Object
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.pen import Kind
+from sero_mj.drive.follow import follow
+from sero_mj.show.headless import HeadlessRenderer
+from sero_mj.show.interaction import KEYS, Picked, _ray_boxes, click, pick
+
+POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
+SIZE = (640, 480)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return world_of(
+        joint_angles=POSE,
+        torques=[120, -60, 30, -20, 14, -9, 4],
+        show_arrows=True,
+        show_billboards=True,
+        show_axes=True,
+        children=[Object(name="tool", shape="box", size=[0.03, 0.03, 0.1])],
+    )
+
+
+def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], tuple[str, int]]:
+    """Oracle: renders every geom in a flat colour of its own and reads the colours back."""
+    inner = renderer._renderer
+    renderer.render(data)
+    scene, pen = inner.scene, renderer._decor.pen
+    first = scene.ngeom - pen.count
+    owners: list[tuple[str, int]] = [("", -1)]
+    for i in range(scene.ngeom):
+        geom = scene.geoms[i]
+        if i >= first:
+            kind = Kind(int(pen.kinds[i - first]))
+            owner = (kind.name, int(pen.items[i - first])) if kind else ("", -1)
+        elif geom.objtype == int(mujoco.mjtObj.mjOBJ_GEOM):
+            owner = ("geom", int(geom.objid))
+        else:
+            owner = ("", -1)
+        geom.segid = len(owners) - 1
+        geom.transparent = 0
+        owners.append(owner)
+    # Leaders lie between eye and robot and cannot be clicked; the oracle must not see them.
+    for i in range(scene.ngeom):
+        if scene.geoms[i].type == int(mujoco.mjtGeom.mjGEOM_TRIANGLE):
+            scene.geoms[i].segid = -1
+    flags = scene.flags.copy()
+    scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = 1
+    scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = 1
+    image = np.empty((SIZE[1], SIZE[0], 3), np.uint8)
+    inner._gl_context.make_current()
+    mujoco.mjr_render(inner._rect, scene, inner._mjr_context)
+    mujoco.mjr_readPixels(image, None, inner._rect, inner._mjr_context)
+    scene.flags[:] = flags
+    ids = np.flipud(image).astype(int) @ [1, 256, 65536]
+    return {(x, y): owners[ids[y, x]] for x, y in pixels}, ids
+
+
+@pytest.mark.gl
+def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
+    rng = np.random.default_rng(0)
+    data = world.make_data()
+    asked = wrong = 0
+    seen: set[str] = set()
+    with HeadlessRenderer(world, *SIZE, "150,-15,2.0") as renderer:
+        renderer.toggles.legend = False
+        for _ in range(12):
+            world.set_input(data, "lwr.joint_angles", rng.uniform(-1.8, 1.8, 7))
+            follow(world.model, data)
+            renderer.camera.azimuth, renderer.camera.elevation = (
+                rng.uniform(0, 360),
+                rng.uniform(-40, 10),
+            )
+            pixels = [(int(x), int(y)) for x, y in rng.uniform(0.15, 0.85, (300, 2)) * SIZE]
+            expected, ids = label_at(renderer, data, pixels)
+            for (x, y), (kind, item) in expected.items():
+                around = ids[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+                if (around != around[0, 0]).any():
+                    continue  # on an edge either answer is right
+                picked = renderer.pick(data, x, y)
+                if kind == "geom":
+                    found = picked is not None and picked.kind in ("link", "object")
+                    body = int(world.model.geom_bodyid[item])
+                    part = world.robots["lwr"]
+                    link = (part.bodies == body).nonzero()[0]
+                    if found and len(link):
+                        found = picked.index == max(int(link[0]) - 1, 0)
+                elif kind:
+                    found = picked is not None and picked.kind.upper() == kind
+                    found = found and picked.index == item
+                else:
+                    found = picked is None
+                asked += 1
+                wrong += not found
+                seen.add(kind)
+    assert {"geom", "ARROW", "BILLBOARD", "AXES"} <= seen
+    assert asked > 2500
+    # Arrow heads of straight arrows aside, only hair's breadths differ.
+    assert wrong / asked < 0.005
+
+
+@given(st.integers(0, 2**31))
+def test_rays_meet_boxes_where_mujoco_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    centre, half = rng.uniform(-1, 1, 3), rng.uniform(0.05, 0.6, 3)
+    quat = rng.normal(size=4)
+    mat = np.empty(9)
+    mujoco.mju_quat2Mat(mat, quat / np.linalg.norm(quat))
+    origin = rng.uniform(-3, 3, 3)
+    direction = centre + rng.uniform(-0.8, 0.8, 3) - origin
+    direction /= np.linalg.norm(direction)
+    got = _ray_boxes(origin, direction, centre[None], mat.reshape(1, 3, 3), half[None])[0]
+    box = int(mujoco.mjtGeom.mjGEOM_BOX)
+    expected = mujoco.mju_rayGeom(centre, mat, half, origin, direction, box, None)
+    inside = (np.abs(mat.reshape(3, 3).T @ (origin - centre)) <= half).all()
+    if inside:
+        assert got == 0.0  # MuJoCo says where the ray leaves
+    elif expected < 0:
+        assert got == np.inf
+    else:
+        assert got == pytest.approx(expected, abs=1e-9)
+
+
+def scene_of_frame(world: World, toggles, view, data):
+    decor = Decor(world)
+    return decor.draw(data, toggles, view)
+
+
+def test_a_finger_hits_what_is_near_and_a_mouse_does_not(world) -> None:
+    data, view = world.make_data(), view_at()
+    toggles = toggles_of(world)
+    toggles.billboards[:] = toggles.arrows[:] = False
+    pen = scene_of_frame(world, toggles, view, data)
+    frame = world.frames.names.index("lwr/base")
+    bars = (pen.items[: pen.count] == frame).nonzero()[0]
+    tip = pen.rows[bars[0]]["pos"] + pen.rows[bars[0]]["mat"][:, 2] * pen.rows[bars[0]]["size"][2]
+    (x, y), _ = view.project(tip.astype(float))
+    beside = (x + 8.0 * np.sign(x - view.width / 2), y)
+    assert pick(world, data, pen, view, beside) is None
+    found = pick(world, data, pen, view, beside, tolerance=12.0)
+    assert found is not None
+    assert found.kind == "axes"
+
+
+def picked(world: World, kind: str, joint: int) -> Picked:
+    return Picked(kind, "", "lwr", joint, 1.0)  # type: ignore[arg-type]
+
+
+def test_a_click_on_a_link_toggles_its_joints_billboard_and_with_shift_all(world) -> None:
+    toggles = toggles_of(world)
+    toggles.billboards[:] = False
+    click(world, toggles, picked(world, "link", 3))
+    assert toggles.billboards.nonzero()[0].tolist() == [3]
+    click(world, toggles, picked(world, "link", 3), all_joints=True)
+    assert not toggles.billboards.any()
+    click(world, toggles, picked(world, "link", 3), all_joints=True)
+    assert toggles.billboards.all()
+
+
+def test_a_click_on_a_billboard_hides_it_with_its_details(world) -> None:
+    toggles = toggles_of(world)
+    toggles.details[2] = True
+    click(world, toggles, picked(world, "billboard", 2))
+    assert not toggles.billboards[2] and not toggles.details[2]
+    assert toggles.billboards.sum() == 6
+
+
+def test_without_touch_sensor_a_robot_ignores_clicks_but_its_arrows_do_not() -> None:
+    world = world_of(enable_touch_sensor=False, torques=np.full(7, 9.0), show_arrows=True)
+    toggles = toggles_of(world)
+    click(world, toggles, picked(world, "link", 3))
+    assert not toggles.billboards.any()
+    click(world, toggles, picked(world, "arrow", 3))
+    assert toggles.details[3]
+
+
+def test_a_click_on_an_arrow_brings_up_its_precise_numbers() -> None:
+    world = world_of(
+        torques=[0, 0, 30.0, 0, 0, 0, 0], commanded_torques=np.full(7, 28.0), show_arrows=True
+    )
+    toggles = toggles_of(world)
+    data, view = world.make_data(), view_at()
+    decor = Decor(world)
+    pen = decor.draw(data, toggles, view)
+    boxes = (pen.kinds[: pen.count] == Kind.ARROW).nonzero()[0]
+    depth = (pen.rows["pos"][boxes] - view.position) @ view.forward
+    front = boxes[np.argmin(depth)]
+    (x, y), _ = view.project(pen.rows["pos"][front].astype(float))
+    found = pick(world, data, pen, view, (float(x), float(y)))
+    assert found is not None
+    assert (found.kind, found.name, found.index) == ("arrow", "lwr/E1", 2)
+    click(world, toggles, found)
+    rows = decor.draw(data, toggles, view).rows[: decor.pen.count]
+    labels = [row["label"].decode() for row in of_kind(rows, mujoco.mjtGeom.mjGEOM_LABEL)]
+    assert labels == [
+        "E1  cmd   28.0 Nm",
+        "    msr   30.0 Nm",
+        "    err   -2.00 Nm",
+        "    limit  100.0 Nm",
+        "    share   30.0 %",
+    ]
+
+
+def test_a_joint_without_limit_says_so_in_its_details() -> None:
+    robot = SerialRobot(dh_convention="craig", torques=[1.0])
+    world = World(Scene(robots=[robot], floor=False))
+    toggles = toggles_of(world)
+    toggles.details[0] = True
+    pen = Decor(world).draw(world.make_data(), toggles, view_at(distance=20))
+    rows = of_kind(pen.rows[: pen.count], mujoco.mjtGeom.mjGEOM_LABEL)
+    labels = [row["label"].decode() for row in rows]
+    assert labels[0] == "J1  cmd no data"
+    assert labels[3] == "    limit none"
+
+
+def test_a_click_on_axes_shows_their_name_and_another_hides_it(world) -> None:
+    toggles = toggles_of(world)
+    toggles.billboards[:] = toggles.arrows[:] = False
+    frame = world.frames.names.index("lwr/link6")
+    click(world, toggles, picked(world, "axes", frame))
+    pen = Decor(world).draw(world.make_data(), toggles, view_at())
+    rows = of_kind(pen.rows[: pen.count], mujoco.mjtGeom.mjGEOM_LABEL)
+    assert [row["label"] for row in rows] == [b"lwr/link6"]
+    click(world, toggles, picked(world, "name", frame))
+    assert not toggles.frame_names.any()
+
+
+def test_names_of_frames_at_one_place_stand_under_each_other(world) -> None:
+    toggles = toggles_of(world)
+    toggles.billboards[:] = toggles.arrows[:] = False
+    for name in ("lwr/link5", "lwr/link6", "lwr/link7"):  # the wrist
+        toggles.frame_names[world.frames.names.index(name)] = True
+    view = view_at()
+    pen = Decor(world).draw(world.make_data(), toggles, view)
+    named = pen.rows[: pen.count][pen.kinds[: pen.count] == Kind.NAME]
+    _, heights = view.project(named["pos"].astype(float))[0].T
+    assert (np.diff(np.sort(heights)) > view.font.height).all()
+
+
+def test_every_key_does_what_the_table_says(world) -> None:
+    toggles = toggles_of(world)
+    for key, field in (("a", "arrows"), ("b", "billboards"), ("x", "axes"), ("n", "frame_names")):
+        before = getattr(toggles, field).any()
+        KEYS[key][1](toggles)
+        assert getattr(toggles, field).all() == (not before)
+    KEYS["q"][1](toggles)
+    assert (toggles.arrow_quantity == 1).all()
+    KEYS["l"][1](toggles)
+    assert toggles.legend
+    assert set(KEYS) == set("abxnql")
+
+
+@pytest.mark.gl
+def test_objects_and_the_floor_and_the_sky() -> None:
+    ball = Object(name="ball", shape="sphere", size=[0.2], frame={"xyz": [0, 0, 0.5]})
+    world = World(Scene(objects=[ball]))
+    data = world.make_data()
+    with HeadlessRenderer(world, 200, 200, "90,-10,2") as renderer:
+        found = renderer.pick(data, 100, 100)
+        assert found is not None
+        assert (found.kind, found.name) == ("object", "ball")
+        assert found.distance == pytest.approx(1.8, abs=0.02)
+        assert renderer.pick(data, 5, 195) is None  # floor
+        assert renderer.pick(data, 5, 5) is None  # sky
+        assert renderer.click(data, 100, 100) == found  # and nothing happens
