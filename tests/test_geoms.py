@@ -105,9 +105,10 @@ def test_a_pen_gives_all_or_nothing_and_counts_what_is_left_out() -> None:
 
 
 def test_a_pen_forgets_the_label_of_the_frame_before() -> None:
-    pen = a_full_pen()
+    pen = Pen(capacity=20)
+    pen.take(7, int(mujoco.mjtGeom.mjGEOM_LABEL))["label"] = b"old"
     pen.clear()
-    assert (pen.take(7, 6)["label"] == b"").all()
+    assert (pen.take(7, int(mujoco.mjtGeom.mjGEOM_BOX))["label"] == b"").all()
 
 
 def test_decor_is_marked_as_such_and_throws_no_shadow() -> None:

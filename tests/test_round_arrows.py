@@ -223,7 +223,7 @@ def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None
 
 
 def test_an_arrow_beyond_its_limit_is_striped_and_one_at_it_is_not() -> None:
-    for torque, stripes in ((100.0, 0), (101.0, 20), (-150.0, 20)):
+    for torque, stripes in ((100.0, 0), (101.0, 17), (-150.0, 17)):
         _, arrows = one_arrow(torque)
         dark = (arrows["rgba"][0][:, :3] < 0.2).all(axis=1)
         assert dark.sum() == stripes

@@ -35,13 +35,12 @@ def draw_axes(pen: Pen, world: World, data: mujoco.MjData, toggles: Toggles) -> 
     if not len(rows):
         return
     sites = table.site[shown]
-    length = np.repeat(table.size[shown], 3)
+    grid = rows.reshape(-1, 3)  # three bars a frame
+    length = table.size[shown][:, None]
     rotation = data.site_xmat[sites].reshape(-1, 1, 3, 3) @ _ONTO_AXIS
-    origin = np.repeat(data.site_xpos[sites], 3, axis=0)
-    rotation = rotation.reshape(-1, 3, 3)
-    rows["pos"] = origin + rotation[:, :, 2] * (length / 2)[:, None]
-    rows["mat"] = rotation
-    rows["size"][:, :2] = (_HALF_WIDTH_OF_LENGTH * length)[:, None]
-    rows["size"][:, 2] = length / 2
-    rows["rgba"].reshape(-1, 3, 4)[:, :, :3] = AXIS_RGB
-    rows["rgba"][:, 3] = np.repeat(table.alpha[shown], 3)
+    grid["pos"] = data.site_xpos[sites][:, None] + rotation[..., 2] * (length / 2)[..., None]
+    grid["mat"] = rotation
+    grid["size"][..., :2] = (_HALF_WIDTH_OF_LENGTH * length)[..., None]
+    grid["size"][..., 2] = length / 2
+    grid["rgba"][..., :3] = AXIS_RGB
+    grid["rgba"][..., 3] = table.alpha[shown][:, None]

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
 # Depths in units of the near plane: text over panels over leaders over the scene.
 _TEXT_DEPTH, _PANEL_DEPTH, _LEADER_DEPTH = 1.4, 1.5, 1.6
+_UPPER_LEFT = np.array([-0.5, 0.5])
 _LEADER_BASE = 0.22  # of a line's height
 PADDING = 0.35  # of a line's height, on every side
 
@@ -64,7 +65,7 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     centres = np.concatenate([group.centres for group in groups])
     sizes = np.concatenate([group.sizes for group in groups])
     texts = [lines for group in groups for lines in group.texts]
-    rgba = np.repeat([group.rgba for group in groups], [len(g.texts) for g in groups], axis=0)
+    rgba = [group.rgba for group in groups for _ in group.texts]
     depth = _PANEL_DEPTH * view.near
     pixel = view.pixel_size(depth)
     first = pen.count
@@ -84,10 +85,9 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     rows["emission"] = 1.0
 
     line = view.font.height
-    counts = [len(lines) for lines in texts]
-    panel = np.repeat(np.arange(len(texts)), counts)
-    row = np.concatenate([np.arange(count) for count in counts])
-    starts = centres[panel] + sizes[panel] * (-0.5, 0.5)
+    panel = [k for k, lines in enumerate(texts) for _ in lines]
+    row = np.array([j for lines in texts for j in range(len(lines))])
+    starts = (centres + sizes * _UPPER_LEFT)[panel]
     starts[:, 0] += PADDING * line
     starts[:, 1] -= (PADDING / 2 + 1 + row) * line
     labels = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .geoms import GEOM, set_geom, struct_view
 
+_LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 MAX_GEOMS = 1024  # MuJoCo Studio's web viewer silently drops what is over it
 # Both renderers draw an arrow half as long as its size[2]: a third of it shaft, a sixth head
 # (glScalef by size[2] / 6 in render_gl3.c, seen with 4.0.0); a test measures it in a picture.
@@ -49,11 +50,15 @@ class Pen:
         self.rows["shininess"] = 0.3
         self.kinds = np.zeros(capacity, np.uint8)
         self.items = np.zeros(capacity, np.intp)
+        self._labelled: list[slice] = []
         self.count = 0
         self.left_out = 0
 
     def clear(self) -> None:
         """Starts a new frame."""
+        for place in self._labelled:
+            self.rows["label"][place] = b""
+        self._labelled.clear()
         self.count = 0
         self.left_out = 0
 
@@ -80,7 +85,8 @@ class Pen:
         self.items[place] = items
         self.count += n
         rows["type"] = geom
-        rows["label"] = b""
+        if geom == _LABEL:  # the others have none, and clearing theirs would cost the most
+            self._labelled.append(place)
         rows["emission"] = 0.35
         rows["specular"] = 0.1
         return rows

@@ -39,7 +39,7 @@ _THICKNESS = 0.05  # of the radius
 _HEAD_THICKNESS = 0.30  # of the radius, where the head is thickest
 _HEAD_WIDER = (1.5, 0.28)  # the head is this times the width, plus this of the radius, wide
 _FULL_HEAD_WIDTH = 0.14  # of the radius: the width at 2 % of the limit, from where heads are full
-_MOST_SEGMENTS, _FEWEST_SEGMENTS = 40, 10
+_MOST_SEGMENTS, _FEWEST_SEGMENTS = 34, 10
 _GEOMS_FOR_ARROWS = 620  # the rest of `MAX_GEOMS` is for billboards and axes
 
 
