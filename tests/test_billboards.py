@@ -183,7 +183,6 @@ def udp_world() -> World:
 @pytest.mark.parametrize(
     ("slot", "said"),
     [
-        ((0, 0, 0, -1, 0, 0, 56, -1), ["udp: no data yet"]),
         ((9, 0, 0, 0.1, 0, 0, 56, -1), []),
         (
             (12, 3, 0, 0.1, 2, 5, 56, 1.0),

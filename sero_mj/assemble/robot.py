@@ -89,6 +89,7 @@ class SerialRobot(Declaration):
         joint_angles: (n,), where the robot stands until something is received.
         children: objects fixed to the flange.
         enable_touch_sensor: whether a click on the robot toggles its features.
+        stale_after: s without a packet until the robot is shown grey.
         offsets_to_center_of_joints: (n, 3), moves arrows and billboards in the joint's frame.
         show_axes: whether coordinate axes are shown at the base, every joint and the flange.
         axes_size: their length in m. Robots without meshes have their own by default.
@@ -133,6 +134,7 @@ class SerialRobot(Declaration):
     joint_angles: Vector | None = None
     children: Children = []
     enable_touch_sensor: bool = True
+    stale_after: float = Field(0.5, gt=0)
     offsets_to_center_of_joints: Annotated[Array | None, of_shape(None, 3)] = None
     show_axes: bool = False
     axes_size: float = Field(0.2, gt=0)

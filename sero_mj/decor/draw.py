@@ -13,6 +13,7 @@ from .panels import draw_panels
 from .pen import Pen
 from .quantities import arrow_values, joint_values
 from .round_arrows import RoundArrows
+from .staleness import Staleness
 from .status import Status
 from .toggles import Toggles
 from .view import View
@@ -32,6 +33,7 @@ class Decor:
         self._billboards = Billboards(world)
         self._legend = Legend(world)
         self._status = Status(world)
+        self._staleness = Staleness(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Pen:
         """Lays out one frame and returns the pen that holds it.
@@ -52,6 +54,7 @@ class Decor:
             name_panels(self._world, data, toggles, view),
             self._legend.panels(toggles, view, limit),
             self._status.panels(data, toggles, view),
+            self._staleness.panels(pen, data, view),
         ]
         draw_panels(pen, view, [group for group in panels if group is not None])
         return pen

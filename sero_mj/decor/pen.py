@@ -37,6 +37,7 @@ class Pen:
         kinds: what every geom belongs to (`Kind`).
         items: which joint or frame that is.
         left_out: how many found no room in this frame.
+        grey: which geoms of the model are to be shown grey, (ngeom,) bool; None for none.
     """
 
     def __init__(self, capacity: int = MAX_GEOMS) -> None:
@@ -50,6 +51,7 @@ class Pen:
         self.rows["shininess"] = 0.3
         self.kinds = np.zeros(capacity, np.uint8)
         self.items = np.zeros(capacity, np.intp)
+        self.grey: NDArray[np.bool_] | None = None
         self._labelled: list[slice] = []
         self.count = 0
         self.left_out = 0
@@ -92,6 +94,10 @@ class Pen:
         return rows
 
 
+GREY = (0.50, 0.50, 0.51)
+_GREYNESS = 0.8  # how much of a grey robot's colour is grey
+
+
 class Host:
     """An `MjvScene` that decor is added to, after MuJoCo has filled it."""
 
@@ -107,6 +113,8 @@ class Host:
         """
         scene = self._scene
         start = scene.ngeom
+        if pen.grey is not None:
+            self._grey(pen.grey, start)
         count = min(pen.count, scene.maxgeom - start)
         if self._view is not None:
             self._view[start : start + count] = pen.rows[:count]
@@ -115,3 +123,18 @@ class Host:
                 set_geom(geom, row)
         scene.ngeom = start + count
         return int(pen.count - count)
+
+    def _grey(self, grey: NDArray[np.bool_], count: int) -> None:
+        """Greys the model's geoms among the first `count` of the scene."""
+        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
+        if self._view is not None:
+            rows = self._view[:count]
+            index = ((rows["objtype"] == kind) & (rows["objid"] >= 0)).nonzero()[0]
+            index = index[grey[rows["objid"][index]]]
+            colours = rows["rgba"][index]
+            colours[:, :3] += _GREYNESS * (np.array(GREY) - colours[:, :3])
+            rows["rgba"][index] = colours
+            return
+        for geom in self._scene.geoms[:count]:
+            if geom.objtype == kind and geom.objid >= 0 and grey[geom.objid]:
+                geom.rgba[:3] += _GREYNESS * (np.array(GREY) - geom.rgba[:3])

@@ -25,8 +25,6 @@ _SHOWN_FOR = 5.0  # s after a malformed packet
 def _complaints(name: str, state: Any) -> list[str]:
     """What is wrong with one source, a line each."""
     lines = []
-    if state.age < 0:
-        lines.append(f"{name}: no data yet")
     if state.malformed and state.fault_age < _SHOWN_FOR:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
@@ -39,7 +37,7 @@ def _complaints(name: str, state: Any) -> list[str]:
 
 
 class Status:
-    """Draws one line for every source that is silent or sends what cannot be used."""
+    """What is wrong with sources that send what cannot be used."""
 
     def __init__(self, world: World) -> None:
         self._slots = [
