@@ -193,7 +193,8 @@ def udp_world() -> World:
             ["udp: 1 of 12 packets not applied", "  5 bytes, expected 56"],
         ),
         ((12, 3, 0, 0.1, 2, 5, 56, 6.0), []),  # long ago
-        ((12, 0, 2, 0.1, 0, 0, 56, -1), ["udp: 2 packets dropped by the kernel"]),
+        # Latest wins: what the kernel dropped meanwhile is counted but harms no picture.
+        ((12, 0, 2, 0.1, 0, 0, 56, -1), []),
     ],
 )
 def test_faults_of_a_source_stand_in_the_corner(slot, said) -> None:

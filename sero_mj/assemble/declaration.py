@@ -93,7 +93,8 @@ def of_shape(*shape: int | None) -> BeforeValidator:
 
     A flat list is taken for rows when it fills whole rows, as the paper writes `dhParams`.
     """
-    wanted = " x ".join("n" if length is None else str(length) for length in shape)
+    names = iter("nm") if len(shape) > 1 and None in shape[1:] else iter("nn")
+    wanted = " x ".join(next(names) if length is None else str(length) for length in shape)
 
     def validate(value: Any) -> Any:
         if value is None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
 from . import frames
+from .mjcf_double import add_double
 from .mjcf_piece import read_piece
 from .objects import Object
 from .robot import SerialRobot
@@ -61,6 +62,8 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
             problems += [problem.inside(f"robots.{name}") for problem in error.problems]
     if problems:
         raise DeclarationError(scene.located(problems))
+    for double in scene.doubles.values():
+        add_double(root, double, scene.robots[double.of])
     return root
 
 

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, did_you_mean
 from .declaration import Array, Declaration, Point
+from .double import Double
 from .objects import Object
 from .robot import SerialRobot
 from .toml_file import key_lines, located
@@ -93,6 +94,7 @@ class Scene:
         robots: by name.
         sources: by name; a table with `kind` and its fields, or a source object.
         routes: input (`lwr.joint_angles`) to event (`udp.values0`).
+        doubles: transparent doubles of the robots.
         objects: fixed things.
         cameras: by name.
         lights: by name; two soft lights when empty.
@@ -113,6 +115,7 @@ class Scene:
         robots: list[SerialRobot] | None = None,
         sources: Mapping[str, Any] | None = None,
         routes: Mapping[str, str] | None = None,
+        doubles: list[Double] | None = None,
         objects: list[Object] | None = None,
         cameras: Mapping[str, Camera] | None = None,
         lights: Mapping[str, Light] | None = None,
@@ -123,6 +126,7 @@ class Scene:
         broken: Collection[str] = (),
     ) -> None:
         self.robots: dict[str, SerialRobot] = {}
+        self.doubles = {double.name: double for double in doubles or []}
         self.sources = dict(sources or {})
         self.routes = dict(routes or {})
         self.objects = list(objects or [])
@@ -135,6 +139,9 @@ class Scene:
         self.broken = frozenset(broken)
         for robot in robots or []:
             self.add(robot)
+        problems = self.double_problems()
+        if problems and file is None:
+            raise DeclarationError(problems)
 
     def add(self, robot: SerialRobot) -> SerialRobot:
         """Adds a robot and returns it.
@@ -147,6 +154,27 @@ class Scene:
             raise DeclarationError([Problem(f"robots.{robot.name}", message)])
         self.robots[robot.name] = robot
         return robot
+
+    def double_problems(self) -> list[Problem]:
+        """Doubles of robots that are not there, or with another number of joints."""
+        problems = []
+        for name, double in self.doubles.items():
+            if name in self.robots:
+                message = "a robot has this name; expected another one"
+                problems.append(Problem(f"doubles.{name}", message))
+            if not self.declares("robots", double.of):
+                near = did_you_mean(double.of, self.declared("robots"))
+                problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
+            elif double.of in self.robots:
+                n = self.robots[double.of].n
+                for key in ("joint_angles", "path"):
+                    value = getattr(double, key)
+                    if value is not None and value.shape[-1] != n:
+                        message = f"found {value.shape[-1]} joints; {double.of} has {n}"
+                        problems.append(Problem(f"doubles.{name}.{key}", message))
+            if double.path is not None and len(double.path) < 2:
+                problems.append(Problem(f"doubles.{name}.path", "expected two rows or more"))
+        return problems
 
     def declares(self, section: str, name: str) -> bool:
         """Whether there is such an entry, be it right or wrong; then one report is enough."""

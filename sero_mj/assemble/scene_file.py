@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from .. import paths
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from .declaration import is_name
+from .double import Double
 from .objects import Object
 from .robot import SerialRobot, build_robot, set_directory
 from .scene import Camera, Light, Scene, View
@@ -55,6 +56,7 @@ class _Reader:
             "robots": lambda: list(self._each("robots", self._robot).values()),
             "sources": lambda: self._each("sources", lambda name, table: table),
             "routes": self._routes,
+            "doubles": lambda: list(self._each("doubles", self._double).values()),
             "objects": lambda: list(self._each("objects", self._object).values()),
             "cameras": lambda: self._each("cameras", lambda _, table: Camera(**table)),
             "lights": lambda: self._each("lights", lambda _, table: Light(**table)),
@@ -75,6 +77,7 @@ class _Reader:
         if not self.tables:
             self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)
+        self.problems += scene.double_problems()
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
         if not known:
@@ -133,7 +136,7 @@ class _Reader:
         if not isinstance(table, dict):
             message = f"found {table!r}; expected a table [{place}]"
             raise DeclarationError([Problem("", message)])
-        if build in (self._robot, self._object):  # these have a field for their name
+        if build in (self._robot, self._object, self._double):  # these have a field for their name
             return build(name, table)
         try:
             is_name(name)
@@ -174,6 +177,9 @@ class _Reader:
         except (DeclarationError, UnknownName) as error:
             raise DeclarationError([Problem("model", str(error))]) from None
         return build_robot(fields, path)
+
+    def _double(self, name: str, table: dict[str, Any]) -> Double:
+        return Double(**{**table, "name": name})
 
     def _object(self, name: str, table: dict[str, Any]) -> Object:
         fields = {**table, "name": name}

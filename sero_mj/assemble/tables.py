@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from .double import Double
 from .robot import SerialRobot
 from .robot_parts import ArrowQuantity
 from .scene import Scene
@@ -20,6 +21,7 @@ Ints = NDArray[np.intp]
 # Per-joint inputs that are kept in userdata, and the flags that say whether data came.
 VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboard_values")
 INPUTS = ("joint_angles", *VALUE_INPUTS)
+DOUBLE_INPUTS = ("joint_angles",)
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
 # What a source's slot holds.
 SOURCE_FIELDS = (
@@ -55,6 +57,23 @@ class RobotPart:
     bodies: Ints
     flange_body: int
     joints: slice
+
+
+@dataclass(frozen=True, eq=False)
+class DoublePart:
+    """Where one double is in the model.
+
+    Attributes:
+        double: its declaration.
+        robot: the robot it doubles.
+        mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has rows.
+        bodies: their ids, (rows, n + 1).
+    """
+
+    double: Double
+    robot: RobotPart
+    mocap: Ints
+    bodies: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +136,9 @@ def userdata_slots(scene: Scene) -> dict[str, slice]:
     for name, robot in scene.robots.items():
         lengths |= {f"{name}.{key}": robot.n for key in VALUE_INPUTS}
         lengths[f"{name}.has"] = len(INPUTS)
+    for name, double in scene.doubles.items():
+        n = scene.robots[double.of].n
+        lengths |= {f"{name}.joint_angles": n, f"{name}.has": 1}
     lengths |= {f"sources.{name}": len(SOURCE_FIELDS) for name in scene.sources}
     slots = {}
     start = 0

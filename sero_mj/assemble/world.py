@@ -17,8 +17,18 @@ from numpy.typing import NDArray
 from ..errors import DeclarationError, Problem, UnknownName
 from .mesh_check import mesh_problems
 from .mjcf import build_mjcf, xml_text
+from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names
 from .scene import Scene
-from .tables import INPUTS, VALUE_INPUTS, RobotPart, frame_table, joint_table, userdata_slots
+from .tables import (
+    DOUBLE_INPUTS,
+    INPUTS,
+    VALUE_INPUTS,
+    DoublePart,
+    RobotPart,
+    frame_table,
+    joint_table,
+    userdata_slots,
+)
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -31,6 +41,7 @@ class World:
         scene: what it was compiled from.
         model: the `MjModel`.
         robots: `RobotPart` by name.
+        doubles: `DoublePart` by name.
         joints: arrays over all joints.
         frames: arrays over all frames.
         slots: name to slice of `userdata`, e.g. `lwr.torques`, `sources.udp`.
@@ -46,7 +57,10 @@ class World:
         root.size.nuserdata = max((slot.stop for slot in self.slots.values()), default=0)
         self._root = root
         self.model = _compile(root, scene)
+        if scene.doubles:
+            self._measure_without_doubles()
         self.robots = self._find_robots()
+        self.doubles = self._find_doubles()
         self.joints = joint_table(self.model, self.robots, self.slots)
         self.frames = frame_table(self.model, self.robots, scene)
 
@@ -65,6 +79,10 @@ class World:
                 declared = getattr(part.robot, key)
                 if declared is not None:
                     self.set_input(data, f"{name}.{key}", declared)
+        for name, double in self.doubles.items():
+            data.mocap_pos[double.mocap] = OUT_OF_SIGHT
+            if double.double.joint_angles is not None:
+                self.set_input(data, f"{name}.joint_angles", double.double.joint_angles)
         mujoco.mj_forward(self.model, data)
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
@@ -80,7 +98,7 @@ class World:
             ValueError: not n finite numbers.
         """
         part, key = self.resolve_input(target)
-        n = part.robot.n
+        n = part.robot.n if isinstance(part, RobotPart) else part.robot.robot.n
         try:
             array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError):
@@ -88,27 +106,29 @@ class World:
         if array.shape != (n,) or not np.isfinite(array).all():
             found = array.tolist() if array.size else values
             raise ValueError(f"{target}: found {found}; expected {n} finite numbers")
-        if key == "joint_angles":
+        if key == "joint_angles" and isinstance(part, RobotPart):
             data.qpos[part.qpos] = array
         else:
             data.userdata[self.slots[target]] = array
-        data.userdata[self.slots[f"{part.robot.name}.has"].start + INPUTS.index(key)] = 1.0
+        name = target.partition(".")[0]
+        data.userdata[self.slots[f"{name}.has"].start + INPUTS.index(key)] = 1.0
 
-    def resolve_input(self, target: str) -> tuple[RobotPart, str]:
-        """Returns the robot and the input that `robot.input` names.
+    def resolve_input(self, target: str) -> tuple[RobotPart | DoublePart, str]:
+        """Returns the robot or double and the input that `robot.input` names.
 
         Raises:
             UnknownName: no such robot or input; lists those that exist.
         """
         robot, _, key = target.partition(".")
-        part = self._part(robot)
-        if key not in INPUTS:
-            raise UnknownName(f"input of {robot}", key, INPUTS)
+        inputs = DOUBLE_INPUTS if robot in self.doubles else INPUTS
+        part = self.doubles[robot] if robot in self.doubles else self._part(robot)
+        if key not in inputs:
+            raise UnknownName(f"input of {robot}", key, inputs)
         return part, key
 
     def _part(self, robot: str) -> RobotPart:
         if robot not in self.robots:
-            raise UnknownName("robot", robot, self.robots)
+            raise UnknownName("robot", robot, [*self.robots, *self.doubles])
         return self.robots[robot]
 
     def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
@@ -165,6 +185,37 @@ class World:
                 joints=slice(start, start + robot.n),
             )
             start += robot.n
+        return parts
+
+    def _measure_without_doubles(self) -> None:
+        """Sets the model's extent, which near plane, far plane and shadows scale with.
+
+        Mocap bodies at one place with the robot make MuJoCo 4.0.0 find twice the extent (seen).
+        """
+        model = self.model
+        solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+        solid &= model.geom_group != DOUBLE_GROUP
+        if not solid.any():
+            return
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        radius = model.geom_rbound[solid][:, None]
+        low = (data.geom_xpos[solid] - radius).min(axis=0)
+        high = (data.geom_xpos[solid] + radius).max(axis=0)
+        model.stat.center, model.stat.extent = (low + high) / 2, (high - low).max()
+
+    def _find_doubles(self) -> dict[str, DoublePart]:
+        parts = {}
+        for name, double in self.scene.doubles.items():
+            robot = self.robots[double.of]
+            bodies = np.array(
+                [
+                    [self._id(mujoco.mjtObj.mjOBJ_BODY, body) for body in row]
+                    for row in body_names(double, robot.robot)
+                ]
+            )
+            mocap = self.model.body_mocapid[bodies].astype(np.intp)
+            parts[name] = DoublePart(double, robot, mocap, bodies)
         return parts
 
 

@@ -31,8 +31,6 @@ def _complaints(name: str, state: Any) -> list[str]:
             lines.append(f"  {state.last_size:.0f} bytes, expected {state.size:.0f}")
         if state.malformed > state.wrong_size:
             lines.append("  NaN or infinity")
-    if state.dropped:
-        lines.append(f"{name}: {state.dropped:.0f} packets dropped by the kernel")
     return lines
 
 

@@ -17,6 +17,7 @@ from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
 from ..receive.source import age
+from .doubles import pose_doubles
 from .follow import follow
 from .route import Route, Router, wire
 
@@ -150,6 +151,7 @@ class Mirror:
                 source.size,
                 clock - counters.last_fault_time if counters.malformed else -1.0,
             )
+        pose_doubles(self.world, data)
         follow(self.world.model, data)
         return fresh
 

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 
 from ..assemble.scene import Scene
-from ..assemble.tables import INPUTS
+from ..assemble.tables import DOUBLE_INPUTS, INPUTS
 from ..assemble.world import World
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..receive.kinds import make_source
@@ -21,7 +21,7 @@ class Route:
     """One checked route.
 
     Attributes:
-        robot: the target's robot.
+        robot: the target's robot or double.
         key: its input, one of `INPUTS`.
         source: the source's name.
         event: the source's event.
@@ -95,11 +95,15 @@ def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
 def _route(scene: Scene, sources: Mapping[str, Source], target: str, event: str) -> Route | None:
     problems: list[Problem] = []
     robot, _, key = target.partition(".")
-    if not scene.declares("robots", robot):
-        near = did_you_mean(robot, scene.declared("robots"))
+    is_double = robot in scene.doubles
+    inputs = DOUBLE_INPUTS if is_double else INPUTS
+    if not is_double and not scene.declares("robots", robot):
+        near = did_you_mean(robot, [*scene.declared("robots"), *scene.doubles])
         problems.append(Problem("", f"no robot '{robot}'{near}"))
-    elif key not in INPUTS:
-        problems.append(Problem("", f"no input '{key}' of {robot}{did_you_mean(key, INPUTS)}"))
+    elif key not in inputs:
+        problems.append(Problem("", f"no input '{key}' of {robot}{did_you_mean(key, inputs)}"))
+    elif is_double and scene.doubles[robot].path is not None:
+        problems.append(Problem("", f"'{robot}' shows a path; nothing can be routed to it"))
     source, _, name = event.partition(".")
     if not scene.declares("sources", source):
         near = did_you_mean(source, scene.declared("sources"))
@@ -109,9 +113,10 @@ def _route(scene: Scene, sources: Mapping[str, Source], target: str, event: str)
         problems.append(Problem("", f"no event '{name}' of {source}{did_you_mean(name, events)}"))
     if problems:
         raise DeclarationError(problems)
-    if source not in sources or robot not in scene.robots:
+    owner = scene.doubles[robot].of if is_double else robot
+    if source not in sources or owner not in scene.robots:
         return None  # its own declaration is wrong and already reported
-    found, wanted = sources[source].events[name], scene.robots[robot].n
+    found, wanted = sources[source].events[name], scene.robots[owner].n
     if found != wanted:
         message = f"{event} has {found} values; {target} takes {wanted}, one per joint"
         raise DeclarationError([Problem("", message)])
@@ -126,9 +131,8 @@ class Router:
         self._to_userdata: list[tuple[str, slice]] = []
         self._flags: list[int] = []
         for route in routes:
-            part = world.robots[route.robot]
-            if route.key == "joint_angles":
-                self._to_qpos.append((route.event, part.qpos))
+            if route.key == "joint_angles" and route.robot in world.robots:
+                self._to_qpos.append((route.event, world.robots[route.robot].qpos))
             else:
                 self._to_userdata.append((route.event, world.slots[route.target]))
             self._flags.append(world.slots[f"{route.robot}.has"].start + INPUTS.index(route.key))

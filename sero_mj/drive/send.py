@@ -19,6 +19,7 @@ from .motion import InverseDynamics, SineMotion
 from .route import wire
 
 Array = NDArray[np.float64]
+LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
 _SPIN = 2e-4  # s; sleeping is not exact to less than this, so the rest is waited for actively
 
 
@@ -99,6 +100,12 @@ class MotionPackets:
         }
         if not self._signals:
             raise UsageError(f"no route leads from '{source}': there is nothing to send")
+        self._signals = {
+            event: (scene.doubles[robot].of, "commanded_angles")
+            if robot in scene.doubles
+            else (robot, key)
+            for event, (robot, key) in self._signals.items()
+        }
         robots = {robot for robot, _ in self._signals.values()}
         for event, (robot, _) in self._signals.items():
             if self.structure.events[event] != scene.robots[robot].n:
@@ -128,6 +135,7 @@ class _Player:
         torques = self._dynamics.torques(position, velocity, acceleration)
         return {
             "joint_angles": position,
+            "commanded_angles": self._motion.at(t + LEAD)[0],
             "torques": torques,
             "commanded_torques": torques,  # a perfect controller: the error is zero
             "joint_accelerations": acceleration,

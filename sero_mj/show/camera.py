@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.mjcf_double import DOUBLE_GROUP
 from ..assemble.world import World
 from ..errors import UnknownName, UsageError
 
@@ -46,9 +47,10 @@ def find_camera(world: World, wanted: str | None = None) -> mujoco.MjvCamera:
 
 
 def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
-    """Centre (3,) and radius (m) of a sphere about everything but the floor, as declared."""
+    """Centre (3,) and radius (m) of a sphere about all but floor and doubles, as declared."""
     model, data = world.model, world.make_data()
     solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+    solid &= model.geom_group != DOUBLE_GROUP  # they go where their robot can
     if not solid.any():
         return np.zeros(3), 1.0
     box = model.geom_aabb[solid]

@@ -34,11 +34,11 @@ class Picked:
         name: e.g. `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
         robot: the robot it belongs to; empty for an object.
         index: joint of the world for links, arrows and billboards, frame for axes and names;
-            -1 for an object.
+            -1 for an object or a double.
         distance: from the eye, m.
     """
 
-    kind: Literal["link", "object", "arrow", "billboard", "axes", "name"]
+    kind: Literal["link", "double", "object", "arrow", "billboard", "axes", "name"]
     name: str
     robot: str
     index: int
@@ -128,6 +128,11 @@ def _pick_solid(
     if geom[0] < 0 or model.geom_type[geom[0]] == mujoco.mjtGeom.mjGEOM_PLANE:
         return None
     body = int(model.geom_bodyid[geom[0]])
+    for name, double in world.doubles.items():
+        if (double.bodies == body).any():
+            link = int((double.bodies == body).nonzero()[1][0])
+            label = f"{name}/link{link}" if link else f"{name}/base"
+            return Picked("double", label, double.robot.robot.name, -1, distance)
     while body:  # children of a link belong to it
         for name, part in world.robots.items():
             found = (part.bodies == body).nonzero()[0]
@@ -156,7 +161,7 @@ def click(
         picked: what was clicked on; None does nothing.
         all_joints: whether a modifier was held.
     """
-    if picked is None or picked.kind == "object":
+    if picked is None or picked.kind in ("object", "double"):
         return
     if picked.kind in ("axes", "name"):
         toggles.frame_names[picked.index] ^= True

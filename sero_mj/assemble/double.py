@@ -1,0 +1,45 @@
+"""`Double`: a transparent robot at a target pose, or a row of them along a path (section 2.3)."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from .declaration import Array, Declaration, Name, Rgba, Vector, of_shape
+
+# Green for commanded positions, as in the paper's section 4.2.
+COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
+
+
+class Double(Declaration):
+    """A transparent double of a robot.
+
+    Its input `NAME.joint_angles` is routed to like a robot's. It stands on the base of its robot,
+    takes no part in collisions, and a link of it that coincides with the robot's is hidden.
+
+    Attributes:
+        name: in routes, e.g. `commanded` in `commanded.joint_angles`.
+        of: the robot it doubles.
+        rgba: its colour; the last number is its opacity.
+        joint_angles: (n,), where it stands until something is received; out of sight when None.
+        path: (k, n), joint angles along a planned motion: a row of doubles from its first to its
+            last row, fading towards the start. A path is not routed to.
+        path_length: how many doubles show the path.
+    """
+
+    name: Name
+    of: Name
+    rgba: Rgba = COMMANDED_RGBA
+    joint_angles: Vector | None = None
+    path: Annotated[Array | None, of_shape(None, None)] = None
+    path_length: int = Field(6, ge=2, le=20)
+
+    def poses(self) -> Array:
+        """Joint angles of every double along the path, (path_length, n), evenly in joint space."""
+        assert self.path is not None
+        steps = np.linalg.norm(np.diff(self.path, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        at = np.linspace(0.0, along[-1], self.path_length)
+        return np.stack([np.interp(at, along, column) for column in self.path.T], axis=1)

@@ -1,0 +1,46 @@
+"""Poses the transparent doubles from their target angles, by `dh`."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.frames import frame, rotation_from_quat
+from ..assemble.mjcf_double import OUT_OF_SIGHT
+from ..assemble.tables import DoublePart
+from ..assemble.world import World
+
+Array = NDArray[np.float64]
+
+# A link nearer to the robot's than this is hidden: it would only flicker in its surface.
+HIDDEN_DISTANCE = 0.002  # m
+HIDDEN_ANGLE = np.deg2rad(0.5)
+
+
+def pose_doubles(world: World, data: mujoco.MjData) -> None:
+    """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
+    for name, part in world.doubles.items():
+        robot = part.robot
+        base = frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
+        dh = robot.robot.dh
+        if part.double.path is not None:
+            targets = dh.frames(part.double.poses(), base)
+        elif data.userdata[world.slots[f"{name}.has"].start] > 0:
+            targets = dh.frames(data.userdata[world.slots[f"{name}.joint_angles"]], base)[None]
+        else:
+            data.mocap_pos[part.mocap] = OUT_OF_SIGHT
+            continue
+        _place(data, part, targets, dh.frames(data.qpos[robot.qpos], base))
+
+
+def _place(data: mujoco.MjData, part: DoublePart, targets: Array, actual: Array) -> None:
+    apart = np.linalg.norm(targets[..., :3, 3] - actual[:, :3, 3], axis=-1) > HIDDEN_DISTANCE
+    # The trace of R_target^T R_actual is 1 + 2 cos(angle between them).
+    trace = np.einsum("rkij,kij->rk", targets[..., :3, :3], actual[:, :3, :3])
+    apart |= trace < 1.0 + 2.0 * np.cos(HIDDEN_ANGLE)
+    data.mocap_pos[part.mocap] = np.where(apart[..., None], targets[..., :3, 3], OUT_OF_SIGHT)
+    quat = np.empty(4)
+    for index, rotation in zip(part.mocap.ravel(), targets.reshape(-1, 4, 4), strict=True):
+        mujoco.mju_mat2Quat(quat, rotation[:3, :3].ravel())
+        data.mocap_quat[index] = quat
