@@ -260,3 +260,20 @@ def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width()
 
     assert np.argmax(POSITIVE_RGBA[:3]) == 0
     assert np.argmax(NEGATIVE_RGBA[:3]) == 2
+
+
+def test_with_several_robots_a_billboard_says_whose_joint_it_is() -> None:
+    robots = [
+        SerialRobot(name=name, dh_convention="craig", torques=[2.0], show_billboards=True)
+        for name in ("left", "right")
+    ]
+    rows = drawn(World(Scene(robots=robots, floor=False)), view_at(distance=20))
+    assert sorted(labels(rows)) == ["left J1    2.0 Nm", "right J1    2.0 Nm"]
+
+
+def test_the_legend_leaves_small_pictures_alone() -> None:
+    world = world_of(torques=np.full(7, 10.0), show_arrows=True)
+    decor, toggles, data = Decor(world), Toggles(world), world.make_data()
+    assert labels(decor.draw(data, toggles, view_at(width=640, height=480)).rows[: decor.pen.count])
+    small = decor.draw(data, toggles, view_at(width=320, height=200))
+    assert labels(small.rows[: small.count]) == []

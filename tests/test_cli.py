@@ -94,6 +94,8 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["render", "lwr", "-o", "/proc/no/x.mp4"], "cannot write /proc/no/x.mp4"),
         (["render", "lwr", "-o", "/proc/no/x.png"], "cannot write /proc/no/x.png"),
         (["send", "lwr", "--rate", "1e9"], "expected at most 100000 packets/s"),
+        (["render", "lwr", "-o", "x.png", "--set", "lwe.show_axes=true"], "did you mean 'lwr'?"),
+        (["render", "lwr", "-o", "x.png", "--set", "lwr.model=lwr"], "cannot be set"),
         (["dance"], "invalid choice: 'dance'"),
         ([], "required: COMMAND"),
     ],

@@ -220,3 +220,28 @@ def test_a_double_is_picked_by_its_name() -> None:
     assert found is not None
     assert (found.kind, found.robot) == ("double", "lwr")
     assert found.name.startswith("target/link")
+
+
+@pytest.mark.parametrize("convention", ["craig", "standard"])
+def test_a_rod_is_long_enough_for_its_stroke(convention: str) -> None:
+    """Pulled out to its limit, the rod of a prismatic joint still reaches back to its housing."""
+    robot = SerialRobot(
+        name="slide",
+        dh_convention=convention,
+        dh_params=[[0.3, 0.1, 0.2, 0.2]],
+        joint_types=["prismatic"],
+        position_limits=[[0.0, 0.5]],
+        joint_angles=[0.5],
+    )
+    world = World(Scene(robots=[robot], floor=False))
+    data = world.make_data()
+    frames = robot.dh.frames([0.5])
+    axis, point = robot.dh.joint_axes(robot.dh.frames([0.0]))
+    start = point[0] - (0.2 * axis[0] if convention == "craig" else 0.0)  # where d begins
+    capsules = (world.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).nonzero()[0]
+    ends = []
+    for geom in capsules:
+        half = data.geom_xmat[geom].reshape(3, 3)[:, 2] * world.model.geom_size[geom, 1]
+        ends += [data.geom_xpos[geom] - half, data.geom_xpos[geom] + half]
+    assert np.linalg.norm(np.array(ends) - start, axis=1).min() < 1e-6
+    assert frames.shape == (2, 4, 4)

@@ -161,6 +161,20 @@ def test_a_picture_shows_the_pose_that_was_received(tmp_path) -> None:
     assert (np.abs(live - silent_pixels).max(axis=2) > 60).sum() > 300
 
 
+@pytest.mark.parametrize(
+    ("name", "options", "text"),
+    [
+        ("x.mp4", {"duration": -1}, "duration -1: expected a number above 0"),
+        ("x.mp4", {"fps": float("nan")}, "fps nan: expected a number above 0"),
+        ("x.avi", {}, r"x.avi: expected a name that ends in \.mp4"),
+    ],
+)
+def test_films_that_cannot_be_are_refused(tmp_path, name, options, text) -> None:
+    with pytest.raises(RenderError, match=text):
+        render_film(udp_scene(0), tmp_path / name, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.gl
 def test_an_unknown_camera_is_reported_before_anything_is_written(tmp_path) -> None:
     from sero_mj.errors import UnknownName

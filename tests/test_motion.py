@@ -182,7 +182,7 @@ def test_torques_at_rest_hold_the_weight(lwr: SerialRobot) -> None:
 
 def test_beyond_the_limits_no_stop_pushes_back() -> None:
     # A real robot may stand beyond what the file says: its torques are those of its motion.
-    free, limited = bent_arm(), bent_arm(position_limits=[[-0.1, 0.1]] * 3)
+    free, limited = bent_arm(), bent_arm(position_limits=[[-0.2, -0.1]] * 3)
     q, v, a = np.array([[1.0, 0.8, -1.0], [0.5, 0.5, 0.5], [1.0, 1.0, 1.0]])
     np.testing.assert_array_equal(
         InverseDynamics(limited).torques(q, v, a), InverseDynamics(free).torques(q, v, a)

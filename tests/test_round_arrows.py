@@ -194,6 +194,12 @@ def test_a_prismatic_joint_gets_a_straight_arrow_along_its_force(force: float) -
     assert rows["type"][0] == int(GEOM.mjGEOM_ARROW)
     axis = robot.dh.frames([0.0])[1][:3, 2]
     assert rows["mat"][0][:, 2] == pytest.approx(np.sign(force) * axis, abs=1e-6)
+    # Beside the link, where it can be seen: its middle is one radius off the axis.
+    radius = robot.arrow_radii[0]
+    middle = rows["pos"][0] + rows["mat"][0][:, 2] * (1.25 * radius)
+    off = middle - robot.dh.frames([0.0])[1][:3, 3]
+    assert np.linalg.norm(off - (off @ axis) * axis) == pytest.approx(radius, rel=1e-5)
+    assert abs(off @ axis) < 1e-6
     assert np.linalg.det(rows["mat"][0]) == pytest.approx(1.0, abs=1e-5)
 
 
@@ -265,3 +271,38 @@ def test_one_joint_without_data_loses_its_arrow_and_the_others_go_on() -> None:
         assert len(ribbons(world, data)) == 6
     data.userdata[slot][2] = 20.0
     assert len(ribbons(world, data)) == 7
+
+
+def test_a_straight_arrow_beyond_its_limit_is_dark() -> None:
+    colours = []
+    for force in (10.0, 11.0):
+        robot = SerialRobot(
+            dh_convention="craig",
+            joint_types=["prismatic"],
+            torques=[force],
+            torque_limits=[10.0],
+            show_arrows=True,
+        )
+        colours.append(drawn(World(Scene(robots=[robot], floor=False)))["rgba"][0])
+    assert colours[0] == pytest.approx(POSITIVE_RGBA)
+    assert colours[1][:3] == pytest.approx(0.4 * np.array(POSITIVE_RGBA[:3]))
+
+
+def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
+    for scale in (0.02, 1.0, 30.0):
+        robot = SerialRobot(
+            dh_convention="craig",
+            dh_params=scale * np.array([[0, 0, 0, 0.3], [0, 0.4, 0, 0], [0, 0.3, 0, 0]]),
+            torques=[5.0, 5.0, 5.0],
+            torque_limits=[10.0] * 3,
+            show_arrows=True,
+        )
+        world = World(Scene(robots=[robot], floor=False))
+        model = world.model
+        housings = model.geom_size[model.geom_type == int(GEOM.mjGEOM_CYLINDER), 0]
+        # The first cylinder is the pedestal's.
+        assert (robot.arrow_radii > 1.5 * housings[1:]).all()
+        assert ribbons(world).shape[0] == 3
+    assert SerialRobot.from_model("lwr").arrow_radii.tolist() == [0.1] * 7
+    declared = SerialRobot(dh_convention="craig", arrow_radius=0.3)
+    assert declared.arrow_radii.tolist() == [0.3]

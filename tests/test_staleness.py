@@ -59,6 +59,16 @@ def test_a_robot_says_how_old_its_data_is(age: float, text: str | None) -> None:
     assert (pen.grey is None) == (text is None)
 
 
+def test_bad_packets_are_no_silence() -> None:
+    world = two_arms()
+    data = with_age(world, 1.2)
+    data.userdata[world.slots["sources.udp"]][7] = 0.01  # s since a malformed one
+    decor = Decor(world)
+    pen = decor.draw(data, toggles_of(world), view_at(distance=5))
+    rows = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_LABEL)
+    assert b"left: no good data for 1.2 s" in rows["label"].tolist()
+
+
 def test_the_robot_with_its_tool_is_grey_and_the_other_is_not() -> None:
     world = two_arms()
     pen = Decor(world).draw(with_age(world, -1), toggles_of(world), view_at(distance=5))

@@ -133,7 +133,9 @@ class _Geometry:
     def __init__(self, root: mjcf.RootElement, robot: SerialRobot) -> None:
         self._root = root
         self._robot = robot
-        self._grown = [] if robot.filenames else grow_links(robot.dh, robot.flange_frame)
+        self._grown = (
+            [] if robot.filenames else grow_links(robot.dh, robot.flange_frame, robot.strokes)
+        )
         self.problems: list[Problem] = []
 
     def add_link(self, body: Any, i: int) -> None:

@@ -39,7 +39,7 @@ def add_double(root: mjcf.RootElement, double: Double, robot: SerialRobot) -> No
     """
     rows = body_names(double, robot)
     fade = np.linspace(*_PATH_FADE, len(rows)) if len(rows) > 1 else np.ones(1)
-    grown = [] if robot.filenames else grow_links(robot.dh, robot.flange_frame)
+    grown = [] if robot.filenames else grow_links(robot.dh, robot.flange_frame, robot.strokes)
     home = robot.dh.frames(np.zeros(robot.n), robot.base_frame)
     for names, share in zip(rows, fade, strict=True):
         rgba = double.rgba * [1, 1, 1, share]

@@ -285,6 +285,13 @@ class SerialRobot(Declaration):
         return 4.0 * float(housing_radii(self.dh, self.flange_frame)[0])
 
     @property
+    def strokes(self) -> Array:
+        """How far every prismatic joint slides out at most (n,), m; zero where not declared."""
+        if self.position_limits is None:
+            return np.zeros(self.n)
+        return np.where(self.dh.revolute, 0.0, np.maximum(self.position_limits[:, 1], 0.0))
+
+    @property
     def offsets(self) -> Array:
         """`offsets_to_center_of_joints` (n, 3), zeros where not declared."""
         declared = self.offsets_to_center_of_joints

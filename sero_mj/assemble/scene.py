@@ -125,6 +125,12 @@ class Scene:
         file: Path | None = None,
         broken: Collection[str] = (),
     ) -> None:
+        if isinstance(robots, SerialRobot):
+            robots = [robots]
+        for key, value in (("sources", sources), ("routes", routes)):
+            if value is not None and not isinstance(value, Mapping):
+                message = f"found {value!r}; expected a mapping from names"
+                raise DeclarationError([Problem(key, message)])
         self.robots: dict[str, SerialRobot] = {}
         self.doubles = {double.name: double for double in doubles or []}
         self.sources = dict(sources or {})
@@ -137,6 +143,9 @@ class Scene:
         self.name = name
         self.file = file
         self.broken = frozenset(broken)
+        if not all(isinstance(robot, SerialRobot) for robot in robots or []):
+            message = f"found {robots!r}; expected a list of SerialRobot"
+            raise DeclarationError([Problem("robots", message)])
         for robot in robots or []:
             self.add(robot)
         problems = self.double_problems()

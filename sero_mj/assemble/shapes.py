@@ -60,20 +60,25 @@ def housing_radii(table: DhTable, flange_frame: Array) -> Array:
     return np.asarray(radius * np.linspace(1.0, _TAPER, n))
 
 
-def grow_links(table: DhTable, flange_frame: Array) -> list[list[LinkShape]]:
+def grow_links(
+    table: DhTable, flange_frame: Array, strokes: Array | None = None
+) -> list[list[LinkShape]]:
     """Returns the shapes of the base and of every link, each in its own frame.
 
     Args:
         table: n joints.
         flange_frame: T_n_flange (4, 4).
+        strokes: how far every joint slides out at most, (n,), m; the rods of prismatic joints
+            are so much longer that they never leave their housing.
     """
     n = len(table)
+    strokes = np.zeros(n) if strokes is None else strokes
     housings = housing_radii(table, flange_frame)
     radii = np.append(housings, housings[-1] * 0.9)
 
     links: list[list[LinkShape]] = [[] for _ in range(n + 1)]
     for i in range(n):
-        near, far = _segments(table, i)
+        near, far = _segments(table, i, float(strokes[i]))
         links[i] += _capsules(near, radii[i])
         links[i + 1] += _capsules(far, radii[i + 1])
         links[i + 1].append(_joint(table, i, radii[i]))
@@ -82,7 +87,7 @@ def grow_links(table: DhTable, flange_frame: Array) -> list[list[LinkShape]]:
     return links
 
 
-def _segments(table: DhTable, i: int) -> tuple[Array, Array]:
+def _segments(table: DhTable, i: int, stroke: float) -> tuple[Array, Array]:
     """Offsets of row i as polylines: before the joint in frame i, and behind it in frame i + 1.
 
     The offset along the joint's axis is put where it does not move when the joint does: before
@@ -95,13 +100,15 @@ def _segments(table: DhTable, i: int) -> tuple[Array, Array]:
         z_next = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
         if table.revolute[i]:
             return np.array([zero, along_x, along_x + d * z_next]), np.array([zero])
-        return np.array([zero, along_x]), np.array([-along_z, zero])
+        rod = np.array([0.0, 0.0, d + np.copysign(stroke, d)])
+        return np.array([zero, along_x]), np.array([-rod, zero])
     # Standard: Rz(theta) Tz(d), then Tx(a) Rx(alpha); x of the row is x of frame i + 1.
     start = -along_x
     if table.revolute[i]:
         return np.array([zero, along_z]), np.array([start, zero])
     z_joint = np.array([0.0, np.sin(alpha), np.cos(alpha)])
-    return np.array([zero]), np.array([start - d * z_joint, start, zero])
+    rod = d + np.copysign(stroke, d)
+    return np.array([zero]), np.array([start - rod * z_joint, start, zero])
 
 
 def _capsules(points: Array, radius: float) -> list[LinkShape]:

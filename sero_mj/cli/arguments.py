@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import paths
-from ..errors import UnknownName, UsageError
+from ..errors import UnknownName, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from ..assemble.robot import SerialRobot
@@ -153,7 +153,7 @@ def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
         except UnknownName:
             available = [*paths.list_scenes(), *paths.list_models()]
             raise UnknownName("scene or robot", name, available) from error
-        return Scene(robots=[read_model(name, overrides(settings or []))])
+        return Scene(robots=[read_model(name, overrides(settings or []))], name=name)
     if _is_robot_file(path):
         return Scene(
             robots=[read_model(str(path), overrides(settings or []))], name=path.parent.name
@@ -165,7 +165,16 @@ def read_model(name: str, settings: dict[str, Any] | None = None) -> SerialRobot
     """Returns the robot that `name` means, with fields set over its file's."""
     from ..assemble.robot import SerialRobot
 
-    fields = {key.partition(".")[2]: value for key, value in (settings or {}).items()}
+    fields = {}
+    robot = paths.find_model(name).parent.name
+    for key, value in (settings or {}).items():
+        given, _, field = key.partition(".")
+        if given != robot:
+            near = did_you_mean(given, [robot])
+            raise UsageError(f"--set {key}: no robot '{given}'{near}")
+        if field in ("model", "name"):
+            raise UsageError(f"--set {key}: which robot it is cannot be set")
+        fields[field] = value
     return SerialRobot.from_model(name, **fields)
 
 

@@ -86,7 +86,13 @@ class Billboards:
         joints = world.joints
         self._lines: list[list[_Line]] = []
         parts = list(world.robots.values())
-        for i, name in enumerate(joints.names):
+        names = joints.names
+        if len(parts) > 1:  # a name alone would not say whose joint it is
+            names = [
+                f"{parts[k].robot.name} {name}"
+                for k, name in zip(joints.robot, joints.names, strict=True)
+            ]
+        for i, name in enumerate(names):
             robot = parts[joints.robot[i]].robot
             declared = lines_of(robot, world.scene)
             prismatic = int(not joints.revolute[i])
@@ -106,7 +112,7 @@ class Billboards:
                 _line(name, k, key, label, int(not joints.revolute[i]))
                 for k, (key, label) in enumerate(_DETAILS.items())
             ]
-            for i, name in enumerate(joints.names)
+            for i, name in enumerate(names)
         ]
         self._widths: dict[int, dict[int, int]] = {}
 

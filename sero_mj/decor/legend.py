@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 _RGBA = (0.09, 0.11, 0.14, 0.6)
 # The colours of `round_arrows`, in words; a test holds the two together.
 _SIGNS = b"orange: + about z, blue: -"
+_LARGEST_SHARE = 0.08  # of the picture
 _MARGIN = 0.5  # of a line's height
 _WORDS = {
     "torques": ("joint torque", "full width: torque limit"),
@@ -23,6 +24,7 @@ _WORDS = {
     "joint_accelerations": ("joint acceleration", "full width: acceleration limit"),
     "singularity": ("towards the singularity", "full width: at it"),
 }
+_TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 
 
@@ -47,7 +49,10 @@ class Legend:
         key = (toggles.arrows.tobytes(), toggles.arrow_quantity.tobytes(), view.font.height)
         if key != self._key:  # it stands in a corner and changes only when toggles do
             self._key, self._panels = key, self._laid_out(toggles, view, limit)
-        return self._panels
+        assert self._panels is not None
+        # In a small picture it would hide more than it explains.
+        room = _LARGEST_SHARE * view.width * view.height
+        return self._panels if float(self._panels.sizes.prod(axis=1).sum()) < room else None
 
     def _laid_out(self, toggles: Toggles, view: View, limit: Array) -> Panels:
         margin = _MARGIN * view.font.height
@@ -58,6 +63,8 @@ class Legend:
             what, width = _WORDS[ARROW_QUANTITIES[code]]
             if not np.isfinite(limit[shown]).any():
                 width = _UNLIMITED
+            if not self._world.joints.revolute[shown].all() and code < _TORQUES:
+                what += ", or force"
             lines = [f"arrows: {what}".encode(), _SIGNS, width.encode()]
             widest = max(view.font.width(line) for line in lines)
             size = panel_sizes(np.array([widest]), len(lines), view)[0]

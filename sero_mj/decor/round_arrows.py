@@ -39,6 +39,8 @@ _THICKNESS = 0.05  # of the radius
 _HEAD_THICKNESS = 0.30  # of the radius, where the head is thickest
 _HEAD_WIDER = (1.5, 0.28)  # the head is this times the width, plus this of the radius, wide
 _FULL_HEAD_WIDTH = 0.14  # of the radius: the width at 2 % of the limit, from where heads are full
+_STRAIGHT_LENGTH = 2.5  # of the radius: a prismatic joint's arrow
+_DARKER = 0.4  # how bright a straight arrow beyond its limit is
 _MOST_SEGMENTS, _FEWEST_SEGMENTS = 34, 10
 _GEOMS_FOR_ARROWS = 620  # the rest of `MAX_GEOMS` is for billboards and axes
 
@@ -101,7 +103,7 @@ class RoundArrows:
         if len(turning):
             self._draw_round(pen, data, turning, values[turning], widths[turning], over[turning])
         if len(sliding):
-            self._draw_straight(pen, data, sliding, values[sliding], widths[sliding])
+            self._draw_straight(pen, data, sliding, values[sliding], widths[sliding], over[sliding])
 
     def _draw_round(
         self,
@@ -156,20 +158,35 @@ class RoundArrows:
         grid[over, 1 : self.segments : 2] = striped
 
     def _draw_straight(
-        self, pen: Pen, data: mujoco.MjData, index: NDArray[np.intp], forces: Array, widths: Array
+        self,
+        pen: Pen,
+        data: mujoco.MjData,
+        index: NDArray[np.intp],
+        forces: Array,
+        widths: Array,
+        over: NDArray[np.bool_],
     ) -> None:
-        """A prismatic joint's force: a straight arrow along its axis."""
+        """A prismatic joint's force: a straight arrow along its axis, beside the link.
+
+        It is one geom and cannot be striped; beyond the limit it is dark.
+        """
         joints = self._world.joints
         rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
         if not len(rows):
             return
         mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()
         mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # half a turn about x: stays a rotation
-        rows["pos"] = data.site_xpos[joints.centre_site[index]]
+        radius = joints.arrow_radius[index][:, None]
+        length = _STRAIGHT_LENGTH * radius
+        centre = data.site_xpos[joints.centre_site[index]]
+        rows["pos"] = centre + radius * mat[:, :, 0] - length / 2 * mat[:, :, 2]
         rows["mat"] = mat
         rows["size"][:, :2] = (widths / 4)[:, None]
-        rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * 2.5 * joints.arrow_radius[index]
+        rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
         rows["rgba"] = _colours(forces)
+        dark = rows[over]
+        dark["rgba"][:, :3] *= _DARKER
+        rows[over] = dark
 
 
 def _colours(torques: Array) -> Array:

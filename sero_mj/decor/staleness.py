@@ -15,6 +15,7 @@ from .pen import Pen
 from .view import View
 
 _AGE = SOURCE_FIELDS.index("age")
+_FAULT_AGE = SOURCE_FIELDS.index("fault_age")
 _RGBA = (0.12, 0.12, 0.13, 0.88)
 
 
@@ -60,7 +61,9 @@ class Staleness:
             if (ages < 0).any():
                 text = f"{name}: no data yet"
             elif ages.max() > fed.part.robot.stale_after:
-                text = f"{name}: no data for {_duration(float(ages.max()))}"
+                faults = data.userdata[fed.ages + _FAULT_AGE - _AGE]
+                good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
+                text = f"{name}: no {good}data for {_duration(float(ages.max()))}"
             else:
                 continue
             pen.grey = fed.geoms if pen.grey is None else pen.grey | fed.geoms

@@ -99,6 +99,11 @@ def render_film(
     Raises:
         SeroError: what is wrong with the scene, its sources, the camera or the file.
     """
+    for what, value in (("duration", duration), ("fps", fps)):
+        if not 0 < value < float("inf"):
+            raise RenderError(f"{what} {value}: expected a number above 0")
+    if Path(path).suffix.lower() != ".mp4":
+        raise RenderError(f"{path}: expected a name that ends in .mp4")
     count = max(round(duration * fps), 1)
     if count > MAX_FRAMES:
         raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
