@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from .dh import DhTable
 from .double import Double
 from .robot import SerialRobot
 from .robot_parts import ArrowQuantity
@@ -42,6 +43,7 @@ class RobotPart:
 
     Attributes:
         robot: its declaration.
+        dh: its table, built once.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
         mocap: its base's index in `mocap_pos` and `mocap_quat`.
@@ -51,6 +53,7 @@ class RobotPart:
     """
 
     robot: SerialRobot
+    dh: DhTable
     qpos: Ints
     dofs: Ints
     mocap: int

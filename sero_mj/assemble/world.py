@@ -177,6 +177,7 @@ class World:
             joints = [self._id(obj.mjOBJ_JOINT, f"{name}/{joint}") for joint in robot.names]
             parts[name] = RobotPart(
                 robot=robot,
+                dh=robot.dh,
                 qpos=self.model.jnt_qposadr[joints].astype(np.intp),
                 dofs=self.model.jnt_dofadr[joints].astype(np.intp),
                 mocap=int(self.model.body_mocapid[ids[0]]),

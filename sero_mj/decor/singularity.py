@@ -46,7 +46,7 @@ def jacobian(model: mujoco.MjModel, data: mujoco.MjData, part: RobotPart) -> Arr
     """Geometric Jacobian (6, n) of the flange, lengths in units of the robot's reach."""
     linear, angular = np.empty((3, model.nv)), np.empty((3, model.nv))
     mujoco.mj_jacBody(model, data, linear, angular, part.flange_body)
-    reach = float(np.abs(part.robot.dh.a).sum() + np.abs(part.robot.dh.d).sum()) or 1.0
+    reach = float(np.abs(part.dh.a).sum() + np.abs(part.dh.d).sum()) or 1.0
     dofs = part.dofs
     return np.concatenate([linear[:, dofs] / reach, angular[:, dofs]])
 

@@ -23,7 +23,7 @@ def pose_doubles(world: World, data: mujoco.MjData) -> None:
     for name, part in world.doubles.items():
         robot = part.robot
         base = frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
-        dh = robot.robot.dh
+        dh = robot.dh
         if part.double.path is not None:
             targets = dh.frames(part.double.poses(), base)
         elif data.userdata[world.slots[f"{name}.has"].start] > 0:
