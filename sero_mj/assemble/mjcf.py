@@ -11,7 +11,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
@@ -19,12 +18,13 @@ from numpy.typing import NDArray
 from ..errors import DeclarationError, Problem
 from . import frames
 from .mjcf_double import add_double
+from .mjcf_geoms import mesh_asset, set_pose, shape_geom
 from .mjcf_piece import read_piece
 from .objects import Object
 from .robot import SerialRobot
 from .robot_parts import LinkMesh
 from .scene import Scene
-from .shapes import SHELL, LinkShape, grow_links
+from .shapes import SHELL, grow_links
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
         try:
             base = root.attach(build_robot_mjcf(robot))
             base.mocap = True
-            _pose(base, robot.base_frame)
+            set_pose(base, robot.base_frame)
         except DeclarationError as error:
             problems += [problem.inside(f"robots.{name}") for problem in error.problems]
     if problems:
@@ -100,7 +100,7 @@ def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
     at_zero = table.link_transforms(np.zeros(robot.n))
     for i in range(robot.n):
         body = body.add("body", name=f"link{i + 1}")
-        _pose(body, at_zero[i])
+        set_pose(body, at_zero[i])
         axis_frame = np.eye(4) if table.convention == "craig" else frames.inverse(at_zero[i])
         joint: dict[str, Any] = {"axis": axis_frame[:3, 2], "pos": axis_frame[:3, 3]}
         if robot.position_limits is not None:
@@ -111,9 +111,9 @@ def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
         _add_site(body, f"frame{i + 1}")
         # Arrows and billboards stand here; its z is the joint's axis in both conventions.
         centre = body.add("site", name=f"centre{i + 1}", group=SITE_GROUP)
-        _pose(centre, axis_frame @ frames.frame(position=robot.offsets[i]))
+        set_pose(centre, axis_frame @ frames.frame(position=robot.offsets[i]))
     flange = body.add("body", name="flange")
-    _pose(flange, robot.flange_frame)
+    set_pose(flange, robot.flange_frame)
     _add_site(flange, "flange_frame")
     problems: list[Problem] = []
     for k, child in enumerate(robot.children):
@@ -141,7 +141,8 @@ class _Geometry:
     def add_link(self, body: Any, i: int) -> None:
         if self._grown:
             for shape in self._grown[i]:
-                _add_shape(body, shape)
+                look = {"rgba": shape.rgba, "group": ROBOT_GROUP}
+                body.add("geom", **look, **shape_geom(shape), **_STILL)
             return
         for k, mesh in enumerate(self._robot.filenames[i]):
             try:
@@ -151,7 +152,7 @@ class _Geometry:
 
     def _add_mesh(self, body: Any, name: str, mesh: LinkMesh) -> None:
         path = Path(self._robot.directory) / mesh.file
-        asset = _mesh_asset(self._root, name, path, self._robot.mesh_scale)
+        asset = mesh_asset(self._root, name, path, self._robot.mesh_scale)
         rgba = SHELL if mesh.color is None else self._robot.colors[mesh.color]
         body.add("geom", type="mesh", mesh=asset, rgba=rgba, group=ROBOT_GROUP, **_STILL)
 
@@ -214,54 +215,32 @@ def _look_axes(forward: Array) -> Array:
     return np.concatenate([right, np.cross(right, forward)])
 
 
-def _pose(element: Any, T: Array) -> None:
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
-    element.pos, element.quat = T[:3, 3], quat
-
-
 def _add_site(body: Any, name: str) -> None:
     body.add("site", name=name, group=SITE_GROUP)
-
-
-def _add_shape(body: Any, shape: LinkShape) -> None:
-    geom: dict[str, Any] = {"type": shape.kind, "size": shape.size}
-    if shape.kind == "box":
-        axis = shape.ends[1] - shape.ends[0]
-        geom |= {"pos": shape.ends.mean(axis=0), "zaxis": axis}
-    else:
-        geom["fromto"] = shape.ends.ravel()
-    body.add("geom", rgba=shape.rgba, group=ROBOT_GROUP, **geom, **_STILL)
-
-
-def _mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> Any:
-    try:
-        contents = path.read_bytes()
-    except OSError as error:
-        raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
-    asset = mjcf.Asset(contents, path.suffix.lower(), prefix=path.stem)
-    # The hull gives a mass even to a mesh with holes; the surface is drawn as it is.
-    return root.asset.add("mesh", name=name, file=asset, scale=[scale] * 3, inertia="convex")
 
 
 def _add_object(root: mjcf.RootElement, body: Any, item: Object) -> None:
     if item.mjcf is not None:
         piece = read_piece(item.mjcf, Path(item.directory))
         piece.model = item.name
-        _pose(body.add("site", name=f"{item.name}_at", group=SITE_GROUP).attach(piece), item.frame)
+        set_pose(
+            body.add("site", name=f"{item.name}_at", group=SITE_GROUP).attach(piece), item.frame
+        )
         return
     if item.shape == "axes":
-        _pose(body.add("site", name=f"axes_{item.name}", group=SITE_GROUP), item.frame)
+        set_pose(body.add("site", name=f"axes_{item.name}", group=SITE_GROUP), item.frame)
         return
     kind: dict[str, Any]
     if item.mesh is not None:
         path = Path(item.directory) / item.mesh
         try:
-            asset = _mesh_asset(root, f"object_{item.name}", path, item.mesh_scale)
+            asset = mesh_asset(root, f"object_{item.name}", path, item.mesh_scale)
         except DeclarationError as error:
             raise DeclarationError([p.inside("mesh") for p in error.problems]) from error
         kind = {"type": "mesh", "mesh": asset}
     else:
         assert item.size is not None and item.shape is not None  # checked by Object
         kind = {"type": item.shape, "size": item.size * _HALF.get(item.shape, 1.0)}
-    _pose(body.add("geom", name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind), item.frame)
+    set_pose(
+        body.add("geom", name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind), item.frame
+    )

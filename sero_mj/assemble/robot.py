@@ -335,13 +335,10 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)
-    for in_degrees, key in IN_DEGREES.items():  # an override may be in the other unit
-        for one, other in ((in_degrees, key), (key, in_degrees)):
-            if one in fields:
-                below.pop(other, None)
-    for one, other in (("dh_params", "dh_params_deg"), ("dh_params_deg", "dh_params")):
-        if one in fields:
-            below.pop(other, None)
+    for key in (*IN_DEGREES.values(), "dh_params"):  # an override may be in the other unit
+        if key in fields or f"{key}_deg" in fields:
+            below.pop(key, None)
+            below.pop(f"{key}_deg", None)
     try:
         robot = SerialRobot(**{**below, **fields})
         robot._model = model

@@ -97,7 +97,7 @@ class Scene:
         doubles: transparent doubles of the robots.
         objects: fixed things.
         cameras: by name.
-        lights: by name; two soft lights when empty.
+        lights: by name; one that casts shadows when empty. A headlight is always there.
         floor: whether there is one.
         view: where one looks from.
         name: shown in titles and messages.

@@ -71,12 +71,14 @@ class DoublePart:
         robot: the robot it doubles.
         mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has rows.
         bodies: their ids, (rows, n + 1).
+        path: joint angles of every row, (rows, n); None for a single double.
     """
 
     double: Double
     robot: RobotPart
     mocap: Ints
     bodies: Ints
+    path: Array | None
 
 
 @dataclass(frozen=True, eq=False)

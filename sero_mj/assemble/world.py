@@ -216,7 +216,8 @@ class World:
                 ]
             )
             mocap = self.model.body_mocapid[bodies].astype(np.intp)
-            parts[name] = DoublePart(double, robot, mocap, bodies)
+            path = None if double.path is None else double.poses()
+            parts[name] = DoublePart(double, robot, mocap, bodies, path)
         return parts
 
 

@@ -123,7 +123,7 @@ class Billboards:
         toggles: Toggles,
         view: View,
         values: dict[str, Array],
-    ) -> Panels:
+    ) -> Panels | None:
         """Lays out the panel and draws the leader of every joint whose billboard is shown.
 
         Args:
@@ -134,19 +134,17 @@ class Billboards:
             values: what `joint_values` returned.
 
         Returns:
-            the panels, for `draw_panels`.
+            the panels, for `draw_panels`, or None when there are none.
         """
-        nothing = Panels(np.empty((0, 2)), np.empty((0, 2)), [])
         joints = self._world.joints
         shown = (toggles.billboards | toggles.details).nonzero()[0]
         if not len(shown):
-            return nothing
+            return None
         anchors, depth = view.project(data.site_xpos[joints.centre_site[shown]])
-        inside = (depth > view.near) & (anchors >= 0).all(1)
-        inside &= (anchors < [view.width, view.height]).all(1)
+        inside = view.sees(anchors, depth)
         shown, anchors, depth = shown[inside], anchors[inside], depth[inside]
         if not len(shown):
-            return nothing
+            return None
         lines = [self._details[i] if toggles.details[i] else self._lines[i] for i in shown]
         if toggles.details.any():
             limit = joints.torque_limit

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from ..assemble.world import World
-from .panels import Panels, panel_sizes
+from .panels import Panels, labels_at, panel_sizes
 from .pen import Kind
 from .toggles import Toggles
 from .view import View
@@ -18,19 +18,16 @@ def name_panels(world: World, data: mujoco.MjData, toggles: Toggles, view: View)
     if not len(shown):
         return None
     origins, depth = view.project(data.site_xpos[world.frames.site[shown]])
-    inside = (depth > view.near) & (origins >= 0).all(1)
-    inside &= (origins < [view.width, view.height]).all(1)
+    inside = view.sees(origins, depth)
     shown, origins = shown[inside], origins[inside]
-    texts = [[world.frames.names[i].encode("ascii", "replace")[:99]] for i in shown]
-    widths = np.array([view.font.width(text) for (text,) in texts], float)
-    sizes = panel_sizes(widths, 1, view)
+    texts = [world.frames.names[i].encode("ascii", "replace")[:99] for i in shown]
     # Frames at one place have their names under each other, first frame on top.
     places = np.round(origins / (2 * view.font.height)).astype(int)
     seen: dict[tuple[int, ...], int] = {}
     centres = origins - [0.0, 1.0 * view.font.height]
+    apart = 1.1 * float(panel_sizes(np.zeros(1), 1, view)[0, 1])
     for k, place in enumerate(map(tuple, places)):
-        centres[k, 1] -= seen.get(place, 0) * sizes[k, 1] * 1.1
+        centres[k, 1] -= seen.get(place, 0) * apart
         seen[place] = seen.get(place, 0) + 1
-    half = sizes / 2
-    centres = np.clip(centres, half, np.maximum([view.width, view.height] - half, half))
-    return Panels(centres, sizes, texts, kind=Kind.NAME, items=shown)
+    centres, sizes = labels_at(view, centres, texts)
+    return Panels(centres, sizes, [[text] for text in texts], kind=Kind.NAME, items=shown)

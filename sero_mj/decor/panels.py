@@ -51,6 +51,21 @@ class Panels:
     items: NDArray[np.intp] | None = None
 
 
+def labels_at(view: View, centres: Array, texts: list[bytes]) -> tuple[Array, Array]:
+    """Centres and sizes of panels of one line each, moved into the picture where they stand out.
+
+    Args:
+        view: of the picture.
+        centres: where they would like to be, (k, 2), pixels.
+        texts: k lines.
+    """
+    widths = np.array([view.font.width(text) for text in texts], float)
+    sizes = panel_sizes(widths, 1, view)
+    half = sizes / 2
+    room = np.maximum([view.width, view.height] - half, half)
+    return np.clip(centres, half, room), sizes
+
+
 def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     """Draws all panels of a frame at once, for every array write costs as much for one as for all.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..assemble.tables import SOURCE_FIELDS, RobotPart
 from ..assemble.world import World
-from .panels import Panels, panel_sizes
+from .panels import Panels, labels_at
 from .pen import Pen
 from .view import View
 
@@ -67,7 +67,7 @@ class Staleness:
             else:
                 continue
             pen.grey = fed.geoms if pen.grey is None else pen.grey | fed.geoms
-            texts.append([text.encode("ascii", "replace")[:99]])
+            texts.append(text.encode("ascii", "replace")[:99])
             anchors.append(data.xpos[fed.part.bodies[0]])
         if not texts:
             return None
@@ -76,12 +76,9 @@ class Staleness:
         if not inside.any():
             return None
         texts = [text for text, here in zip(texts, inside, strict=True) if here]
-        widths = np.array([view.font.width(text) for (text,) in texts], float)
-        sizes = panel_sizes(widths, 1, view)
-        centres = centres[inside] - [0.0, 2.0 * view.font.height]
-        low = sizes / 2
-        centres = np.clip(centres, low, np.maximum([view.width, view.height] - low, low))
-        return Panels(centres, sizes, texts, _RGBA)
+        below = centres[inside] - [0.0, 2.0 * view.font.height]
+        centres, sizes = labels_at(view, below, texts)
+        return Panels(centres, sizes, [[text] for text in texts], _RGBA)
 
 
 def _duration(seconds: float) -> str:

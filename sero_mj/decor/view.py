@@ -93,6 +93,11 @@ class View:
         pixels = in_eye[..., :2] * (self._pixels_per_tan / safe)[..., None]
         return pixels + self._centre, depth
 
+    def sees(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+        """Whether what `project` returned is in the picture, (...)."""
+        inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
+        return np.asarray(inside & (depth > self.near))
+
     def at(self, pixels: Array, depth: float) -> Array:
         """World points (..., 3) that are seen at pixels (..., 2), all in one depth (m)."""
         scale = self.pixel_size(depth)

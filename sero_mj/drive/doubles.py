@@ -24,8 +24,8 @@ def pose_doubles(world: World, data: mujoco.MjData) -> None:
         robot = part.robot
         base = frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
         dh = robot.dh
-        if part.double.path is not None:
-            targets = dh.frames(part.double.poses(), base)
+        if part.path is not None:
+            targets = dh.frames(part.path, base)
         elif data.userdata[world.slots[f"{name}.has"].start] > 0:
             targets = dh.frames(data.userdata[world.slots[f"{name}.joint_angles"]], base)[None]
         else:

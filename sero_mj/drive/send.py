@@ -93,19 +93,16 @@ class MotionPackets:
             if structure is None
             else Structure(structure, is_double=self.source.is_double)
         )
+        # A double gets the command that its robot will follow.
         self._signals = {
-            route.event: (route.robot, route.key)
+            route.event: (scene.doubles[route.robot].of, "commanded_angles")
+            if route.robot in scene.doubles
+            else (route.robot, route.key)
             for route in wiring.routes
             if route.source == source and route.event in self.structure.events
         }
         if not self._signals:
             raise UsageError(f"no route leads from '{source}': there is nothing to send")
-        self._signals = {
-            event: (scene.doubles[robot].of, "commanded_angles")
-            if robot in scene.doubles
-            else (robot, key)
-            for event, (robot, key) in self._signals.items()
-        }
         robots = {robot for robot, _ in self._signals.values()}
         for event, (robot, _) in self._signals.items():
             if self.structure.events[event] != scene.robots[robot].n:

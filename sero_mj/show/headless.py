@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..assemble.world import World
 from ..decor.draw import Decor
 from ..decor.font import Font, nearest_font_scale
-from ..decor.pen import Host
+from ..decor.pen import Host, Pen
 from ..decor.toggles import Toggles
 from ..decor.view import View
 from ..errors import RenderError
@@ -39,7 +39,7 @@ class HeadlessRenderer:
     Attributes:
         toggles: what is shown.
         camera: may be moved between frames.
-        view: of the frame rendered last.
+        view: of the frame laid out last.
 
     Raises:
         RenderError: no OpenGL, or the size is out of range.
@@ -77,16 +77,19 @@ class HeadlessRenderer:
         Returns:
             (height, width, 3), 0 to 255.
         """
-        renderer = self._renderer
-        renderer.update_scene(data, self.camera)
-        self.view = View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
-        pen = self._decor.draw(data, self.toggles, self.view)
+        _, pen = self._lay_out(data)
         left_out = pen.left_out + self._host.add(pen)
         if left_out and not self._complained:
             self._complained = True
             log.warning("%d decor geoms found no room and are not shown", left_out)
-        pixels: NDArray[np.uint8] = renderer.render(out=out)
+        pixels: NDArray[np.uint8] = self._renderer.render(out=out)
         return pixels
+
+    def _lay_out(self, data: mujoco.MjData) -> tuple[View, Pen]:
+        renderer = self._renderer
+        renderer.update_scene(data, self.camera)
+        self.view = View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
+        return self.view, self._decor.draw(data, self.toggles, self.view)
 
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
@@ -99,12 +102,9 @@ class HeadlessRenderer:
             y: down, 0 to height.
             tolerance: see `interaction.pick`.
         """
-        renderer = self._renderer
-        renderer.update_scene(data, self.camera)
-        view = View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
-        pen = self._decor.draw(data, self.toggles, view)
+        view, pen = self._lay_out(data)
         # A pixel's middle is half a pixel from its corner.
-        pixel = (x + 0.5, renderer.height - y - 0.5)
+        pixel = (x + 0.5, view.height - y - 0.5)
         return pick(self.world, data, pen, view, pixel, tolerance)
 
     def click(
