@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .assemble.dh import DhTable as DhTable
+    from .assemble.looks import Camera as Camera
+    from .assemble.looks import Light as Light
+    from .assemble.looks import View as View
     from .assemble.objects import Object as Object
     from .assemble.robot import SerialRobot as SerialRobot
-    from .assemble.scene import Camera as Camera
-    from .assemble.scene import Light as Light
     from .assemble.scene import Scene as Scene
-    from .assemble.scene import View as View
     from .assemble.world import World as World
     from .drive.mirror import Mirror as Mirror
     from .drive.mirror import load_scene as load_scene
@@ -48,10 +48,10 @@ _HOME = {
     "DhTable": "assemble.dh",
     "Object": "assemble.objects",
     "SerialRobot": "assemble.robot",
-    "Camera": "assemble.scene",
-    "Light": "assemble.scene",
+    "Camera": "assemble.looks",
+    "Light": "assemble.looks",
     "Scene": "assemble.scene",
-    "View": "assemble.scene",
+    "View": "assemble.looks",
     "World": "assemble.world",
     "Mirror": "drive.mirror",
     "load_scene": "drive.mirror",

@@ -78,7 +78,10 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),
         (["fk", "lwr", "--joint-angles", "1,x"], "found '1,x'; expected numbers with commas"),
         (["fk", "lrw"], "no robot model 'lrw'; did you mean 'lwr'?"),
-        (["send", "lwr_udp", "--structure", "6F6F"], "values0 has 6 values; lwr has 7 joints"),
+        (
+            ["send", "lwr_udp", "--structure", "6F6F"],
+            "values0 has 6 values; lwr.joint_angles takes 7",
+        ),
         (["send", "lwr_udp", "--structure", "7G"], "structure '7G', character 2: found 'G'"),
         (
             ["send", "lwr_udp", "--source", "ucp"],
@@ -231,7 +234,7 @@ def test_a_click_in_a_picture_brings_up_what_it_would_in_a_window(capsys, caplog
     assert "click at 2,2: nothing there" in caplog.text
     status, _, err = run(capsys, "render", "lwr", "-o", str(clicked), "--click", "2")
     assert status == 2
-    assert "expected X,Y or X,Y,shift" in err
+    assert "expected X,Y in pixels, or X,Y and shift, double, hover or touch" in err
 
 
 def test_settings_are_toml_or_numbers_with_commas() -> None:

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sero_mj.assemble.dh import COLUMNS, DhTable
-from sero_mj.assemble.robot import MAX_JOINTS, SerialRobot
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.robot_parts import MAX_JOINTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 

@@ -14,13 +14,12 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
-from sero_mj.drive.doubles import pose_doubles
-from sero_mj.drive.follow import follow
 from sero_mj.drive.mirror import Mirror, load_scene
-from sero_mj.drive.send import LEAD, MotionPackets
+from sero_mj.drive.place import Placer
+from sero_mj.drive.play import LEAD, MotionPackets
 from sero_mj.errors import DeclarationError
 from sero_mj.show.camera import bounding_sphere
-from sero_mj.show.interaction import pick
+from sero_mj.show.picking import pick
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])
@@ -35,8 +34,7 @@ def world_with(*doubles: Double, **fields) -> World:
 
 def posed(world: World) -> mujoco.MjData:
     data = world.make_data()
-    pose_doubles(world, data)
-    follow(world.model, data)
+    Placer(world).place(data)
     return data
 
 
@@ -70,8 +68,7 @@ def test_without_a_target_a_double_is_out_of_sight() -> None:
     assert (posed(world).xpos[world.doubles["target"].bodies, 2] == -1000).all()
     data = world.make_data()
     world.set_input(data, "target.joint_angles", TARGET)
-    pose_doubles(world, data)
-    follow(world.model, data)
+    Placer(world).place(data)
     assert (data.xpos[world.doubles["target"].bodies[0, 1:], 2] > -1).all()
     world.reset(data)
     assert (data.mocap_pos[world.doubles["target"].mocap, 2] == -1000).all()
@@ -134,7 +131,7 @@ def test_a_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
     data = posed(world)
     part = world.doubles["drive"]
     assert part.bodies.shape == (5, 8)
-    robot = part.robot.robot
+    robot = part.robot
     expected = robot.dh.frames(poses, robot.base_frame)
     np.testing.assert_allclose(data.xpos[part.bodies[2, 1:]], expected[2, 1:, :3, 3], atol=1e-12)
     assert (data.xpos[part.bodies[0], 2] == -1000).all()  # it begins where the robot is
@@ -167,8 +164,8 @@ def test_a_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
         ),
         (
             '[doubles.d]\nof = "lwr"\n[sources.u]\nkind = "udp"\nport = 1\nstructure = "7F"\n'
-            '[routes]\n"d.torques" = "u.values0"',
-            "s.toml:10: routes.d.torques: no input 'torques' of d; available: joint_angles",
+            '[routes]\n"d.torqes" = "u.values0"',
+            "s.toml:10: routes.d.torqes: no input 'torqes' of d; did you mean 'torques'?",
         ),
         (
             '[doubles.d]\nof = "lwr"\n[sources.u]\nkind = "udp"\nport = 1\nstructure = "6F"\n'
@@ -208,6 +205,11 @@ def test_packets_move_robot_and_double(tmp_path: Path) -> None:
             np.testing.assert_allclose(mirror.data.xpos[bodies[1:]], expected, atol=1e-12)
 
 
+def robot_joint(name: str) -> str:
+    """Name of the joint that moves a link, e.g. of `target/link4`."""
+    return ["A1", "A2", "E1", "A3", "A4", "A5", "A6"][int(name[-1]) - 1]
+
+
 def test_a_double_is_picked_by_its_name() -> None:
     world = world_with(Double(name="target", of="lwr", joint_angles=TARGET), base_frame={})
     data, view = posed(world), view_at()
@@ -218,7 +220,8 @@ def test_a_double_is_picked_by_its_name() -> None:
     (x, y), _ = view.project(data.geom_xpos[geom])
     found = pick(world, data, pen, view, (float(x), float(y)))
     assert found is not None
-    assert (found.kind, found.robot) == ("double", "lwr")
+    assert (found.kind, found.owner) == ("double", "target")
+    assert world.joints.names[found.index - 7] == robot_joint(found.name)
     assert found.name.startswith("target/link")
 
 

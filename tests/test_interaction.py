@@ -15,7 +15,8 @@ from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
 from sero_mj.drive.follow import follow
 from sero_mj.show.headless import HeadlessRenderer
-from sero_mj.show.interaction import KEYS, Picked, _ray_boxes, click, pick
+from sero_mj.show.interaction import KEYS, click
+from sero_mj.show.picking import Picked, pick, ray_boxes
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
 SIZE = (640, 480)
@@ -121,7 +122,7 @@ def test_rays_meet_boxes_where_mujoco_says(seed: int) -> None:
     origin = rng.uniform(-3, 3, 3)
     direction = centre + rng.uniform(-0.8, 0.8, 3) - origin
     direction /= np.linalg.norm(direction)
-    got = _ray_boxes(origin, direction, centre[None], mat.reshape(1, 3, 3), half[None])[0]
+    got = ray_boxes(origin, direction, centre[None], mat.reshape(1, 3, 3), half[None])[0]
     box = int(mujoco.mjtGeom.mjGEOM_BOX)
     expected = mujoco.mju_rayGeom(centre, mat, half, origin, direction, box, None)
     inside = (np.abs(mat.reshape(3, 3).T @ (origin - centre)) <= half).all()
@@ -163,9 +164,9 @@ def test_a_click_on_a_link_toggles_its_joints_billboard_and_with_shift_all(world
     toggles.billboards[:] = False
     click(world, toggles, picked(world, "link", 3))
     assert toggles.billboards.nonzero()[0].tolist() == [3]
-    click(world, toggles, picked(world, "link", 3), all_joints=True)
+    click(world, toggles, picked(world, "link", 3), "shift")
     assert not toggles.billboards.any()
-    click(world, toggles, picked(world, "link", 3), all_joints=True)
+    click(world, toggles, picked(world, "link", 3), "shift")
     assert toggles.billboards.all()
 
 
@@ -259,7 +260,7 @@ def test_every_key_does_what_the_table_says(world) -> None:
     assert (toggles.arrow_quantity == 1).all()
     KEYS["l"][1](toggles)
     assert toggles.legend
-    assert set(KEYS) == set("abxnql")
+    assert set(KEYS) == set("abxnqdvclsr")
 
 
 @pytest.mark.gl

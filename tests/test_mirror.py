@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from polling import until
 
 from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.tables import INPUTS
 from sero_mj.drive.mirror import Mirror, load_scene, restore
 from sero_mj.errors import SourceError
 from sero_mj.receive.source import Packet, age
@@ -159,7 +159,9 @@ def test_several_robots_follow_one_packet(sender: Send) -> None:
         for robot in (left, right):
             assert largest_difference(mirror, robot, q) < 1e-12
             assert slot(mirror, f"{robot.name}.torques") == [1.0, 2.0, 3.0]
-            arrived = [INPUTS[k] for k in np.flatnonzero(slot(mirror, f"{robot.name}.has"))]
+            flags, userdata = mirror.world.flags, mirror.data.userdata
+            keys = ("joint_angles", *VALUE_INPUTS)
+            arrived = [key for key in keys if userdata[flags[f"{robot.name}.{key}"]]]
             assert arrived == ["joint_angles", "torques"]
 
 
@@ -168,14 +170,14 @@ def test_before_the_first_packet_the_declared_pose_is_shown() -> None:
         assert not mirror.advance()
         assert mirror.data.qpos.tolist() == [0.1, 0.2, 0.3]
         assert slot(mirror, "arm.torques") == [7.0, 8.0, 9.0]
-        assert slot(mirror, "sources.udp") == [0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 48.0, -1.0]
+        assert slot(mirror, "sources.udp") == [0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 48.0, -1.0, 0.0]
         assert mirror.wait(0.0) == ["udp"]
 
 
 def test_bad_packets_keep_the_last_good_pose_and_are_counted(sender: Send) -> None:
     bad = [
         six((math.nan, 0.0, 0.0)),
-        six((1.0, 1.0, 1.0), (0.0, 0.0, -math.inf)),
+        six((1.0, 1.0, -math.inf)),
         six((1.0, 1.0, 1.0))[:-1],
         six((1.0, 1.0, 1.0)) + b"\0",
         b"",
@@ -217,7 +219,7 @@ def test_what_the_kernel_drops_is_in_the_slot() -> None:
     mirror = mirror_of(arm())
     mirror.sources["udp"].counters.dropped = 5  # without a flood, test_udp makes one
     mirror.advance()
-    assert slot(mirror, "sources.udp") == [0.0, 0.0, 5.0, -1.0, 0.0, 0.0, 48.0, -1.0]
+    assert slot(mirror, "sources.udp") == [0.0, 0.0, 5.0, -1.0, 0.0, 0.0, 48.0, -1.0, 0.0]
 
 
 def test_the_time_is_that_since_opening_or_the_one_given() -> None:

@@ -12,10 +12,11 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.pen import Kind
+from sero_mj.decor.ribbons import TURNING_SPEED
 from sero_mj.decor.round_arrows import (
     NEGATIVE_RGBA,
     POSITIVE_RGBA,
-    TURNING_SPEED,
     WIDEST,
     arrow_widths,
 )
@@ -26,12 +27,13 @@ POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 
 
 def ribbons(world: World, data=None, toggles=None):
-    """Boxes of every arrow, (arrows, segments), and the segments per arrow."""
+    """Boxes of every arrow, (arrows, segments)."""
     decor = Decor(world)
     data = world.make_data() if data is None else data
     pen = decor.draw(data, toggles or toggles_of(world), view_at())
     boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
-    return boxes.reshape(-1, decor._arrows.segments)
+    arrows = len(set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW].tolist()))
+    return boxes.reshape(arrows, -1 if arrows else 1)
 
 
 def one_arrow(torque: float, joint: int = 3, **fields):

@@ -11,17 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sero_mj.assemble.inputs import OWNER_TOGGLES, list_inputs
 from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.tables import INPUTS, VALUE_INPUTS
 from sero_mj.assemble.world import World
 from sero_mj.drive.mirror import Mirror, load_scene
-from sero_mj.drive.route import Route, Router, wire
+from sero_mj.drive.route import Route, wire
+from sero_mj.drive.router import Router
 from sero_mj.errors import DeclarationError
 from sero_mj.receive.kinds import make_source
 from sero_mj.receive.source import Packet
 from sero_mj.receive.udp import UdpReceiver
 
+INPUTS = ("joint_angles", *VALUE_INPUTS)
 ROBOT = """\
 [robots.arm]
 dh_convention = "craig"
@@ -63,7 +66,7 @@ def test_a_source_is_made_from_its_table() -> None:
     source = make_source("robot", table)
     assert isinstance(source, UdpReceiver)
     assert (source.name, source.udpport) == ("robot", 4711)
-    assert source.events == {"values0": 1}
+    assert source.events == {"values0": (1,)}
     assert table["kind"] == "udp"  # the table is left as it was
     assert make_source("other", source) is source
 
@@ -101,7 +104,7 @@ def test_files_and_python_have_the_same_fields_under_two_names() -> None:
         (
             {"structure": "7F7"},
             "structure: structure '7F7', character 4: found the end, "
-            "expected F for float values after a count (7F)",
+            "expected F, V or M after a count, for example 7F1M",
         ),
         ({"structure": 7}, "structure: found 7; expected string"),
         ({"structure": "1F", "port": 65536}, "port: found 65536; expected less than or equal"),
@@ -127,13 +130,14 @@ def test_everything_that_is_wrong_with_a_source_is_told_at_once() -> None:
 
 
 def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
-    wiring = wire(scene_of({"arm.joint_angles": "udp.values0", "arm.torques": "udp.values1"}))
+    scene = scene_of({"arm.joint_angles": "udp.values0", "arm.torques": "udp.values1"})
+    wiring, inputs = wire(scene), list_inputs(scene)
     assert wiring.problems == []
     assert wiring.routes == [
-        Route("arm", "joint_angles", "udp", "values0"),
-        Route("arm", "torques", "udp", "values1"),
+        Route(inputs["arm.joint_angles"], "udp", "values0"),
+        Route(inputs["arm.torques"], "udp", "values1"),
     ]
-    assert wiring.routes[1].target == "arm.torques"
+    assert wiring.routes[1].to.target == "arm.torques"
     assert list(wiring.sources) == ["udp"]
 
 
@@ -147,7 +151,10 @@ def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
         (
             "arm.x",
             "udp.values0",
-            [f"no input 'x' of arm; available: {', '.join(sorted(INPUTS))}"],
+            [
+                f"no input 'x' of arm; available: "
+                f"{', '.join(sorted([*INPUTS, *OWNER_TOGGLES, 'base_frame', 'flange_check']))}"
+            ],
         ),
         (
             "arm.torques.0",
@@ -180,7 +187,7 @@ def test_a_wrong_route_is_told_with_the_nearest_name(
     wiring = wire(scene_of({target: event, "arm.billboard_values": "udp.values0"}))
     assert [problem.message for problem in wiring.problems] == messages
     assert {problem.key for problem in wiring.problems} == {f"routes.{target}"}
-    assert [route.target for route in wiring.routes] == ["arm.billboard_values"]
+    assert [route.to.target for route in wiring.routes] == ["arm.billboard_values"]
 
 
 @given(st.text(max_size=20), st.text(max_size=20))
@@ -204,9 +211,9 @@ def test_a_router_writes_its_input_and_nothing_else(key: str) -> None:
     world = World(scene)
     data, untouched = world.make_data(), world.make_data()
     values = np.array([0.1, -0.2, 0.3])
-    router = Router(world, [Route("right", key, "udp", "values0")])
+    router = Router(world, [Route(world.inputs[f"right.{key}"], "udp", "values0")])
     router.apply(Packet({"values0": values}, 0.0, 1), data)
-    flag = world.slots["right.has"].start + INPUTS.index(key)
+    flag = world.flags[f"right.{key}"]
     assert data.userdata[flag] == 1.0
     untouched.userdata[flag] = 1.0
     if key == "joint_angles":
@@ -245,14 +252,14 @@ def test_one_packet_drives_several_robots() -> None:
 def test_one_event_leads_to_several_inputs() -> None:
     scene = scene_of(dict.fromkeys((f"arm.{key}" for key in INPUTS), "udp.values0"))
     world, wiring = World(scene), wire(scene)
-    assert [route.key for route in wiring.routes] == list(INPUTS)
+    assert [route.to.key for route in wiring.routes] == list(INPUTS)
     data = world.make_data()
     values = np.array([0.5, -0.5])
     Router(world, wiring.routes).apply(Packet({"values0": values}, 0.0, 1), data)
     assert (data.qpos == values).all()
     for key in VALUE_INPUTS:
         assert (data.userdata[world.slots[f"arm.{key}"]] == values).all()
-    assert (data.userdata[world.slots["arm.has"]] == 1.0).all()
+    assert (data.userdata[[world.flags[f"arm.{key}"] for key in INPUTS]] == 1.0).all()
 
 
 def test_everything_wrong_in_a_file_is_told_at_once_with_file_line_and_key(tmp_path: Path) -> None:
@@ -276,7 +283,7 @@ structure = "3F"
             "scene.toml:2: robots.arm.dh_convention: found 'crag'; "
             "expected 'craig' or 'standard'; did you mean 'craig'?",
             "scene.toml:6: sources.udp.structure: structure '2F2F3X', character 6: found 'X', "
-            "expected F for float values after a count (7F)",
+            "expected F, V or M after a count, for example 7F1M",
             "scene.toml:12: routes.arm.torque: no input 'torque' of arm; did you mean 'torques'?",
             # The robot is there, though it is wrong: its name is near enough to be meant.
             "scene.toml:13: routes.amr.torques: no robot 'amr'; did you mean 'arm'?",

@@ -192,7 +192,7 @@ WRONG = {
     ],
     "[cameras.a]\nposition = [1, 2]\nself = 1": [
         "s.toml:2: cameras.a.position: found 2; expected 3 numbers",
-        "s.toml:3: cameras.a.self: unknown key; available: fovy_deg, look_at, position",
+        "s.toml:3: cameras.a.self: unknown key; available: fovy_deg, frame, look_at, position",
     ],
     "[cameras.a]\nposition = [1, 2, 3]\nlook_at = [1, 2, 3]": [
         "s.toml:3: cameras.a.look_at: found [1.0, 2.0, 3.0]; expected another point than position"

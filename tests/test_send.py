@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.tables import INPUTS
 from sero_mj.drive.motion import InverseDynamics, SineMotion
-from sero_mj.drive.send import MotionPackets, SendReport, send
+from sero_mj.drive.play import MotionPackets
+from sero_mj.drive.send import SendReport, send
 from sero_mj.errors import SourceError, StructureError, UsageError
 
 UDP = {"kind": "udp", "port": 4711, "structure": "2F2F2F"}
@@ -177,7 +178,7 @@ def test_packets_carry_what_the_routes_lead_to_the_robot(t: float) -> None:
     assert math.isfinite(sum(struct.unpack("<6d", expected)))
 
 
-@pytest.mark.parametrize("key", INPUTS)
+@pytest.mark.parametrize("key", ["joint_angles", *VALUE_INPUTS])
 def test_whatever_can_be_routed_can_be_sent(key: str) -> None:
     packet = MotionPackets(scene_of({f"arm.{key}": "udp.values0"})).at(0.4)
     numbers = struct.unpack("<6d", packet)
@@ -241,7 +242,7 @@ OTHER_UDP = {**UDP, "port": 4712}
         (
             {"udp": UDP},
             {"structure": "3F"},
-            "structure '3F': values0 has 3 values; arm has 2 joints",
+            "structure '3F': values0 has 3 values; arm.joint_angles takes 2, one per joint",
         ),
     ],
 )

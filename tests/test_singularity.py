@@ -11,7 +11,7 @@ from sero_mj.drive.follow import follow
 def condition_at(world, data, q) -> tuple[float, np.ndarray]:
     data.qpos[:] = q
     follow(world.model, data)
-    return inverse_condition(jacobian(world.model, data, world.robots["lwr"]))
+    return inverse_condition(jacobian(world, data, world.robots["lwr"]))
 
 
 def test_jacobian_is_that_of_the_dh_table(lwr_world) -> None:
@@ -22,7 +22,7 @@ def test_jacobian_is_that_of_the_dh_table(lwr_world) -> None:
     robot = lwr_world.robots["lwr"].robot
     J = robot.dh.jacobian(q, robot.base_frame, robot.flange_frame)
     J[:3] /= 0.31 + 0.40 + 0.39
-    found = jacobian(lwr_world.model, data, lwr_world.robots["lwr"])
+    found = jacobian(lwr_world, data, lwr_world.robots["lwr"])
     assert found == pytest.approx(J, abs=1e-12)
 
 
@@ -55,7 +55,7 @@ def test_arrows_point_the_way_that_leads_to_the_singularity(lwr_world) -> None:
     part = lwr_world.robots["lwr"]
     q = np.deg2rad([0, 40, 0, -8, 0, 60, 0])  # the elbow is nearly stretched
     c, _ = condition_at(lwr_world, data, q)
-    shown = towards_singularity(lwr_world.model, data, part)
+    shown = towards_singularity(lwr_world, data, part)
     assert np.abs(shown).max() == pytest.approx(1 - c / FAR)
     assert int(np.argmax(np.abs(shown))) == 3
     nearer, _ = condition_at(lwr_world, data, q + 0.01 * shown)

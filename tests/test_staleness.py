@@ -34,7 +34,7 @@ def two_arms(**fields) -> World:
 
 def with_age(world: World, age: float) -> mujoco.MjData:
     data = world.make_data()
-    data.userdata[world.slots["sources.udp"]] = (5, 0, 0, age, 0, 0, 56, -1)
+    data.userdata[world.slots["sources.udp"]] = (5, 0, 0, age, 0, 0, 56, -1, 0)
     return data
 
 

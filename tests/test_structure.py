@@ -1,14 +1,14 @@
 """The packet language, against Python's `struct` and against a recogniser of its own.
 
-At the end whatever bytes there are go through a socket: they are applied whole or counted.
+At the end every float32 goes through a socket; `test_matrices` sends whatever bytes there are.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import socket
 import struct
-import threading
 
 import numpy as np
 import pytest
@@ -23,28 +23,51 @@ from sero_mj.receive.udp import UdpReceiver
 MAX_BYTES = 65_507  # of UDP over IPv4: 65,535 less 20 bytes of IP and 8 of UDP header
 DIGITS = "0123456789"
 
-counts_lists = st.lists(st.integers(1, 12), min_size=1, max_size=6)
+NUMBERS = {"F": 1, "V": 3, "M": 16}
+SHAPES: dict[str, tuple[int, ...]] = {"F": (), "V": (3,), "M": (4, 4)}
+KINDS = {"F": "values", "V": "vectors", "M": "matrices"}
+
+Items = list[tuple[int, str]]
+items_lists = st.lists(st.tuples(st.integers(1, 6), st.sampled_from("FVM")), min_size=1, max_size=6)
 # Every bit pattern: NaNs with payloads, infinities, denormals, negative zero.
 bit_patterns = st.one_of(
     st.integers(0, 2**64 - 1),
     st.sampled_from([0x7FF0000000000001, 0x7FF8000000000000, 0xFFF0000000000000, 1, 1 << 63]),
 )
 # What a tired typist writes, and digits that are none of ours.
-almost_structures = st.text(alphabet="0123456789FFFFf ,\nX.-é٣²", max_size=12)
+almost_structures = st.text(alphabet="0123456789FFFVVMMfvm ,\nX.-é٣²", max_size=12)
 
 
-def text_of(counts: list[int]) -> str:
-    return "".join(f"{count}F" for count in counts)
+def text_of(items: Items) -> str:
+    return "".join(f"{count}{letter}" for count, letter in items)
 
 
-def slices_of(counts: list[int]) -> list[slice]:
-    ends = np.cumsum(counts).tolist()
-    return [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
+def length_of(items: Items) -> int:
+    return sum(count * NUMBERS[letter] for count, letter in items)
 
 
-def recognise(text: str, item_bytes: int = 8) -> list[int] | int:
-    """The counts, or the index of the first wrong character, one character at a time."""
-    counts: list[int] = []
+def places_of(items: Items, *, column_major: bool) -> dict[str, np.ndarray]:
+    """By event, for each of its elements, which number of the packet it is."""
+    places: dict[str, np.ndarray] = {}
+    start = 0
+    for k, (count, letter) in enumerate(items):
+        before = [other for _, other in items[:k]].count(letter)
+        array = np.empty((count, *SHAPES[letter]), int)
+        for index in np.ndindex(array.shape):
+            i, *inner = index
+            if letter == "M" and column_major:
+                inner.reverse()
+            for base, digit in zip(SHAPES[letter], inner, strict=True):
+                i = i * base + digit
+            array[index] = start + i
+        places[f"{KINDS[letter]}{before}"] = array
+        start += count * NUMBERS[letter]
+    return places
+
+
+def recognise(text: str, number_bytes: int = 8) -> Items | int:
+    """The items, or the index of the first wrong character, one character at a time."""
+    items: Items = []
     start, closed, size = None, False, 0
     for i, char in enumerate(text):
         if start is None:
@@ -52,50 +75,75 @@ def recognise(text: str, item_bytes: int = 8) -> list[int] | int:
                 start = i
             elif not (char.isspace() or char == ","):
                 return i
-        elif char == "F":
+        elif char in NUMBERS:
             count = int(text[start:i])
-            size += count * item_bytes
+            size += count * NUMBERS[char] * number_bytes
             if count == 0 or size > MAX_BYTES:
                 return start
-            counts.append(count)
+            items.append((count, char))
             start, closed = None, False
         elif char.isspace():
             closed = True
         elif char not in DIGITS or closed:
             return i
-    return len(text) if start is not None or not counts else counts
+    return len(text) if start is not None or not items else items
 
 
 def test_the_events_are_numbered_in_order_and_the_size_is_theirs_together() -> None:
-    structure = Structure("7F7F3F")
-    assert structure.events == {"values0": 7, "values1": 7, "values2": 3}
-    assert list(structure.events) == ["values0", "values1", "values2"]
-    assert structure.size == 17 * 8
-    assert structure.text == "7F7F3F"
-    assert Structure("7F7F3F", is_double=False).size == 17 * 4
+    structure = Structure("7F2V7F1M3F1V")
+    assert list(structure.events.items()) == [
+        ("values0", (7,)),
+        ("vectors0", (2, 3)),
+        ("values1", (7,)),
+        ("matrices0", (1, 4, 4)),
+        ("values2", (3,)),
+        ("vectors1", (1, 3)),
+    ]
+    assert structure.matrices == ("matrices0",)
+    assert structure.size == (7 + 6 + 7 + 16 + 3 + 3) * 8
+    assert structure.text == "7F2V7F1M3F1V"
+    assert Structure("7F2V7F1M3F1V", is_double=False).size == 42 * 4
+
+
+def test_the_example_of_the_documentation_is_right() -> None:
+    structure = Structure("7F1V7F1M")
+    assert structure.events == {
+        "values0": (7,),
+        "vectors0": (1, 3),
+        "values1": (7,),
+        "matrices0": (1, 4, 4),
+    }
+    assert structure.size == 264
 
 
 def test_spaces_and_commas_may_stand_between_items() -> None:
-    assert Structure(" 7F, 6F\n").events == {"values0": 7, "values1": 6}
+    assert Structure(" 7F, 6F\n").events == {"values0": (7,), "values1": (6,)}
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "character 1: found the end, expected a count and F, for example 7F7F"),
-        ("F", "character 1: found 'F', expected a count and F, for example 7F7F"),
-        ("-7F", "character 1: found '-', expected a count and F, for example 7F7F"),
-        ("7F;7F", "character 3: found ';', expected a count and F, for example 7F7F"),
-        ("7", "character 2: found the end, expected F for float values after a count (7F)"),
-        ("7F7", "character 4: found the end, expected F for float values after a count (7F)"),
-        ("7X", "character 2: found 'X', expected F for float values after a count (7F)"),
-        ("7f", "character 2: found 'f', expected F for float values after a count (7F)"),
-        ("7F 3.5F", "character 5: found '.', expected F for float values after a count (7F)"),
-        ("7 7F", "character 3: found '7', expected F for float values after a count (7F)"),
+        ("", "character 1: found the end, expected a count and F, V or M, for example 7F1M"),
+        ("F", "character 1: found 'F', expected a count and F, V or M, for example 7F1M"),
+        ("V", "character 1: found 'V', expected a count and F, V or M, for example 7F1M"),
+        ("7FM", "character 3: found 'M', expected a count and F, V or M, for example 7F1M"),
+        ("-7F", "character 1: found '-', expected a count and F, V or M, for example 7F1M"),
+        ("7F;7F", "character 3: found ';', expected a count and F, V or M, for example 7F1M"),
+        ("7", "character 2: found the end, expected F, V or M after a count, for example 7F1M"),
+        ("7F7", "character 4: found the end, expected F, V or M after a count, for example 7F1M"),
+        ("7X", "character 2: found 'X', expected F, V or M after a count, for example 7F1M"),
+        ("1m", "character 2: found 'm', expected F, V or M after a count, for example 7F1M"),
+        ("7F 3.5V", "character 5: found '.', expected F, V or M after a count, for example 7F1M"),
+        ("7 7F", "character 3: found '7', expected F, V or M after a count, for example 7F1M"),
         ("7F0F", "character 3: found '0', expected a count of 1 or more"),
+        ("7F00M", "character 3: found '0', expected a count of 1 or more"),
         (
             "8188F1F",
             "character 6: found '1', the packet would be too long; expected at most 65507 bytes",
+        ),
+        (
+            "512M",
+            "character 1: found '5', the packet would be too long; expected at most 65507 bytes",
         ),
     ],
 )
@@ -118,6 +166,9 @@ def test_a_packet_may_be_as_long_as_udp_carries_and_no_longer() -> None:
         Structure("8189F")
     with pytest.raises(StructureError, match="expected at most 65507 bytes"):
         Structure("16377F", is_double=False)
+    assert Structure("511M4V").size == 65_504
+    with pytest.raises(StructureError, match="expected at most 65507 bytes"):
+        Structure("511M5V")
 
 
 @pytest.mark.parametrize("digits", [20, 4300, 5000])
@@ -132,6 +183,7 @@ def test_a_count_of_thousands_of_digits_is_refused_like_any_other(digits: int) -
 @example("٣F")
 @example("7F0")
 @example("0X")
+@example("0M")
 def test_a_string_parses_or_the_error_points_at_the_first_wrong_character(text: str) -> None:
     expected = recognise(text)
     if isinstance(expected, int):
@@ -141,7 +193,8 @@ def test_a_string_parses_or_the_error_points_at_the_first_wrong_character(text: 
         found = f"found '{text[expected]}'" if expected < len(text) else "found the end"
         assert f"character {expected + 1}: {found}, " in str(caught.value)
     else:
-        assert list(Structure(text).events.values()) == expected
+        shapes = [(count, *SHAPES[letter]) for count, letter in expected]
+        assert list(Structure(text).events.values()) == shapes
 
 
 @given(st.text())
@@ -154,20 +207,21 @@ def test_no_string_at_all_raises_anything_else(text: str) -> None:
         assert 0 < structure.size <= MAX_BYTES
 
 
-@given(counts_lists, st.data())
+@given(items_lists, st.booleans(), st.data())
 def test_doubles_are_decoded_bit_for_bit_as_struct_does(
-    counts: list[int], data: st.DataObject
+    items: Items, column_major: bool, data: st.DataObject
 ) -> None:
-    n = sum(counts)
-    bits = data.draw(st.lists(bit_patterns, min_size=n, max_size=n))
-    packet = struct.pack(f"<{n}Q", *bits)
-    structure = Structure(text_of(counts))
+    n = length_of(items)
+    bits = np.array(data.draw(st.lists(bit_patterns, min_size=n, max_size=n)), np.uint64)
+    packet = struct.pack(f"<{n}Q", *bits.tolist())
+    structure = Structure(text_of(items), column_major=column_major)
     decoded = structure.decode(packet)
-    for k, part in enumerate(slices_of(counts)):
-        array = decoded[f"values{k}"]
-        assert array.shape == (counts[k],)
-        assert array.dtype == np.float64
-        assert array.tobytes() == struct.pack(f"<{counts[k]}Q", *bits[part])
+    places = places_of(items, column_major=column_major)
+    assert list(decoded) == list(places)
+    for event, place in places.items():
+        assert decoded[event].shape == structure.events[event]
+        assert decoded[event].dtype == np.float64
+        assert decoded[event].tobytes() == bits[place].tobytes()
     assert structure.encode(decoded) == packet
 
 
@@ -176,32 +230,38 @@ def test_a_signalling_nan_is_decoded_without_a_warning() -> None:
     assert np.isnan(Structure("1F", is_double=False).decode(packet)["values0"]).all()
 
 
-@given(counts_lists, st.data())
-def test_floats_are_decoded_as_struct_does(counts: list[int], data: st.DataObject) -> None:
-    n = sum(counts)
+@given(items_lists, st.booleans(), st.data())
+def test_floats_are_decoded_as_struct_does(
+    items: Items, column_major: bool, data: st.DataObject
+) -> None:
+    n = length_of(items)
     pattern = st.one_of(st.integers(0, 2**32 - 1), st.sampled_from([0x7F800001, 0x7F800000, 1]))
     bits = data.draw(st.lists(pattern, min_size=n, max_size=n))
     packet = struct.pack(f"<{n}I", *bits)
-    expected = struct.unpack(f"<{n}f", packet)
-    decoded = Structure(text_of(counts), is_double=False).decode(packet)
-    for k, part in enumerate(slices_of(counts)):
-        array = decoded[f"values{k}"]
-        assert array.dtype == np.float64
-        np.testing.assert_array_equal(array, expected[part])
+    expected = np.array(struct.unpack(f"<{n}f", packet))
+    structure = Structure(text_of(items), is_double=False, column_major=column_major)
+    decoded = structure.decode(packet)
+    for event, place in places_of(items, column_major=column_major).items():
+        assert decoded[event].dtype == np.float64
+        np.testing.assert_array_equal(decoded[event], expected[place])
 
 
-@given(
-    st.lists(st.floats(-1e38, 1e38), min_size=1, max_size=9),
-    st.lists(st.floats(-1e38, 1e38), min_size=1, max_size=9),
-    st.booleans(),
-)
+@given(items_lists, st.booleans(), st.booleans(), st.data())
 def test_packets_are_encoded_as_struct_does(
-    first: list[float], second: list[float], is_double: bool
+    items: Items, is_double: bool, column_major: bool, data: st.DataObject
 ) -> None:
-    structure = Structure(f"{len(first)}F{len(second)}F", is_double=is_double)
-    n = len(first) + len(second)
-    packed = struct.pack(f"<{n}{'d' if is_double else 'f'}", *first, *second)
-    assert structure.encode({"values1": second, "values0": first}) == packed
+    n = length_of(items)
+    numbers = data.draw(st.lists(st.floats(-1e38, 1e38), min_size=n, max_size=n))
+    structure = Structure(text_of(items), is_double=is_double, column_major=column_major)
+    places = places_of(items, column_major=column_major)
+    values = {event: np.array(numbers)[places[event]] for event in reversed(places)}
+    packed = struct.pack(f"<{n}{'d' if is_double else 'f'}", *numbers)
+    assert structure.encode(values) == packed
+    assert structure.encode({event: array.tolist() for event, array in values.items()}) == packed
+    again = structure.decode(packed)
+    for event, array in values.items():
+        rounded = array if is_double else array.astype(np.float32)
+        np.testing.assert_array_equal(again[event], rounded)
 
 
 def test_events_that_are_not_given_are_zero() -> None:
@@ -209,11 +269,24 @@ def test_events_that_are_not_given_are_zero() -> None:
     assert Structure("2F1F").encode({}) == bytes(24)
 
 
-def test_decoding_copies_nothing() -> None:
-    packet = bytearray(struct.pack("<2d", 1.0, 2.0))
-    values = Structure("1F1F").decode(packet)["values1"]
-    packet[8:] = struct.pack("<d", math.pi)
-    assert values[0] == math.pi
+@pytest.mark.parametrize("column_major", [True, False])
+def test_decoding_copies_nothing(column_major: bool) -> None:
+    packet = bytearray(20 * 8)
+    decoded = Structure("1F1V1M", column_major=column_major).decode(packet)
+    packet[:] = struct.pack("<20d", *range(20))
+    assert decoded["values0"].tolist() == [0.0]
+    assert decoded["vectors0"].tolist() == [[1.0, 2.0, 3.0]]
+    first = decoded["matrices0"][0, :, 0] if column_major else decoded["matrices0"][0, 0]
+    assert first.tolist() == [4.0, 5.0, 6.0, 7.0]
+
+
+def test_a_leading_one_may_be_left_out_when_encoding() -> None:
+    structure = Structure("1F1V1M")
+    matrix = np.arange(16.0).reshape(4, 4)
+    packet = structure.encode({"values0": 0.5, "vectors0": [1, 2, 3], "matrices0": matrix})
+    assert packet == struct.pack("<20d", 0.5, 1, 2, 3, *matrix.T.flat)
+    nested = {"values0": [0.5], "vectors0": [[1, 2, 3]], "matrices0": [matrix]}
+    assert structure.encode(nested) == packet
 
 
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
@@ -227,63 +300,30 @@ def test_a_packet_of_another_length_is_refused(length: int) -> None:
         Structure("7F7F").decode(bytes(length))
 
 
-def test_values_of_another_number_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"^values1: found \(6,\); expected \(7,\)$"):
-        Structure("7F7F").encode({"values1": np.zeros(6)})
-    with pytest.raises(ValueError, match=r"^values0: found \(\); expected \(7,\)$"):
-        Structure("7F7F").encode({"values0": 1.0})
+@pytest.mark.parametrize(
+    ("text", "values", "message"),
+    [
+        ("7F7F", {"values1": np.zeros(6)}, "values1: found (6,); expected (7,)"),
+        ("7F7F", {"values0": 1.0}, "values0: found (); expected (7,)"),
+        ("7F", {"values0": np.zeros((1, 7))}, "values0: found (1, 7); expected (7,)"),
+        ("2V", {"vectors0": np.zeros(6)}, "vectors0: found (6,); expected (2, 3)"),
+        ("2V", {"vectors0": np.zeros(3)}, "vectors0: found (3,); expected (2, 3)"),
+        ("1V", {"vectors0": np.zeros((3, 1))}, "vectors0: found (3, 1); expected (1, 3) or (3,)"),
+        ("2M", {"matrices0": np.eye(4)}, "matrices0: found (4, 4); expected (2, 4, 4)"),
+        ("1M", {"matrices0": np.eye(3)}, "matrices0: found (3, 3); expected (1, 4, 4) or (4, 4)"),
+        ("1M", {"matrices0": [0.0] * 16}, "matrices0: found (16,); expected (1, 4, 4) or (4, 4)"),
+    ],
+)
+def test_arrays_of_another_shape_are_refused(
+    text: str, values: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        Structure(text).encode(values)
 
 
 def test_an_event_that_is_not_there_is_refused_by_name() -> None:
     with pytest.raises(KeyError, match="values2"):
         Structure("7F7F").encode({"values2": np.zeros(7)})
-
-
-strange = st.sampled_from([math.nan, math.inf, -math.inf, 5e-324, -0.0, 1.7e308, -1.7e308])
-two_doubles = st.lists(st.one_of(st.floats(), strange), min_size=2, max_size=2)
-packets = st.one_of(
-    two_doubles.map(lambda values: struct.pack("<2d", *values)),
-    st.binary(min_size=16, max_size=16),
-    st.binary(max_size=64),
-    # To the longest that UDP carries, from a pattern: hypothesis itself makes no 64 KiB.
-    st.builds(
-        lambda length, pattern: (pattern * (length // len(pattern) + 1))[:length],
-        st.integers(0, 65_507),
-        st.binary(min_size=1, max_size=32),
-    ),
-)
-
-
-def runs(name: str) -> bool:
-    return any(thread.name == f"udp {name}" for thread in threading.enumerate())
-
-
-@settings(max_examples=150, deadline=None)
-@given(packets)
-@example(struct.pack("<2d", 1.7e308, 1.7e308))
-@example(struct.pack("<2d", math.inf, -math.inf))
-@example(bytes(65_507))
-def test_any_bytes_are_applied_whole_or_counted(packet: bytes) -> None:
-    numbers = struct.unpack("<2d", packet) if len(packet) == 16 else (math.nan,)
-    good = all(map(math.isfinite, numbers))
-    before = struct.pack("<2d", 0.25, 0.5)
-    with (
-        UdpReceiver(structure="2F", name="fuzzed") as receiver,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock,
-    ):
-        address = ("127.0.0.1", receiver.port)
-        for each in (before, packet, b""):
-            sock.sendto(each, address)
-        # When the third is counted, the second has been dealt with.
-        assert until(lambda: receiver.counters.received == 3 or not runs("fuzzed"))
-        assert runs("fuzzed"), "the thread died"
-        latest = receiver.latest()
-        assert latest is not None
-        assert latest.number == (2 if good else 1)
-        assert latest.values["values0"].tobytes() == (packet if good else before)
-        wrong_size = 1 if len(packet) == 16 else 2
-        assert until(lambda: receiver.counters.wrong_size == wrong_size)
-        assert receiver.counters.not_finite == (len(packet) == 16 and not good)
 
 
 @settings(max_examples=60, deadline=None)

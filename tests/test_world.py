@@ -102,7 +102,7 @@ def test_axes_are_a_frame_that_is_always_shown():
     item = Object(name="it", shape="axes", size=[0.3], frame=POSE)
     for world, data, scope, parent in holders(item):
         row = world.frames.names.index(f"{scope}it")
-        assert (world.frames.robot[row], world.frames.size[row]) == (-1, 0.3)
+        assert (world.frames.owner[row], world.frames.size[row]) == (-1, 0.3)
         assert world.frames.alpha[row] == 1
         site = world.frames.site[row]
         np.testing.assert_allclose(data.site_xpos[site], (parent @ POSE)[:3, 3], atol=1e-12)
@@ -205,7 +205,7 @@ def test_tables_list_the_joints_and_frames_of_all_robots_in_order():
     world, model, _ = compiled(left, right, sources={"udp": {}})
     joints = world.joints
     assert joints.names == ["J1", "J2", "x", "y"]
-    assert joints.robot.tolist() == [0, 0, 1, 1]
+    assert joints.owner.tolist() == [0, 0, 1, 1]
     assert joints.revolute.tolist() == [True, False, True, True]
     assert joints.torque_limit.tolist() == [5, 6, np.inf, np.inf]
     assert joints.arrow_radius.tolist() == [0.2, 0.2, 0.1, 0.1]
@@ -214,18 +214,24 @@ def test_tables_list_the_joints_and_frames_of_all_robots_in_order():
     names = [mujoco.mj_id2name(model, OBJ.mjOBJ_JOINT, i) for i in joints.qpos]
     assert names == ["left/J1", "left/J2", "right/x", "right/y"]
     taken = [i for slot in world.slots.values() for i in range(slot.start, slot.stop)]
+    taken += world.flags.values()
     assert sorted(taken) == list(range(model.nuserdata))  # no slot lies in another
     slots = np.r_[world.slots["left.torques"], world.slots["right.torques"]]
     assert joints.slots["torques"].tolist() == slots.tolist()
-    flags = [world.slots[f"{name}.has"].start for name in ("left", "left", "right", "right")]
-    assert joints.has["torques"].tolist() == [start + 1 for start in flags]
+    flags = [world.flags[f"{name}.torques"] for name in ("left", "left", "right", "right")]
+    assert joints.has["torques"].tolist() == flags
     assert world.frames.names == [
         f"{name}/{frame}" for name in ("left", "right")
         for frame in ("base", "link1", "link2", "flange")
     ]  # fmt: skip
-    assert world.frames.robot.tolist() == [0] * 4 + [1] * 4
+    assert world.frames.owner.tolist() == [0] * 4 + [1] * 4
     assert world.frames.size.tolist() == [0.3] * 4 + [0.2] * 4
     assert world.frames.alpha.tolist() == [0.75] * 4 + [1] * 4
+
+
+def came(world, data) -> set[str]:
+    """Inputs that something has been set or received for."""
+    return {target for target, flag in world.flags.items() if data.userdata[flag]}
 
 
 def test_data_starts_at_what_is_declared_and_reset_returns_there():
@@ -234,14 +240,14 @@ def test_data_starts_at_what_is_declared_and_reset_returns_there():
     start = data.qpos.tolist(), data.userdata.tolist()
     assert start[0] == [0.1, 0.2]
     assert data.userdata[world.slots["arm.torques"]].tolist() == [3, 4]
-    assert data.userdata[world.slots["arm.has"]].tolist() == [0, 1, 0, 0, 0]
+    assert came(world, data) == {"arm.torques"}
     expected = robot.dh.frames([0.1, 0.2])[-1] @ robot.flange_frame
     np.testing.assert_allclose(pose_of(data, "body", "arm/flange"), expected, atol=1e-12)
     for key in ("joint_angles", "torques", "billboard_values"):
         world.set_input(data, f"arm.{key}", [7, 8])
     assert data.qpos.tolist() == [7, 8]
     assert data.userdata[world.slots["arm.billboard_values"]].tolist() == [7, 8]
-    assert data.userdata[world.slots["arm.has"]].tolist() == [1, 1, 0, 0, 1]
+    assert came(world, data) == {"arm.joint_angles", "arm.torques", "arm.billboard_values"}
     world.reset(data)
     assert (data.qpos.tolist(), data.userdata.tolist()) == start
 
@@ -269,8 +275,9 @@ def test_unknown_inputs_and_robots_are_refused_with_the_nearest_name():
         ("arm.torque", "no input of arm 'torque'; did you mean 'torques'?"),
         (
             "arm",
-            "no input of arm ''; available: billboard_values, "
-            "commanded_torques, joint_accelerations, joint_angles, torques",
+            "no input of arm ''; available: arrow_quantity, base_frame, billboard_values, "
+            "commanded_torques, flange_check, joint_accelerations, joint_angles, show_arrows, "
+            "show_axes, show_billboards, torques",
         ),
         ("amr.torques", "no robot 'amr'; did you mean 'arm'?"),
     ]:

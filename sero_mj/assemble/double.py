@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from .declaration import Array, Declaration, Name, Rgba, Vector, of_shape
+from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
 
 # Green for commanded positions, as in the paper's section 4.2.
 COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
@@ -16,8 +17,9 @@ COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
 class Double(Declaration):
     """A transparent double of a robot.
 
-    Its input `NAME.joint_angles` is routed to like a robot's. It stands on the base of its robot,
-    takes no part in collisions, and a link of it that coincides with the robot's is hidden.
+    Its inputs (`NAME.joint_angles`, `NAME.torques`, ...) are routed to like a robot's. It stands
+    on the base of its robot, takes no part in collisions, and a link of it that coincides with
+    the robot's is hidden. Limits, radii and sizes are its robot's.
 
     Attributes:
         name: in routes, e.g. `commanded` in `commanded.joint_angles`.
@@ -27,6 +29,16 @@ class Double(Declaration):
         path: (k, n), joint angles along a planned motion: a row of doubles from its first to its
             last row, fading towards the start. A path is not routed to.
         path_length: how many doubles show the path.
+        visible: whether it is shown.
+        show_axes: whether coordinate axes are shown at every joint and the flange.
+        show_arrows: whether round arrows are shown.
+        arrow_quantity: what they show; None for what its robot's show.
+        show_billboards: whether billboards are shown.
+        billboard_lines: what they say; None for what its robot's say.
+        torques: measured, (n,), until something is received; None for no data.
+        commanded_torques: (n,), likewise.
+        joint_accelerations: (n,), likewise.
+        billboard_values: (n,), likewise.
     """
 
     name: Name
@@ -35,6 +47,18 @@ class Double(Declaration):
     joint_angles: Vector | None = None
     path: Annotated[Array | None, of_shape(None, None)] = None
     path_length: int = Field(6, ge=2, le=20)
+    visible: bool = True
+    show_axes: bool = False
+    show_arrows: bool = False
+    arrow_quantity: ArrowQuantity | None = None
+    show_billboards: bool = False
+    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(as_billboard_lines)] = (
+        None
+    )
+    torques: Vector | None = None
+    commanded_torques: Vector | None = None
+    joint_accelerations: Vector | None = None
+    billboard_values: Vector | None = None
 
     def poses(self) -> Array:
         """Joint angles of every double along the path, (path_length, n), evenly in joint space."""

@@ -8,6 +8,7 @@ slides along, z of its own frame (craig) or of its parent's (standard).
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,16 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
-from . import frames
+from .inputs import moving
 from .mjcf_double import add_double
-from .mjcf_geoms import mesh_asset, set_pose, shape_geom
+from .mjcf_geoms import (
+    SITE_GROUP,
+    joint_axis_frame,
+    joint_centre,
+    mesh_asset,
+    set_pose,
+    shape_geom,
+)
 from .mjcf_piece import read_piece
 from .objects import Object
 from .robot import SerialRobot
@@ -28,7 +36,6 @@ from .shapes import SHELL, grow_links
 
 Array = NDArray[np.float64]
 
-SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
 _DENSITY = 1000.0  # kg/m3: what links weigh when their file does not say
 # Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
@@ -44,13 +51,17 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
     """
     root = mjcf.RootElement(model=scene.name)
     _set_up(root)
-    _surroundings(root, scene)
+    moved = moving(scene)
+    _surroundings(root, scene, moved)
     problems = _clashes(scene)
     if problems:
         raise DeclarationError(scene.located(problems))
     for item in scene.objects:
         try:
-            _add_object(root, root.worldbody, item)
+            if item.name in moved:
+                _add_object(root, _moved_body(root, item.name, item.frame), item, np.eye(4))
+            else:
+                _add_object(root, root.worldbody, item, item.frame)
         except DeclarationError as error:
             problems += [problem.inside(f"objects.{item.name}") for problem in error.problems]
     for name, robot in scene.robots.items():
@@ -64,7 +75,24 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
         raise DeclarationError(scene.located(problems))
     for double in scene.doubles.values():
         add_double(root, double, scene.robots[double.of])
+    for name in scene.frames:
+        body = root.worldbody.add("body", name=f"frame-{name}", mocap=True)
+        _add_site(body, f"frame-{name}")
+    for arrow in scene.arrows.values():
+        if arrow.site is not None:
+            root.worldbody.add("site", name=arrow.site, pos=arrow.at, group=SITE_GROUP)
     return root
+
+
+def moved_body(name: str) -> str:
+    """Name of the body of an object or camera that a route moves."""
+    return f"moved-{name}"
+
+
+def _moved_body(root: mjcf.RootElement, name: str, T: Array) -> Any:
+    body = root.worldbody.add("body", name=moved_body(name), mocap=True)
+    set_pose(body, T)
+    return body
 
 
 def _clashes(scene: Scene) -> list[Problem]:
@@ -101,7 +129,7 @@ def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
     for i in range(robot.n):
         body = body.add("body", name=f"link{i + 1}")
         set_pose(body, at_zero[i])
-        axis_frame = np.eye(4) if table.convention == "craig" else frames.inverse(at_zero[i])
+        axis_frame = joint_axis_frame(robot, i)
         joint: dict[str, Any] = {"axis": axis_frame[:3, 2], "pos": axis_frame[:3, 3]}
         if robot.position_limits is not None:
             joint |= {"range": robot.position_limits[i], "limited": True}
@@ -111,14 +139,14 @@ def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
         _add_site(body, f"frame{i + 1}")
         # Arrows and billboards stand here; its z is the joint's axis in both conventions.
         centre = body.add("site", name=f"centre{i + 1}", group=SITE_GROUP)
-        set_pose(centre, axis_frame @ frames.frame(position=robot.offsets[i]))
+        set_pose(centre, joint_centre(robot, i))
     flange = body.add("body", name="flange")
     set_pose(flange, robot.flange_frame)
     _add_site(flange, "flange_frame")
     problems: list[Problem] = []
     for k, child in enumerate(robot.children):
         try:
-            _add_object(root, flange, child)
+            _add_object(root, flange, child, child.frame)
         except DeclarationError as error:
             problems += [problem.inside(f"children.{k}") for problem in error.problems]
     problems += geometry.problems
@@ -165,7 +193,7 @@ def _set_up(root: mjcf.RootElement) -> None:
     root.default.geom.density = _DENSITY
 
 
-def _surroundings(root: mjcf.RootElement, scene: Scene) -> None:
+def _surroundings(root: mjcf.RootElement, scene: Scene, moved: Collection[str]) -> None:
     visual = root.visual
     # Together with the key light just short of white on a floor seen from above.
     visual.headlight.ambient, visual.headlight.diffuse = [0.34] * 3, [0.28] * 3
@@ -200,7 +228,13 @@ def _surroundings(root: mjcf.RootElement, scene: Scene) -> None:
             diffuse=[0.52] * 3, specular=[0.2] * 3, castshadow=True,
         )  # fmt: skip
     for name, camera in scene.cameras.items():
-        root.worldbody.add(
+        body = root.worldbody
+        if name in moved:
+            body = _moved_body(root, name, camera.frame)
+        elif (camera.frame != np.eye(4)).any():
+            body = body.add("body", name=f"camera-{name}")
+            set_pose(body, camera.frame)
+        body.add(
             "camera", name=name, pos=camera.position, fovy=camera.fovy_deg,
             xyaxes=_look_axes(camera.look_at - camera.position),
         )  # fmt: skip
@@ -219,16 +253,14 @@ def _add_site(body: Any, name: str) -> None:
     body.add("site", name=name, group=SITE_GROUP)
 
 
-def _add_object(root: mjcf.RootElement, body: Any, item: Object) -> None:
+def _add_object(root: mjcf.RootElement, body: Any, item: Object, T: Array) -> None:
     if item.mjcf is not None:
         piece = read_piece(item.mjcf, Path(item.directory))
         piece.model = item.name
-        set_pose(
-            body.add("site", name=f"{item.name}_at", group=SITE_GROUP).attach(piece), item.frame
-        )
+        set_pose(body.add("site", name=f"{item.name}_at", group=SITE_GROUP).attach(piece), T)
         return
     if item.shape == "axes":
-        set_pose(body.add("site", name=f"axes_{item.name}", group=SITE_GROUP), item.frame)
+        set_pose(body.add("site", name=f"axes_{item.name}", group=SITE_GROUP), T)
         return
     kind: dict[str, Any]
     if item.mesh is not None:
@@ -241,6 +273,4 @@ def _add_object(root: mjcf.RootElement, body: Any, item: Object) -> None:
     else:
         assert item.size is not None and item.shape is not None  # checked by Object
         kind = {"type": item.shape, "size": item.size * _HALF.get(item.shape, 1.0)}
-    set_pose(
-        body.add("geom", name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind), item.frame
-    )
+    set_pose(body.add("geom", name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind), T)

@@ -9,7 +9,7 @@ import numpy as np
 from dm_control import mjcf
 
 from .double import Double
-from .mjcf_geoms import mesh_asset, set_pose, shape_geom
+from .mjcf_geoms import SITE_GROUP, joint_centre, mesh_asset, set_pose, shape_geom
 from .robot import SerialRobot
 from .shapes import grow_links
 
@@ -30,6 +30,13 @@ def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
     ]
 
 
+def frame_names(double: Double, robot: SerialRobot) -> list[str]:
+    """Names of the bodies that carry the frames of a double's joints; none for a path."""
+    if double.path is not None:
+        return []
+    return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
+
+
 def add_double(root: mjcf.RootElement, double: Double, robot: SerialRobot) -> None:
     """Adds the bodies of a double, where MuJoCo has its robot at first: at zero.
 
@@ -48,6 +55,16 @@ def add_double(root: mjcf.RootElement, double: Double, robot: SerialRobot) -> No
             geoms = [shape_geom(s, _SHRINK) for s in grown[i]] if grown else _meshes(root, robot, i)
             for geom in geoms:
                 body.add("geom", **look, contype=0, conaffinity=0, mass=0, **geom)
+    # A link that coincides with the robot's is out of sight; its frame must not be.
+    for i, name in enumerate(frame_names(double, robot)):
+        body = root.worldbody.add("body", name=name, mocap=True)
+        set_pose(body, at_zero[i + 1])
+        body.add("site", name=name, group=SITE_GROUP)
+        centre = body.add("site", name=f"double-{double.name}-centre{i + 1}", group=SITE_GROUP)
+        set_pose(centre, joint_centre(robot, i))
+        if i == robot.n - 1:
+            flange = body.add("site", name=f"double-{double.name}-flange", group=SITE_GROUP)
+            set_pose(flange, robot.flange_frame)
 
 
 def _meshes(root: mjcf.RootElement, robot: SerialRobot, i: int) -> list[dict[str, Any]]:

@@ -11,9 +11,13 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
+from . import frames
+from .robot import SerialRobot
 from .shapes import LinkShape
 
 Array = NDArray[np.float64]
+
+SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
 
 
 def set_pose(element: Any, T: Array) -> None:
@@ -21,6 +25,18 @@ def set_pose(element: Any, T: Array) -> None:
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
     element.pos, element.quat = T[:3, 3], quat
+
+
+def joint_axis_frame(robot: SerialRobot, i: int) -> Array:
+    """The frame (4, 4) in body i + 1 whose z is the axis of joint i, in both conventions."""
+    if robot.dh_convention == "craig":
+        return np.eye(4)
+    return frames.inverse(robot.dh.link_transforms(np.zeros(robot.n))[i])
+
+
+def joint_centre(robot: SerialRobot, i: int) -> Array:
+    """Where the arrow and billboard of joint i stand in body i + 1, (4, 4)."""
+    return joint_axis_frame(robot, i) @ frames.frame(position=robot.offsets[i])
 
 
 def mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> Any:

@@ -28,14 +28,16 @@ from .robot_parts import (
     JointNames,
     Limits,
     LinkMesh,
+    OwnInputs,
     Ranges,
     as_billboard_lines,
     as_link_meshes,
+    check_line_values,
+    dh_rows,
 )
 from .shapes import housing_radii
 from .toml_file import key_lines, located, read_toml
 
-MAX_JOINTS = 64
 _CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
 # Limits may stand in degrees instead.
 IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
@@ -109,6 +111,9 @@ class SerialRobot(Declaration):
         billboard_scale: text height over picture height is 0.7 times this.
         billboard_values: (n,) until something is received; None for no data.
         billboard_lines: what billboards say; None for what is routed to the robot.
+        inputs: names of further per-joint inputs for billboards, e.g. `temperatures`.
+        flange_tolerance: how far, in m, a received `flange_check` may be from the flange.
+        flange_tolerance_deg: likewise, in degrees.
     """
 
     name: Name = "robot"
@@ -150,9 +155,12 @@ class SerialRobot(Declaration):
     show_billboards: bool = False
     billboard_scale: float = Field(0.05, gt=0, le=0.5)
     billboard_values: Vector | None = None
+    inputs: OwnInputs = []
     billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(as_billboard_lines)] = (
         None
     )
+    flange_tolerance: float = Field(0.001, gt=0)
+    flange_tolerance_deg: float = Field(0.5, gt=0)
 
     _model: Path | None = PrivateAttr(None)  # the robot file, for problems found later
 
@@ -162,20 +170,7 @@ class SerialRobot(Declaration):
         if "dh_params_deg" not in info.data:
             raise ValueError("")  # that table is wrong, and this one its default
         columns = info.data.get("dh_columns", [*COLUMNS])
-        angles = [columns.index("alpha"), columns.index("theta")]
-        in_degrees = info.data.get("dh_params_deg")
-        if in_degrees is not None:
-            rows = in_degrees.copy()
-            rows[:, angles] = np.deg2rad(rows[:, angles])
-        elif (np.abs(rows[:, angles]) > 2 * np.pi + 1e-6).any():
-            largest = float(np.abs(rows[:, angles]).max())
-            raise ValueError(
-                f"found an angle of {largest:g} rad; expected alpha and theta in rad, or "
-                "dh_params_deg for degrees"
-            )
-        if not 1 <= len(rows) <= MAX_JOINTS:
-            raise ValueError(f"found {len(rows)} rows; expected 1 to {MAX_JOINTS}")
-        return rows
+        return dh_rows(rows, info.data.get("dh_params_deg"), columns)
 
     @field_validator(*_PER_JOINT)
     @classmethod
@@ -208,6 +203,12 @@ class SerialRobot(Declaration):
                 self.__dict__[in_degrees] = None
         self.__dict__["dh_params_deg"] = None
         return self
+
+    @field_validator("billboard_lines")
+    @classmethod
+    def _lines_have_values(cls, lines: Any, info: ValidationInfo) -> Any:
+        check_line_values(lines, info.data.get("inputs", []))
+        return lines
 
     @field_validator("filenames")
     @classmethod

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
+from ..errors import DeclarationError, Problem, nearest
 from .declaration import Array, Declaration, Name, of_shape
 from .dh import COLUMNS, Column
 from .objects import Object, check_mesh_file
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
-BillboardValue = Literal[
+ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
+# Per-joint inputs that every robot and double has, beside its joint angles and its own `inputs`.
+VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboard_values")
+BILLBOARD_VALUES = (
     "torques",
     "commanded_torques",
     "torque_error",
     "joint_accelerations",
     "joint_angles",
     "billboard_values",
-]
+)
+MAX_JOINTS = 64
 
 
 def _is_permutation(columns: list[str]) -> list[str]:
@@ -85,19 +90,26 @@ class BillboardLine(Declaration):
     """One line of a joint's billboard.
 
     Attributes:
-        value: which of the robot's per-joint inputs it shows; `torque_error` is commanded -
-            measured.
+        value: which of the robot's per-joint inputs it shows, its own `inputs` among them;
+            `torque_error` is commanded - measured.
         label: put before the number when a billboard has several lines.
         unit: shown behind the number; None for the value's own SI unit.
         decimals: digits after the point; None for what suits the value.
         scale: multiplies the value before it is shown (57.2958 for degrees).
     """
 
-    value: BillboardValue
+    value: str
     label: str = ""
     unit: str | None = None
     decimals: int | None = Field(None, ge=0, le=9)
     scale: float = 1.0
+
+
+def _are_own(names: list[str]) -> list[str]:
+    return own_inputs(_differ(names))
+
+
+OwnInputs = Annotated[list[Name], AfterValidator(_are_own)]
 
 
 def as_link_meshes(value: Any) -> Any:
@@ -116,3 +128,62 @@ def as_billboard_lines(value: Any) -> Any:
     if isinstance(value, list):
         return [{"value": line} if isinstance(line, str) else line for line in value]
     return value
+
+
+def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:
+    """Checks that every line shows something that there is.
+
+    Args:
+        lines: of a billboard.
+        own: the robot's `inputs`.
+
+    Raises:
+        DeclarationError: the line, what it asks for, and what there is.
+    """
+    for k, line in enumerate(lines or []):
+        known = [*BILLBOARD_VALUES, *own]
+        if line.value not in known:
+            near = nearest(line.value, known)
+            choices = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
+            hint = f"did you mean '{near}'?" if near else "name it in inputs for one of your own"
+            message = f"found {line.value!r}; expected {choices}; {hint}"
+            raise DeclarationError([Problem(f"{k}.value", message)])
+
+
+def own_inputs(names: list[str]) -> list[str]:
+    """Returns a robot's `inputs`, if none of them is there anyway.
+
+    Raises:
+        ValueError: one has the name of an input that every robot has.
+    """
+    taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
+    for name in names:
+        if name in taken or name.startswith("show_") or name == "arrow_quantity":
+            raise ValueError(f"'{name}' is there for every robot; expected another name")
+    return names
+
+
+def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
+    """Returns the rows of a DH table in rad, from those in degrees where they are given.
+
+    Args:
+        rows: (n, 4), rad and m.
+        in_degrees: the same with angles in degrees, or None.
+        columns: what the four columns are.
+
+    Raises:
+        ValueError: angles that cannot be rad, or a wrong number of rows.
+    """
+    angles = [columns.index("alpha"), columns.index("theta")]
+    if in_degrees is not None:
+        rows = in_degrees.copy()
+        rows[:, angles] = np.deg2rad(rows[:, angles])
+    elif (np.abs(rows[:, angles]) > 2 * np.pi + 1e-6).any():
+        largest = float(np.abs(rows[:, angles]).max())
+        raise ValueError(
+            f"found an angle of {largest:g} rad; expected alpha and theta in rad, or "
+            "dh_params_deg for degrees"
+        )
+    if not 1 <= len(rows) <= MAX_JOINTS:
+        raise ValueError(f"found {len(rows)} rows; expected 1 to {MAX_JOINTS}")
+    return rows

@@ -4,87 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any
-
-import numpy as np
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from typing import Any
 
 from ..errors import DeclarationError, Problem, did_you_mean
-from .declaration import Array, Declaration, Point
+from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
+from .looks import Camera, Light, View
+from .named_frames import WORLD, NamedFrame, list_frames
 from .objects import Object
 from .robot import SerialRobot
+from .robot_parts import VALUE_INPUTS, check_line_values
+from .scene_toggles import SceneToggles
 from .toml_file import key_lines, located
-
-
-def _unit_range(rgb: Array) -> Array:
-    if (rgb < 0).any() or (rgb > 1).any():
-        raise ValueError(f"found {rgb.tolist()}; expected three numbers from 0 to 1")
-    return rgb
-
-
-def _direction(vector: Array) -> Array:
-    if not np.abs(vector).max() > 0:
-        raise ValueError(f"found {vector.tolist()}; expected a direction")
-    return vector
-
-
-class Camera(Declaration):
-    """A camera with a name.
-
-    Attributes:
-        position: in the world, m.
-        look_at: the point it looks at, m.
-        fovy_deg: vertical field of view in degrees.
-    """
-
-    position: Point
-    look_at: Point = Field(default_factory=lambda: np.zeros(3))
-    fovy_deg: float = Field(45.0, gt=0, lt=180)
-
-    @field_validator("look_at")
-    @classmethod
-    def _is_elsewhere(cls, look_at: Array, info: ValidationInfo) -> Array:
-        position = info.data.get("position")
-        if position is not None and np.array_equal(look_at, position):
-            raise ValueError(f"found {look_at.tolist()}; expected another point than position")
-        return look_at
-
-
-class View(Declaration):
-    """Where one looks from when no camera is named.
-
-    Attributes:
-        camera: a camera of the scene; the rest is for the free camera.
-        azimuth_deg: direction of sight about the vertical, 90 looks along +y.
-        elevation_deg: negative looks down.
-        distance: m from the look-at point; None fits the scene.
-        look_at: m; None is the middle of the scene.
-    """
-
-    camera: str | None = None
-    azimuth_deg: float = 150.0
-    elevation_deg: float = -14.0
-    distance: float | None = Field(None, gt=0)
-    look_at: Point | None = None
-
-
-class Light(Declaration):
-    """A light that shines from a position along a direction.
-
-    Attributes:
-        position: m.
-        direction: towards what is lit; need not be of unit length.
-        diffuse: red, green, blue, 0 to 1.
-        directional: parallel rays, as from the sun.
-        cast_shadow: whether things throw shadows in it.
-    """
-
-    position: Point
-    direction: Annotated[Point, AfterValidator(_direction)] = np.array([0.0, 0.0, -1.0])
-    diffuse: Annotated[Point, AfterValidator(_unit_range)] = np.full(3, 0.7)
-    directional: bool = True
-    cast_shadow: bool = True
 
 
 class Scene:
@@ -95,11 +26,14 @@ class Scene:
         sources: by name; a table with `kind` and its fields, or a source object.
         routes: input (`lwr.joint_angles`) to event (`udp.values0`).
         doubles: transparent doubles of the robots.
+        arrows: Cartesian vectors, shown by smart arrows.
+        frames: frames that are received.
         objects: fixed things.
         cameras: by name.
         lights: by name; one that casts shadows when empty. A headlight is always there.
         floor: whether there is one.
         view: where one looks from.
+        toggles: what is shown of the whole scene.
         name: shown in titles and messages.
         file: the file it was read from.
         broken: what the file declares but could not be built: sections (`robots`) and entries
@@ -116,11 +50,14 @@ class Scene:
         sources: Mapping[str, Any] | None = None,
         routes: Mapping[str, str] | None = None,
         doubles: list[Double] | None = None,
+        arrows: list[SmartArrow] | None = None,
+        frames: list[ReceivedFrame] | None = None,
         objects: list[Object] | None = None,
         cameras: Mapping[str, Camera] | None = None,
         lights: Mapping[str, Light] | None = None,
         floor: bool = True,
         view: View | None = None,
+        toggles: SceneToggles | None = None,
         name: str = "scene",
         file: Path | None = None,
         broken: Collection[str] = (),
@@ -133,6 +70,8 @@ class Scene:
                 raise DeclarationError([Problem(key, message)])
         self.robots: dict[str, SerialRobot] = {}
         self.doubles = {double.name: double for double in doubles or []}
+        self.arrows = {arrow.name: arrow for arrow in arrows or []}
+        self.frames = {frame.name: frame for frame in frames or []}
         self.sources = dict(sources or {})
         self.routes = dict(routes or {})
         self.objects = list(objects or [])
@@ -140,6 +79,7 @@ class Scene:
         self.lights = dict(lights or {})
         self.floor = floor
         self.view = view or View()
+        self.toggles = toggles or SceneToggles()
         self.name = name
         self.file = file
         self.broken = frozenset(broken)
@@ -148,7 +88,7 @@ class Scene:
             raise DeclarationError([Problem("robots", message)])
         for robot in robots or []:
             self.add(robot)
-        problems = self.double_problems()
+        problems = self.problems()
         if problems and file is None:
             raise DeclarationError(problems)
 
@@ -164,23 +104,87 @@ class Scene:
         self.robots[robot.name] = robot
         return robot
 
-    def double_problems(self) -> list[Problem]:
+    def sources_of(self, *targets: str) -> set[str]:
+        """Names of the sources from which routes lead to these targets; all of them by default."""
+        origins = [self.routes[target] for target in targets or self.routes]
+        names = {origin.removeprefix("not ").strip().partition(".")[0] for origin in origins}
+        return names & set(self.sources)
+
+    def named_frames(self) -> dict[str, NamedFrame]:
+        """All frames that arrows, received frames and routes can refer to, by name."""
+        return list_frames(self.robots, self.doubles, self.frames, self.objects)
+
+    def problems(self) -> list[Problem]:
+        """What its entries say of each other that is not so."""
+        return [*self._name_problems(), *self._double_problems(), *self._frame_problems()]
+
+    def _name_problems(self) -> list[Problem]:
+        """Names in routes that would mean two things."""
+        problems = []
+        taken = dict.fromkeys(self.robots, "a robot")
+        sections = (("doubles", self.doubles), ("arrows", self.arrows), ("frames", self.frames))
+        for section, entries in sections:
+            for name in entries:
+                if name in taken:
+                    message = f"{taken[name]} has this name; expected another one"
+                    problems.append(Problem(f"{section}.{name}", message))
+                elif name in ("toggles", WORLD):
+                    message = "this word has a meaning in routes; expected another one"
+                    problems.append(Problem(f"{section}.{name}", message))
+            taken |= dict.fromkeys(entries, f"one of the {section}")
+        placed = [*self.frames, *(item.name for item in self.objects), *self.cameras]
+        for name in {name for name in placed if placed.count(name) > 1}:
+            if name in self.frames or f"{name}.frame" in self.routes:
+                message = "two things have this name, and a route could mean either"
+                problems.append(Problem(f"routes.{name}.frame", message))
+        return problems
+
+    def _frame_problems(self) -> list[Problem]:
+        """Frames that arrows and received frames refer to and that are not there."""
+        frames = self.named_frames()
+        wanted = []
+        for name, arrow in self.arrows.items():
+            if isinstance(arrow.at, str):
+                wanted.append((f"arrows.{name}.at", arrow.at))
+            if arrow.expressed_in not in (None, WORLD):
+                wanted.append((f"arrows.{name}.expressed_in", arrow.expressed_in))
+        wanted += [
+            (f"frames.{name}.relative_to", frame.relative_to)
+            for name, frame in self.frames.items()
+            if frame.relative_to != WORLD
+        ]
+        return [
+            Problem(key, f"no frame '{name}'{did_you_mean(name, [*frames, WORLD])}")
+            for key, name in wanted
+            if name not in frames and not self.is_broken(name.partition("/")[0])
+        ]
+
+    def is_broken(self, name: str) -> bool:
+        """Whether an entry of this name, or a whole section, could not be built."""
+        sections = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
+        return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
+
+    def _double_problems(self) -> list[Problem]:
         """Doubles of robots that are not there, or with another number of joints."""
         problems = []
         for name, double in self.doubles.items():
-            if name in self.robots:
-                message = "a robot has this name; expected another one"
-                problems.append(Problem(f"doubles.{name}", message))
             if not self.declares("robots", double.of):
                 near = did_you_mean(double.of, self.declared("robots"))
                 problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
             elif double.of in self.robots:
                 n = self.robots[double.of].n
-                for key in ("joint_angles", "path"):
+                for key in ("joint_angles", "path", *VALUE_INPUTS):
                     value = getattr(double, key)
                     if value is not None and value.shape[-1] != n:
                         message = f"found {value.shape[-1]} joints; {double.of} has {n}"
                         problems.append(Problem(f"doubles.{name}.{key}", message))
+            lines = double.billboard_lines
+            if lines is not None and double.of in self.robots:
+                try:
+                    check_line_values(lines, self.robots[double.of].inputs)
+                except DeclarationError as error:
+                    place = f"doubles.{name}.billboard_lines"
+                    problems += [problem.inside(place) for problem in error.problems]
             if double.path is not None and len(double.path) < 2:
                 problems.append(Problem(f"doubles.{name}.path", "expected two rows or more"))
         return problems

@@ -9,11 +9,14 @@ from typing import Any, TypeVar
 
 from .. import paths
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
+from .cartesian import ReceivedFrame, SmartArrow
 from .declaration import is_name
 from .double import Double
+from .looks import Camera, Light, View
 from .objects import Object
 from .robot import SerialRobot, build_robot, set_directory
-from .scene import Camera, Light, Scene, View
+from .scene import Scene
+from .scene_toggles import SceneToggles
 from .toml_file import read_toml
 
 T = TypeVar("T")
@@ -50,17 +53,21 @@ class _Reader:
         self.tables = tables
         self.problems: list[Problem] = []
         self.broken: list[str] = []
+        self._have_names: list[Callable[..., Any]] = []
 
     def scene(self) -> Scene:
         sections: dict[str, Callable[[], Any]] = {
             "robots": lambda: list(self._each("robots", self._robot).values()),
             "sources": lambda: self._each("sources", lambda name, table: table),
             "routes": self._routes,
-            "doubles": lambda: list(self._each("doubles", self._double).values()),
+            "doubles": lambda: list(self._each("doubles", self._named(Double)).values()),
+            "arrows": lambda: list(self._each("arrows", self._named(SmartArrow)).values()),
+            "frames": lambda: list(self._each("frames", self._named(ReceivedFrame)).values()),
             "objects": lambda: list(self._each("objects", self._object).values()),
             "cameras": lambda: self._each("cameras", lambda _, table: Camera(**table)),
             "lights": lambda: self._each("lights", lambda _, table: Light(**table)),
             "view": lambda: View(**self._table("view")),
+            "toggles": lambda: SceneToggles(**self._table("toggles")),
             "floor": lambda: self._typed("floor", bool, "true or false"),
             "name": lambda: self._typed("name", str, "a text"),
         }
@@ -77,7 +84,7 @@ class _Reader:
         if not self.tables:
             self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)
-        self.problems += scene.double_problems()
+        self.problems += scene.problems()
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
         if not known:
@@ -86,16 +93,20 @@ class _Reader:
         return scene
 
     def override(self, target: str, value: Any) -> None:
-        """Sets `robot.field` over what the file says."""
-        robot, _, field = target.partition(".")
-        robots, routes = self.tables.get("robots"), self.tables.get("routes")
-        names = robots if isinstance(robots, dict) else {}
-        if robot not in names:
-            self.wrong(target, f"no robot '{robot}' to set this for{did_you_mean(robot, names)}")
+        """Sets `robot.field`, or a field of a double, an arrow, ..., over what the file says."""
+        name, _, field = target.partition(".")
+        entries: dict[str, Any] = {"toggles": self.tables.setdefault("toggles", {})}
+        for section in ("cameras", "objects", "frames", "arrows", "doubles", "robots"):
+            table = self.tables.get(section)
+            entries |= table if isinstance(table, dict) else {}
+        routes = self.tables.get("routes")
+        if name not in entries:
+            near = did_you_mean(name, [known for known in entries if known != "toggles"])
+            self.wrong(target, f"no robot '{name}' to set this for{near}")
         elif not field:
-            self.wrong(target, f"names no field; expected robot.field, e.g. {robot}.joint_angles")
-        elif isinstance(names[robot], dict):
-            names[robot][field] = value
+            self.wrong(target, f"names no field; expected robot.field, e.g. {name}.joint_angles")
+        elif isinstance(entries[name], dict):
+            entries[name][field] = value
             if isinstance(routes, dict):
                 routes.pop(target, None)
 
@@ -136,7 +147,7 @@ class _Reader:
         if not isinstance(table, dict):
             message = f"found {table!r}; expected a table [{place}]"
             raise DeclarationError([Problem("", message)])
-        if build in (self._robot, self._object, self._double):  # these have a field for their name
+        if build in (self._robot, self._object, *self._have_names):  # these check it themselves
             return build(name, table)
         try:
             is_name(name)
@@ -178,8 +189,14 @@ class _Reader:
             raise DeclarationError([Problem("model", str(error))]) from None
         return build_robot(fields, path)
 
-    def _double(self, name: str, table: dict[str, Any]) -> Double:
-        return Double(**{**table, "name": name})
+    def _named(self, kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
+        """Builds what has a field for its name."""
+
+        def build(name: str, table: dict[str, Any]) -> T:
+            return kind(**{**table, "name": name})
+
+        self._have_names.append(build)
+        return build
 
     def _object(self, name: str, table: dict[str, Any]) -> Object:
         fields = {**table, "name": name}

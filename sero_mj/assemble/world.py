@@ -15,20 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem, UnknownName
+from .declaration import numbers
+from .frame_table import arrow_table, frame_table
+from .frames import frame_from, inverse
+from .inputs import Input, list_inputs, userdata_slots
+from .joint_table import joint_table
 from .mesh_check import mesh_problems
-from .mjcf import build_mjcf, xml_text
-from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names
+from .mjcf import build_mjcf, moved_body, xml_text
+from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
+from .parts import DoublePart, Owner, RobotPart
+from .robot_parts import VALUE_INPUTS
 from .scene import Scene
-from .tables import (
-    DOUBLE_INPUTS,
-    INPUTS,
-    VALUE_INPUTS,
-    DoublePart,
-    RobotPart,
-    frame_table,
-    joint_table,
-    userdata_slots,
-)
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -42,9 +39,14 @@ class World:
         model: the `MjModel`.
         robots: `RobotPart` by name.
         doubles: `DoublePart` by name.
+        owners: robots and doubles that have joints, by name, in the order of `joints`.
         joints: arrays over all joints.
         frames: arrays over all frames.
+        arrows: arrays over all smart arrows.
+        inputs: everything that can be routed to, by `name.key`.
         slots: name to slice of `userdata`, e.g. `lwr.torques`, `sources.udp`.
+        flags: name of an input to the index in `userdata` that says whether something came.
+        placed: index in `mocap_pos` of what a `frame` or `base_frame` input places, by name.
 
     Raises:
         DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
@@ -52,17 +54,32 @@ class World:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.slots = userdata_slots(scene)
+        problems = scene.problems()  # also of what was added since the scene was made
+        if problems:
+            raise DeclarationError(scene.located(problems))
+        self.inputs = list_inputs(scene)
+        self.slots, self.flags = userdata_slots(scene)
         root = build_mjcf(scene)
-        root.size.nuserdata = max((slot.stop for slot in self.slots.values()), default=0)
+        root.size.nuserdata = len(self.flags) + sum(
+            slot.stop - slot.start for slot in self.slots.values()
+        )
         self._root = root
         self.model = _compile(root, scene)
         if scene.doubles:
             self._measure_without_doubles()
         self.robots = self._find_robots()
         self.doubles = self._find_doubles()
-        self.joints = joint_table(self.model, self.robots, self.slots)
-        self.frames = frame_table(self.model, self.robots, scene)
+        single = {name: part for name, part in self.doubles.items() if part.path is None}
+        self.owners: dict[str, Owner] = {**self.robots, **single}
+        self.joints = joint_table(self.model, self.owners, self.slots, self.flags)
+        self.frames = frame_table(self.model, scene, list(self.owners), self.flags)
+        self.arrows = arrow_table(self.model, scene, self.slots, self.flags)
+        self.placed = {name: part.mocap for name, part in self.robots.items()}
+        for name in [*scene.frames, *(item.name for item in scene.objects), *scene.cameras]:
+            body = f"frame-{name}" if name in scene.frames else moved_body(name)
+            index = self._id(mujoco.mjtObj.mjOBJ_BODY, body)
+            if index >= 0:
+                self.placed[name] = int(self.model.body_mocapid[index])
 
     def make_data(self) -> mujoco.MjData:
         """Returns a new `MjData` with every robot at its declared joint angles."""
@@ -73,72 +90,105 @@ class World:
     def reset(self, data: mujoco.MjData) -> None:
         """Puts every robot at its declared joint angles and shows what the scene declares."""
         mujoco.mj_resetData(self.model, data)
-        for name, part in self.robots.items():
+        for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
-            for key in VALUE_INPUTS:
-                declared = getattr(part.robot, key)
-                if declared is not None:
-                    self.set_input(data, f"{name}.{key}", declared)
-        for name, double in self.doubles.items():
-            data.mocap_pos[double.mocap] = OUT_OF_SIGHT
-            if double.double.joint_angles is not None:
-                self.set_input(data, f"{name}.joint_angles", double.double.joint_angles)
+            self._set_declared(data, part.robot, VALUE_INPUTS)
+        for double in self.doubles.values():
+            data.mocap_pos[double.mocap] = data.mocap_pos[double.frames] = OUT_OF_SIGHT
+            if double.path is None:
+                self._set_declared(data, double.double, ("joint_angles", *VALUE_INPUTS))
+        for arrow in self.scene.arrows.values():
+            self._set_declared(data, arrow, ("vector",))
+        for name, frame in self.scene.frames.items():
+            data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
+            self._set_declared(data, frame, ("frame",))
         mujoco.mj_forward(self.model, data)
 
+    def _set_declared(self, data: mujoco.MjData, declared: Any, keys: tuple[str, ...]) -> None:
+        for key in keys:
+            if getattr(declared, key) is not None:
+                self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
+
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
-        """Sets an input of a robot; call `drive.follow` afterwards to move the frames.
+        """Sets an input; call `drive.place` afterwards to move the frames.
 
         Args:
             data: what to change.
-            target: `robot.input`, e.g. `lwr.joint_angles`.
-            values: (n,), SI units.
+            target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`.
+            values: (n,), (3,), a frame (4, 4), or one number, SI units.
 
         Raises:
-            UnknownName: no such robot or input.
-            ValueError: not n finite numbers.
+            UnknownName: no such name or input.
+            ValueError: not as many finite numbers as it takes, or no frame.
         """
-        part, key = self.resolve_input(target)
-        n = part.robot.n if isinstance(part, RobotPart) else part.robot.robot.n
+        item = self.resolve_input(target)
         try:
-            array = np.asarray(values, dtype=np.float64)
+            array = np.atleast_1d(np.asarray(values, dtype=np.float64))
         except (TypeError, ValueError):
             array = np.empty(0)
-        if array.shape != (n,) or not np.isfinite(array).all():
+        if array.shape != item.shape or not np.isfinite(array).all():
             found = array.tolist() if array.size else values
-            raise ValueError(f"{target}: found {found}; expected {n} finite numbers")
-        if key == "joint_angles" and isinstance(part, RobotPart):
-            data.qpos[part.qpos] = array
+            many = "1 finite number" if item.count == 1 else f"{item.count} finite numbers"
+            raise ValueError(f"{target}: found {found}; expected {many}")
+        if item.shape == (4, 4):
+            try:
+                array = frame_from(array, numbers)
+            except ValueError as error:
+                raise ValueError(f"{target}: {error}") from None
+        if item.kind == "pose":
+            self.set_pose(data, item.name, array)
+        elif item.kind == "angles" and item.name in self.robots:
+            data.qpos[self.robots[item.name].qpos] = array
         else:
-            data.userdata[self.slots[target]] = array
-        name = target.partition(".")[0]
-        data.userdata[self.slots[f"{name}.has"].start + INPUTS.index(key)] = 1.0
+            data.userdata[self.slots[target]] = array.ravel()
+        data.userdata[self.flags[target]] = 1.0
 
-    def resolve_input(self, target: str) -> tuple[RobotPart | DoublePart, str]:
-        """Returns the robot or double and the input that `robot.input` names.
+    def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
+        """Places a robot's base, a received frame, or a routed object or camera at (4, 4)."""
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
+        data.mocap_pos[self.placed[name]] = T_world[:3, 3]
+        data.mocap_quat[self.placed[name]] = quat
+
+    def resolve_input(self, target: str) -> Input:
+        """Returns the input that `name.key` names.
 
         Raises:
-            UnknownName: no such robot or input; lists those that exist.
+            UnknownName: no such name, or no such input of it; lists those that exist.
         """
-        robot, _, key = target.partition(".")
-        inputs = DOUBLE_INPUTS if robot in self.doubles else INPUTS
-        part = self.doubles[robot] if robot in self.doubles else self._part(robot)
-        if key not in inputs:
-            raise UnknownName(f"input of {robot}", key, inputs)
-        return part, key
-
-    def _part(self, robot: str) -> RobotPart:
-        if robot not in self.robots:
-            raise UnknownName("robot", robot, [*self.robots, *self.doubles])
-        return self.robots[robot]
+        if target in self.inputs:
+            item = self.inputs[target]
+            if item.kind != "pose" or item.name in self.placed:
+                return item
+            raise UnknownName("moving object or camera (nothing is routed to)", item.name, [])
+        name, _, key = target.partition(".")
+        keys = [item.key for item in self.inputs.values() if item.name == name]
+        if keys:
+            raise UnknownName(f"input of {name}", key, keys)
+        names = dict.fromkeys(item.name for item in self.inputs.values())
+        raise UnknownName("robot", name, list(names))
 
     def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
         """T_base_flange (4, 4) of the compiled model at `data`, translation in m."""
-        part = self._part(robot)
-        base, flange = part.bodies[0], part.flange_body
+        if robot not in self.robots:
+            raise UnknownName("robot", robot, self.robots)
+        part = self.robots[robot]
+        T_world_base, T_world_flange = np.eye(4), np.eye(4)
+        for T, body in ((T_world_base, part.bodies[0]), (T_world_flange, part.flange_body)):
+            T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+        return np.asarray(inverse(T_world_base) @ T_world_flange)
+
+    def frame(self, data: mujoco.MjData, name: str) -> Array:
+        """T_world_name (4, 4) of a named frame (`lwr/flange`) at `data`, translation in m.
+
+        Raises:
+            UnknownName: no such frame.
+        """
+        if name not in self.frames.names:
+            raise UnknownName("frame", name, self.frames.names)
+        site = self.frames.site[self.frames.names.index(name)]
         T = np.eye(4)
-        rotation = data.xmat[base].reshape(3, 3)
-        T[:3, :3] = rotation.T @ data.xmat[flange].reshape(3, 3)
-        T[:3, 3] = rotation.T @ (data.xpos[flange] - data.xpos[base])
+        T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
         return T
 
     def export(self, path: Path) -> list[Path]:
@@ -207,6 +257,7 @@ class World:
 
     def _find_doubles(self) -> dict[str, DoublePart]:
         parts = {}
+        start = sum(part.robot.n for part in self.robots.values())
         for name, double in self.scene.doubles.items():
             robot = self.robots[double.of]
             bodies = np.array(
@@ -217,7 +268,15 @@ class World:
             )
             mocap = self.model.body_mocapid[bodies].astype(np.intp)
             path = None if double.path is None else double.poses()
-            parts[name] = DoublePart(double, robot, mocap, bodies, path)
+            frames = [
+                int(self.model.body_mocapid[self._id(mujoco.mjtObj.mjOBJ_BODY, frame)])
+                for frame in frame_names(double, robot.robot)
+            ]
+            stop = start + len(frames)
+            parts[name] = DoublePart(
+                double, robot, mocap, bodies, np.array(frames, np.intp), path, slice(start, stop)
+            )
+            start = stop
         return parts
 
 

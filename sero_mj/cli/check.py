@@ -36,9 +36,18 @@ def run(options: argparse.Namespace) -> int:
     for name, source in wire(scene).sources.items():
         layout = getattr(source, "layout", None)
         if layout is not None:
-            events = ", ".join(f"{event} ({count})" for event, count in source.events.items())
+            events = ", ".join(
+                f"{event} ({' x '.join(map(str, shape))})" for event, shape in source.events.items()
+            )
             where = f"{source.host}:{source.udpport}"  # type: ignore[attr-defined]
             print(f"  source  {name}: UDP {where}, {layout.size} bytes: {events}")
+    for name, double in scene.doubles.items():
+        print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
+    for name, arrow in scene.arrows.items():
+        scale = f"{arrow.metres_per_unit:g} m/{arrow.unit_text}"
+        print(f"  arrow   {name}: {arrow.kind} at {arrow.at}, {scale}")
+    for name, frame in scene.frames.items():
+        print(f"  frame   {name}: relative to {frame.relative_to}")
     for target, event in scene.routes.items():
         print(f"  route   {event} -> {target}")
     for item in scene.objects:

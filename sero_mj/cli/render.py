@@ -63,8 +63,9 @@ def add_to(commands: Commands) -> None:
         default=[],
         type=_click,
         dest="clicks",
-        metavar="X,Y[,shift]",
-        help="click on a pixel, counted from the upper left, before rendering; may be repeated",
+        metavar="X,Y[,HOW]",
+        help="click on a pixel, counted from the upper left, before rendering; HOW is shift, "
+        "double, hover or touch (as with a finger); may be repeated",
     )
     parser.add_argument(
         "--wait",
@@ -76,15 +77,17 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar, no closing line")
 
 
-def _click(text: str) -> tuple[float, float, bool]:
-    parts = text.split(",")
-    shift = parts[2:] == ["shift"]
+def _click(text: str) -> tuple[float, float, str, bool]:
+    x, y, *how = [*text.split(","), ""][: max(text.count(",") + 1, 2)]
+    gestures = [word for word in how if word in ("shift", "double", "hover")]
     try:
-        if len(parts) == 2 or shift:
-            return float(parts[0]), float(parts[1]), shift
+        if len(gestures) <= 1 and set(how) <= {*gestures, "touch"}:
+            return float(x), float(y), gestures[0] if gestures else "click", "touch" in how
     except ValueError:
         pass
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected X,Y or X,Y,shift in pixels")
+    raise argparse.ArgumentTypeError(
+        f"found '{text}'; expected X,Y in pixels, or X,Y and shift, double, hover or touch"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -45,7 +45,8 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
-    from ..drive.send import MotionPackets, send
+    from ..drive.play import MotionPackets
+    from ..drive.send import send
     from ..receive.structure import Structure
 
     if options.rate > FASTEST:

@@ -1,17 +1,29 @@
-"""Smart axes: x red, y green, z blue, at the base, every joint, the flange and named frames."""
+"""Smart axes: x red, y green, z blue, at the base, every joint, the flange and named frames.
+
+Frames at one place are nested: each further one has shorter and thicker bars, so that all of them
+can be told apart and clicked on, whatever their orientation (section 2.5).
+"""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..assemble.world import World
-from .pen import Kind, Pen
-from .toggles import Toggles
+from .pen import GREY, Kind, Pen
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 # Red, green, blue as is customary, in shades that differ in lightness as well.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
 _HALF_WIDTH_OF_LENGTH = 0.022
+_STALE_SHARE = 0.75  # how grey a frame without fresh data is
+# Frames nearer than the first are at one place; further than the second they are not. Between
+# the two sizes change gradually, so that frames that move apart do not flicker.
+_AT_ONE_PLACE = (0.004, 0.02)  # m
+_SHORTER, _THICKER = 0.45, 0.35  # per frame at the same place
 # A rotation of the bar's z onto x, y and z.
 _ONTO_AXIS = np.array(
     [
@@ -23,24 +35,81 @@ _ONTO_AXIS = np.array(
 )
 
 
-def draw_axes(pen: Pen, world: World, data: mujoco.MjData, toggles: Toggles) -> None:
+def ranks(positions: Array) -> Array:
+    """How many earlier frames every frame shares its place with.
+
+    Args:
+        positions: (m, 3), m.
+
+    Returns:
+        (m,), 0 for the first one at a place; continuous in the positions.
+    """
+    squares = np.einsum("ij,ij->i", positions, positions)
+    apart = squares[:, None] + squares - 2.0 * positions @ positions.T
+    distance = np.sqrt(np.maximum(apart, 0.0))
+    near, far = _AT_ONE_PLACE
+    shared = np.clip((far - distance) / (far - near), 0.0, 1.0)
+    return np.asarray(np.tril(shared, -1).sum(axis=1))
+
+
+def draw_axes(pen: Pen, world: World, data: mujoco.MjData, shown: Bools, stale: Bools) -> None:
     """Draws three bars for every frame whose axes are shown.
 
     Bars, for a box has 12 triangles and an arrow a thousand: axes would cost more than the robot.
+
+    Args:
+        pen: where to.
+        world: the compiled scene.
+        data: its state.
+        shown: which frames' axes to draw, (M,).
+        stale: which ones have no fresh data and are grey, (M,).
     """
-    shown = toggles.axes.nonzero()[0]
     table = world.frames
-    shown = shown[table.alpha[shown] > 0]
-    rows = pen.take(3 * len(shown), int(mujoco.mjtGeom.mjGEOM_BOX), Kind.AXES, np.repeat(shown, 3))
+    index = (shown & (table.alpha > 0)).nonzero()[0]
+    if not len(index):
+        return
+    sites = table.site[index]
+    origins = data.site_xpos[sites]
+    rank = ranks(origins)
+    length = table.size[index] / (1.0 + _SHORTER * rank)
+    half_width = _HALF_WIDTH_OF_LENGTH * table.size[index] * (1.0 + _THICKER * rank)
+    rgb = np.broadcast_to(AXIS_RGB, (len(index), 3, 3)).copy()
+    rgb[stale[index]] += _STALE_SHARE * (np.array(GREY, np.float32) - AXIS_RGB)
+    rotation = data.site_xmat[sites].reshape(-1, 3, 3)
+    draw_bars(pen, origins, rotation, (length, half_width), rgb, table.alpha[index], index)
+
+
+def draw_bars(
+    pen: Pen,
+    origins: Array,
+    rotation: Array,
+    size: tuple[Array, Array],
+    rgb: NDArray[np.float32],
+    alpha: Array,
+    items: NDArray[np.intp] | None = None,
+) -> None:
+    """Draws the axes of k frames.
+
+    Args:
+        pen: where to.
+        origins: (k, 3), m.
+        rotation: (k, 3, 3).
+        size: length and half the width of the bars, (k,) each, m.
+        rgb: of the three bars, (k, 3, 3).
+        alpha: (k,).
+        items: which frames they are, (k,); None for what cannot be clicked on.
+    """
+    kind = Kind.NONE if items is None else Kind.AXES
+    owners = 0 if items is None else np.repeat(items, 3)
+    rows = pen.take(3 * len(origins), int(mujoco.mjtGeom.mjGEOM_BOX), kind, owners)
     if not len(rows):
         return
-    sites = table.site[shown]
     grid = rows.reshape(-1, 3)  # three bars a frame
-    length = table.size[shown][:, None]
-    rotation = data.site_xmat[sites].reshape(-1, 1, 3, 3) @ _ONTO_AXIS
-    grid["pos"] = data.site_xpos[sites][:, None] + rotation[..., 2] * (length / 2)[..., None]
-    grid["mat"] = rotation
-    grid["size"][..., :2] = (_HALF_WIDTH_OF_LENGTH * length)[..., None]
+    length, half_width = size[0][:, None], size[1][:, None]
+    onto = rotation[:, None] @ _ONTO_AXIS
+    grid["pos"] = origins[:, None] + onto[..., 2] * (length / 2)[..., None]
+    grid["mat"] = onto
+    grid["size"][..., :2] = half_width[..., None]
     grid["size"][..., 2] = length / 2
-    grid["rgba"][..., :3] = AXIS_RGB
-    grid["rgba"][..., 3] = table.alpha[shown][:, None]
+    grid["rgba"][..., :3] = rgb
+    grid["rgba"][..., 3] = alpha[:, None]

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from ..assemble.world import World
 from .axes import draw_axes
 from .billboards import Billboards
+from .cards import lay_out
+from .flange_check import FlangeCheck
 from .frame_names import name_panels
+from .hover import hover_panel
 from .legend import Legend
 from .panels import draw_panels
 from .pen import Pen
 from .quantities import arrow_values, joint_values
 from .round_arrows import RoundArrows
+from .smart_arrows import arrow_vectors, draw_smart_arrows
 from .staleness import Staleness
 from .status import Status
 from .toggles import Toggles
+from .vector_cards import VectorCards
 from .view import View
 
 
@@ -31,6 +38,8 @@ class Decor:
         self._world = world
         self._arrows = RoundArrows(world)
         self._billboards = Billboards(world)
+        self._vector_cards = VectorCards(world)
+        self._flange_check = FlangeCheck(world)
         self._legend = Legend(world)
         self._status = Status(world)
         self._staleness = Staleness(world)
@@ -39,22 +48,43 @@ class Decor:
         """Lays out one frame and returns the pen that holds it.
 
         Args:
-            data: the world's state, with frames up to date (`drive.follow`).
-            toggles: what is shown.
+            data: the world's state, with frames up to date (`drive.Placer`).
+            toggles: what is shown; those that packets switch are switched.
             view: from where, and how large the picture is.
         """
-        pen = self.pen
+        pen, world = self.pen, self._world
         pen.clear()
-        values = joint_values(self._world, data)
-        shown, limit = arrow_values(self._world, data, values, toggles.arrow_quantity)
-        draw_axes(pen, self._world, data, toggles)
-        self._arrows.draw(pen, data, toggles, shown, limit)
+        toggles.follow(data)
+        shown = toggles.shown(data)
+        pen.hidden = toggles.hidden_geoms()
+        stale = self._staleness.find(data)
+        values = joint_values(world, data)
+        arrows, limit = arrow_values(world, data, values, toggles.arrow_quantity)
+        draw_axes(pen, world, data, shown.axes, _among(world.frames.names, stale))
+        self._arrows.draw(pen, data, shown, arrows, limit)
+        cards = [self._billboards.cards(data, toggles, shown, view, values)]
+        if shown.vectors.any():
+            components, vectors = arrow_vectors(world, data)
+            names = world.arrows.names
+            draw_smart_arrows(pen, world, data, shown.vectors, vectors, _among(names, stale))
+            ages = [stale.get(name, "") for name in names]
+            cards.append(self._vector_cards.cards(data, shown.cards, view, components, ages))
+        if toggles.flange_checks:
+            cards.append(self._flange_check.draw(pen, data, view))
         panels = [
-            self._billboards.draw(pen, data, toggles, view, values),
-            name_panels(self._world, data, toggles, view),
+            *lay_out(pen, view, [group for group in cards if group is not None]),
+            name_panels(world, data, shown.frame_names, view),
             self._legend.panels(toggles, view, limit),
             self._status.panels(data, toggles, view),
-            self._staleness.panels(pen, data, view),
+            self._staleness.panels(pen, data, view, stale),
+            hover_panel(toggles, view),
         ]
         draw_panels(pen, view, [group for group in panels if group is not None])
         return pen
+
+
+def _among(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
+    """Which names have no fresh data."""
+    if not stale:
+        return np.zeros(len(names), bool)
+    return np.array([name in stale for name in names])

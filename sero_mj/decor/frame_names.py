@@ -8,18 +8,20 @@ import numpy as np
 from ..assemble.world import World
 from .panels import Panels, labels_at, panel_sizes
 from .pen import Kind
-from .toggles import Toggles
+from .toggles import Bools
 from .view import View
 
 
-def name_panels(world: World, data: mujoco.MjData, toggles: Toggles, view: View) -> Panels | None:
-    """Returns a panel under the origin of every frame whose name is shown, or None."""
-    shown = toggles.frame_names.nonzero()[0]
+def name_panels(world: World, data: mujoco.MjData, named: Bools, view: View) -> Panels | None:
+    """Returns a panel under the origin of every frame whose name is shown (M,), or None."""
+    shown = named.nonzero()[0]
     if not len(shown):
         return None
     origins, depth = view.project(data.site_xpos[world.frames.site[shown]])
     inside = view.sees(origins, depth)
     shown, origins = shown[inside], origins[inside]
+    if not len(shown):
+        return None
     texts = [world.frames.names[i].encode("ascii", "replace")[:99] for i in shown]
     # Frames at one place have their names under each other, first frame on top.
     places = np.round(origins / (2 * view.font.height)).astype(int)
@@ -29,5 +31,6 @@ def name_panels(world: World, data: mujoco.MjData, toggles: Toggles, view: View)
     for k, place in enumerate(map(tuple, places)):
         centres[k, 1] -= seen.get(place, 0) * apart
         seen[place] = seen.get(place, 0) + 1
-    centres, sizes = labels_at(view, centres, texts)
-    return Panels(centres, sizes, [[text] for text in texts], kind=Kind.NAME, items=shown)
+    lines = [[text] for text in texts]
+    centres, sizes = labels_at(view, centres, lines)
+    return Panels(centres, sizes, lines, kind=Kind.NAME, items=shown)

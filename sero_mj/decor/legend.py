@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.tables import ARROW_QUANTITIES
+from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world import World
 from .panels import Panels, panel_sizes
 from .toggles import Toggles
@@ -24,6 +24,8 @@ _WORDS = {
     "joint_accelerations": ("joint acceleration", "full width: acceleration limit"),
     "singularity": ("towards the singularity", "full width: at it"),
 }
+_NICE = (1.0, 2.0, 5.0)
+_STATED_LENGTH = 0.1  # m; the legend states a round number that is about so long
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 
@@ -44,20 +46,28 @@ class Legend:
             view: of the picture.
             limit: at which value an arrow is at full width, (N,).
         """
-        if not toggles.legend or not toggles.arrows.any():
+        if not toggles.legend or not (toggles.arrows.any() or toggles.vectors.any()):
             return None
-        key = (toggles.arrows.tobytes(), toggles.arrow_quantity.tobytes(), view.font.height)
+        key = (
+            toggles.arrows.tobytes(),
+            toggles.arrow_quantity.tobytes(),
+            toggles.vectors.tobytes(),
+            view.font.height,
+        )
         if key != self._key:  # it stands in a corner and changes only when toggles do
             self._key, self._panels = key, self._laid_out(toggles, view, limit)
         assert self._panels is not None
         # In a small picture it would hide more than it explains.
         room = _LARGEST_SHARE * view.width * view.height
-        return self._panels if float(self._panels.sizes.prod(axis=1).sum()) < room else None
+        panels = self._panels
+        kept = int((np.cumsum(panels.sizes.prod(axis=1)) < room).sum())
+        if not kept:
+            return None
+        return Panels(panels.centres[:kept], panels.sizes[:kept], panels.texts[:kept], _RGBA)
 
     def _laid_out(self, toggles: Toggles, view: View, limit: Array) -> Panels:
         margin = _MARGIN * view.font.height
-        corner = np.array([margin, margin])
-        centres, sizes, texts = [], [], []
+        texts: list[list[bytes]] = []
         for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist())):
             shown = toggles.arrows & (toggles.arrow_quantity == code)
             what, width = _WORDS[ARROW_QUANTITIES[code]]
@@ -66,10 +76,42 @@ class Legend:
             if not self._world.joints.revolute[shown].all() and code < _TORQUES:
                 what += ", or force"
             lines = [f"arrows: {what}".encode(), _SIGNS, width.encode()]
-            widest = max(view.font.width(line) for line in lines)
-            size = panel_sizes(np.array([widest]), len(lines), view)[0]
-            centres.append(corner + size / 2)
-            sizes.append(size)
             texts.append(lines)
-            corner = corner + np.array([0.0, size[1] + margin])
-        return Panels(np.array(centres), np.array(sizes), texts, _RGBA)
+        scales = self._scales(toggles)
+        if scales:
+            texts.append(scales)
+        sizes = np.array(
+            [
+                panel_sizes(
+                    np.array([max(view.font.width(line) for line in lines)]), len(lines), view
+                )[0]
+                for lines in texts
+            ]
+        )
+        below = np.concatenate([[0.0], np.cumsum(sizes[:-1, 1] + margin)])
+        centres = margin + sizes / 2
+        centres[:, 1] += below
+        return Panels(centres, sizes, texts, _RGBA)
+
+    def _scales(self, toggles: Toggles) -> list[bytes]:
+        """A line for every kind of smart arrow and every scale: what a length or width means."""
+        scene = self._world.scene
+        lines: dict[str, list[str]] = {}
+        for name, on in zip(self._world.arrows.names, toggles.vectors, strict=True):
+            arrow = scene.arrows[name]
+            if on:
+                value = nice(_STATED_LENGTH / arrow.metres_per_unit)
+                size = 1e3 * value * arrow.metres_per_unit
+                word = "wide" if arrow.is_round else "long"
+                scale = f"{size:g} mm {word}: {value:g} {arrow.unit_text}"
+                lines.setdefault(scale, []).append(name)
+        return [
+            f"{', '.join(names)}, {scale}".encode("ascii", "replace")[:99]
+            for scale, names in lines.items()
+        ]
+
+
+def nice(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above a positive value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in _NICE if step * power <= value * (1 + 1e-9)) * power)

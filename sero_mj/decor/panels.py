@@ -38,7 +38,7 @@ class Panels:
         centres: (k, 2), pixels.
         sizes: (k, 2), pixels.
         texts: the lines of every panel, top first.
-        rgba: their colour.
+        rgba: their colour, or one for each, (k, 4).
         kind: what they belong to.
         items: which joint or frame every panel belongs to, (k,).
     """
@@ -46,21 +46,21 @@ class Panels:
     centres: Array
     sizes: Array
     texts: list[list[bytes]]
-    rgba: tuple[float, float, float, float] = PANEL_RGBA
+    rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
     kind: Kind = Kind.NONE
     items: NDArray[np.intp] | None = None
 
 
-def labels_at(view: View, centres: Array, texts: list[bytes]) -> tuple[Array, Array]:
-    """Centres and sizes of panels of one line each, moved into the picture where they stand out.
+def labels_at(view: View, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
+    """Centres and sizes of panels, moved into the picture where they stand out.
 
     Args:
         view: of the picture.
         centres: where they would like to be, (k, 2), pixels.
-        texts: k lines.
+        texts: the lines of each.
     """
-    widths = np.array([view.font.width(text) for text in texts], float)
-    sizes = panel_sizes(widths, 1, view)
+    widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
+    sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
     half = sizes / 2
     room = np.maximum([view.width, view.height] - half, half)
     return np.clip(centres, half, room), sizes
@@ -80,7 +80,7 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     centres = np.concatenate([group.centres for group in groups])
     sizes = np.concatenate([group.sizes for group in groups])
     texts = [lines for group in groups for lines in group.texts]
-    rgba = [group.rgba for group in groups for _ in group.texts]
+    rgba = np.concatenate([np.broadcast_to(g.rgba, (len(g.texts), 4)) for g in groups])
     depth = _PANEL_DEPTH * view.near
     pixel = view.pixel_size(depth)
     first = pen.count

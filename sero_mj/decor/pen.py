@@ -26,6 +26,9 @@ class Kind(IntEnum):
     BILLBOARD = 2  # item: joint
     AXES = 3  # item: frame
     NAME = 4  # item: frame; the panel with its name
+    VECTOR = 5  # item: smart arrow
+    CARD = 6  # item: smart arrow; the panel with its numbers
+    CHECK = 7  # item: robot; the panel of its flange check
 
 
 class Pen:
@@ -35,9 +38,10 @@ class Pen:
         rows: all geoms as a structured array (`geoms.GEOM`); the first `count` are in use.
         count: how many are in use.
         kinds: what every geom belongs to (`Kind`).
-        items: which joint or frame that is.
+        items: which joint, frame, smart arrow or robot that is.
         left_out: how many found no room in this frame.
         grey: which geoms of the model are to be shown grey, (ngeom,) bool; None for none.
+        hidden: which geoms of the model are not to be shown, (ngeom,) bool; None for none.
     """
 
     def __init__(self, capacity: int = MAX_GEOMS) -> None:
@@ -52,6 +56,7 @@ class Pen:
         self.kinds = np.zeros(capacity, np.uint8)
         self.items = np.zeros(capacity, np.intp)
         self.grey: NDArray[np.bool_] | None = None
+        self.hidden: NDArray[np.bool_] | None = None
         self._labelled: list[slice] = []
         self.count = 0
         self.left_out = 0
@@ -76,7 +81,7 @@ class Pen:
             n: how many.
             geom: `mjtGeom`.
             kind: what they belong to.
-            items: which joint or frame, (n,).
+            items: which joint, frame, smart arrow or robot, (n,).
         """
         if self.count + n > len(self.rows):
             self.left_out += n
@@ -112,6 +117,8 @@ class Host:
             how many found no room.
         """
         scene = self._scene
+        if pen.hidden is not None:
+            self._hide(pen.hidden)
         start = scene.ngeom
         if pen.grey is not None:
             self._grey(pen.grey, start)
@@ -123,6 +130,21 @@ class Host:
                 set_geom(geom, row)
         scene.ngeom = start + count
         return int(pen.count - count)
+
+    def _hide(self, hidden: NDArray[np.bool_]) -> None:
+        """Takes geoms of the model out of the scene."""
+        scene = self._scene
+        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
+        if self._view is not None:
+            rows = self._view[: scene.ngeom]
+            of_model = (rows["objtype"] == kind) & (rows["objid"] >= 0)
+            kept = rows[~(of_model & hidden[np.where(of_model, rows["objid"], 0)])]
+            rows[: len(kept)] = kept
+            scene.ngeom = len(kept)
+            return
+        for geom in scene.geoms[: scene.ngeom]:
+            if geom.objtype == kind and geom.objid >= 0 and hidden[geom.objid]:
+                geom.rgba[3] = 0.0
 
     def _grey(self, grey: NDArray[np.bool_], count: int) -> None:
         """Greys the model's geoms among the first `count` of the scene."""

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.tables import ARROW_QUANTITIES, VALUE_INPUTS
+from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world import World
 from .singularity import towards_singularity
 
@@ -20,14 +20,14 @@ def joint_values(world: World, data: mujoco.MjData) -> dict[str, Array]:
     """All received values of all joints, and those that follow from them.
 
     Returns:
-        name to (N,): the `VALUE_INPUTS`, `joint_angles`, and `torque_error` (commanded -
-        measured); NaN where there is no data.
+        name to (N,): everything that can be received, `joint_angles`, and `torque_error`
+        (commanded - measured); NaN where there is no data.
     """
     joints, userdata = world.joints, data.userdata
-    values: dict[str, Array] = {"joint_angles": data.qpos[joints.qpos]}
-    for key in VALUE_INPUTS:
-        received = userdata[joints.slots[key]]
-        received[userdata[joints.has[key]] <= 0] = np.nan
+    values: dict[str, Array] = {"joint_angles": joints.angles(data)}
+    for key, slots in joints.slots.items():
+        received = userdata[slots]
+        received[(userdata[joints.has[key]] <= 0) | (slots < 0)] = np.nan
         values[key] = received
     values["torque_error"] = values["commanded_torques"] - values["torques"]
     return values
@@ -54,12 +54,10 @@ def arrow_values(
         at = quantity == code
         name = ARROW_QUANTITIES[code]
         if name == "singularity":
-            for part in world.robots.values():
+            for part in world.owners.values():
                 if at[part.joints].any():
                     shown[part.joints] = np.where(
-                        at[part.joints],
-                        towards_singularity(world.model, data, part),
-                        shown[part.joints],
+                        at[part.joints], towards_singularity(world, data, part), shown[part.joints]
                     )
             limit[at] = 1.0
             continue

@@ -15,26 +15,27 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.tables import RobotPart
+from ..assemble.parts import Owner
+from ..assemble.world import World
 
 Array = NDArray[np.float64]
 
 FAR = 0.15  # inverse condition number above which nothing is shown
 
 
-def towards_singularity(model: mujoco.MjModel, data: mujoco.MjData, part: RobotPart) -> Array:
+def towards_singularity(world: World, data: mujoco.MjData, part: Owner) -> Array:
     """How near a singularity is, and which way every joint leads to it.
 
     Args:
-        model: the compiled scene.
+        world: the compiled scene.
         data: its state, frames up to date.
-        part: the robot, n joints.
+        part: the robot or double, n joints.
 
     Returns:
         (n,), -1 to 1: the sign is the direction of motion that leads nearer; the largest
         magnitude is the nearness, 0 at `FAR` and above, 1 at the singularity.
     """
-    c, gradient = inverse_condition(jacobian(model, data, part))
+    c, gradient = inverse_condition(jacobian(world, data, part))
     nearness = np.clip(1.0 - c / FAR, 0.0, 1.0)
     largest = np.abs(gradient).max()
     if largest < 1e-12:
@@ -42,13 +43,22 @@ def towards_singularity(model: mujoco.MjModel, data: mujoco.MjData, part: RobotP
     return np.asarray(-gradient / largest * nearness)
 
 
-def jacobian(model: mujoco.MjModel, data: mujoco.MjData, part: RobotPart) -> Array:
-    """Geometric Jacobian (6, n) of the flange, lengths in units of the robot's reach."""
-    linear, angular = np.empty((3, model.nv)), np.empty((3, model.nv))
-    mujoco.mj_jacBody(model, data, linear, angular, part.flange_body)
+def jacobian(world: World, data: mujoco.MjData, part: Owner) -> Array:
+    """Geometric Jacobian (6, n) of the flange, lengths in units of the robot's reach.
+
+    It is made from the sites at the joints, for a double has no degrees of freedom in MuJoCo.
+    """
+    sites = world.joints.centre_site[part.joints]
+    rotation = data.site_xmat[sites].reshape(-1, 3, 3)
+    axis = rotation[:, :, 2]
+    # The site is moved from the axis by `offsets_to_center_of_joints`.
+    on_axis = data.site_xpos[sites] - np.einsum("nij,nj->ni", rotation, part.robot.offsets)
+    flange = world.frames.names.index(f"{part.declared.name}/flange")
+    lever = data.site_xpos[world.frames.site[flange]] - on_axis
     reach = float(np.abs(part.dh.a).sum() + np.abs(part.dh.d).sum()) or 1.0
-    dofs = part.dofs
-    return np.concatenate([linear[:, dofs] / reach, angular[:, dofs]])
+    turns = part.dh.revolute[:, None]
+    linear = np.where(turns, np.cross(axis, lever), axis) / reach
+    return np.concatenate([linear, np.where(turns, axis, 0.0)], axis=1).T
 
 
 def inverse_condition(J: Array) -> tuple[float, Array]:

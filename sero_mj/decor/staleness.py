@@ -1,4 +1,4 @@
-"""A robot whose source has gone quiet is never shown as live: it is grey and says since when."""
+"""What has no fresh data is never shown as live: it is grey, and a robot says since when."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.tables import SOURCE_FIELDS, RobotPart
+from ..assemble.inputs import SOURCE_FIELDS
+from ..assemble.parts import DoublePart
 from ..assemble.world import World
+from ..receive.source import QUIET_AFTER
 from .panels import Panels, labels_at
 from .pen import Pen
 from .view import View
@@ -17,68 +19,106 @@ from .view import View
 _AGE = SOURCE_FIELDS.index("age")
 _FAULT_AGE = SOURCE_FIELDS.index("fault_age")
 _RGBA = (0.12, 0.12, 0.13, 0.88)
+NO_DATA_YET = "no data yet"
 
 
 @dataclass(frozen=True, eq=False)
 class _Fed:
-    """A robot and where in userdata the ages of its sources are."""
+    """Something that is routed to.
 
-    part: RobotPart
+    Attributes:
+        name: of a robot, a double, a smart arrow or a received frame.
+        ages: where in userdata the ages of its sources are.
+        stale_after: s.
+        base: body beside whose origin its age is written; -1 for arrows and frames.
+        geoms: which geoms of the model are its own, (ngeom,).
+    """
+
+    name: str
     ages: NDArray[np.intp]
-    geoms: NDArray[np.bool_]
+    stale_after: float
+    base: int
+    geoms: NDArray[np.bool_] | None
 
 
 class Staleness:
-    """Finds robots without fresh data, greys them and labels them."""
+    """Finds what has no fresh data, greys it and labels it."""
 
     def __init__(self, world: World) -> None:
-        model = world.model
-        root = model.body_rootid[model.geom_bodyid]
-        self._robots: list[_Fed] = []
-        for name, part in world.robots.items():
-            sources = {
-                event.partition(".")[0]
-                for target, event in world.scene.routes.items()
-                if target.partition(".")[0] == name
-            }
-            ages = [world.slots[f"sources.{source}"].start + _AGE for source in sorted(sources)]
-            if ages:  # a robot that nothing is routed to stands as declared
-                self._robots.append(_Fed(part, np.array(ages, np.intp), root == part.bodies[0]))
+        scene = world.scene
+        self._fed: list[_Fed] = []
+        names = (*world.robots, *world.doubles, *scene.arrows, *scene.frames)
+        for name in names:
+            targets = [
+                item.target
+                for item in world.inputs.values()
+                if item.name == name and item.kind != "toggle" and item.target in scene.routes
+            ]
+            sources = scene.sources_of(*targets) if targets else set()
+            if not sources:  # what nothing is routed to stands as declared
+                continue
+            slots = [world.slots[f"sources.{source}"].start + _AGE for source in sorted(sources)]
+            self._fed.append(_fed(world, name, np.array(slots, np.intp)))
+        self._soonest = min((fed.stale_after for fed in self._fed), default=np.inf)
+        self._all = np.array(sorted({int(i) for fed in self._fed for i in fed.ages}), np.intp)
 
-    def panels(self, pen: Pen, data: mujoco.MjData, view: View) -> Panels | None:
-        """Greys stale robots and returns their labels, or None when all are fresh.
+    def find(self, data: mujoco.MjData) -> dict[str, str]:
+        """Names of what has no fresh data, and what to say about it."""
+        ages = data.userdata[self._all]
+        if not len(ages) or (ages.min() >= 0 and ages.max() <= self._soonest):
+            return {}
+        stale = {}
+        for fed in self._fed:
+            ages = data.userdata[fed.ages]
+            if (ages < 0).any():
+                stale[fed.name] = NO_DATA_YET
+            elif ages.max() > fed.stale_after:
+                faults = data.userdata[fed.ages + _FAULT_AGE - _AGE]
+                good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
+                stale[fed.name] = f"no {good}data for {_duration(float(ages.max()))}"
+        return stale
+
+    def panels(
+        self, pen: Pen, data: mujoco.MjData, view: View, stale: dict[str, str]
+    ) -> Panels | None:
+        """Greys stale robots and doubles and returns their labels, or None when all are fresh.
 
         Args:
             pen: gets the geoms to be grey.
             data: the world's state.
             view: of the picture.
+            stale: what `find` returned.
         """
         pen.grey = None
-        texts, anchors = [], []
-        for fed in self._robots:
-            ages = data.userdata[fed.ages]
-            name = fed.part.robot.name
-            if (ages < 0).any():
-                text = f"{name}: no data yet"
-            elif ages.max() > fed.part.robot.stale_after:
-                faults = data.userdata[fed.ages + _FAULT_AGE - _AGE]
-                good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
-                text = f"{name}: no {good}data for {_duration(float(ages.max()))}"
-            else:
-                continue
-            pen.grey = fed.geoms if pen.grey is None else pen.grey | fed.geoms
-            texts.append(text.encode("ascii", "replace")[:99])
-            anchors.append(data.xpos[fed.part.bodies[0]])
+        texts: dict[int, list[bytes]] = {}  # a robot's and its doubles' under each other
+        for fed in self._fed:
+            if fed.name in stale and fed.geoms is not None:
+                pen.grey = fed.geoms if pen.grey is None else pen.grey | fed.geoms
+                text = f"{fed.name}: {stale[fed.name]}".encode("ascii", "replace")[:99]
+                texts.setdefault(fed.base, []).append(text)
         if not texts:
             return None
-        centres, depth = view.project(np.array(anchors))
+        anchors, depth = view.project(data.xpos[list(texts)])
         inside = depth > view.near
         if not inside.any():
             return None
-        texts = [text for text, here in zip(texts, inside, strict=True) if here]
-        below = centres[inside] - [0.0, 2.0 * view.font.height]
-        centres, sizes = labels_at(view, below, texts)
-        return Panels(centres, sizes, [[text] for text in texts], _RGBA)
+        lines = [lines for lines, here in zip(texts.values(), inside, strict=True) if here]
+        below = anchors[inside] - [0.0, 2.0 * view.font.height]
+        centres, sizes = labels_at(view, below, lines)
+        return Panels(centres, sizes, lines, _RGBA)
+
+
+def _fed(world: World, name: str, ages: NDArray[np.intp]) -> _Fed:
+    model = world.model
+    if name in world.robots:
+        part = world.robots[name]
+        own = model.body_rootid[model.geom_bodyid] == part.bodies[0]
+        return _Fed(name, ages, part.robot.stale_after, int(part.bodies[0]), own)
+    if name in world.doubles:
+        double: DoublePart = world.doubles[name]
+        own = np.isin(model.geom_bodyid, double.bodies)
+        return _Fed(name, ages, double.robot.stale_after, int(double.of.bodies[0]), own)
+    return _Fed(name, ages, QUIET_AFTER, -1, None)
 
 
 def _duration(seconds: float) -> str:

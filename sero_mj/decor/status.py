@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..assemble.tables import SOURCE_FIELDS
+from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.world import World
 from .panels import Panels, panel_sizes
 from .toggles import Toggles
@@ -29,7 +29,9 @@ def _complaints(name: str, state: Any) -> list[str]:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
             lines.append(f"  {state.last_size:.0f} bytes, expected {state.size:.0f}")
-        if state.malformed > state.wrong_size:
+        if state.not_frames:
+            lines.append("  a matrix that is no frame")
+        if state.malformed > state.wrong_size + state.not_frames:
             lines.append("  NaN or infinity")
     return lines
 
@@ -41,7 +43,7 @@ class Status:
         self._slots = [
             (name, world.slots[f"sources.{name}"])
             for name in world.scene.sources
-            if any(event.partition(".")[0] == name for event in world.scene.routes.values())
+            if name in world.scene.sources_of()
         ]
 
     def panels(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Panels | None:

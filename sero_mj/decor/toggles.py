@@ -2,16 +2,45 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.inputs import SCENE, Input
+from ..assemble.parts import DoublePart
+from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world import World
 
 Bools = NDArray[np.bool_]
 
 
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What there is to be drawn in one frame: what is switched on and is anywhere.
+
+    Attributes:
+        arrows: for every joint of the world, (N,).
+        billboards: likewise, those with an arrow's precise numbers included.
+        axes: for every frame, (M,).
+        frame_names: likewise.
+        vectors: for every smart arrow, (K,).
+        cards: likewise, whether its numbers are shown.
+    """
+
+    arrows: Bools
+    billboards: Bools
+    axes: Bools
+    frame_names: Bools
+    vectors: Bools
+    cards: Bools
+
+
 class Toggles:
-    """Which features are shown; a scene declares them, a user changes them.
+    """Which features are shown; a scene declares them, a user or a packet changes them.
 
     Attributes:
         arrows: for every joint of the world, (N,).
@@ -20,23 +49,129 @@ class Toggles:
         details: whether a joint's billboard has the precise numbers of its arrow, (N,).
         frame_names: whether a frame's name is shown, (M,).
         axes: for every frame of the world, (M,).
+        vectors: for every smart arrow, (K,).
+        cards: whether a smart arrow's numbers are shown, (K,).
+        doubles: for every double, paths included, whether it is shown, (D,).
         legend: whether it is written what arrows show.
         status: whether faults of the sources are written into the picture.
+        flange_checks: whether received flange frames are compared with the robots' own.
+        hover: what is written beside the pointer, and where that is (pixels); None for nothing.
     """
 
     def __init__(self, world: World) -> None:
-        robots = [part.robot for part in world.robots.values()]
+        self._world = world
+        self.hover: tuple[str, tuple[float, float]] | None = None
+        self._last = np.full(0, np.nan)
+        doubles = list(world.doubles)
+        owners = [
+            doubles.index(name) if isinstance(part, DoublePart) else -1
+            for name, part in world.owners.items()
+        ]
+        of_owner = np.array([*owners, -1], np.intp)  # the last is for frames of nobody
+        self._double_of_joint = of_owner[world.joints.owner]
+        self._double_of_frame = of_owner[world.frames.owner]
+        switches = [item for item in world.inputs.values() if item.kind == "toggle"]
+        self._switches = switches
+        self._switch_slots = np.array([world.slots[s.target].start for s in switches], np.intp)
+        self._switch_flags = np.array([world.flags[s.target] for s in switches], np.intp)
+        self.reset()
+
+    def reset(self) -> None:
+        """Shows what the scene declares."""
+        world, scene = self._world, self._world.scene
+        declared = [part.declared for part in world.owners.values()]
 
         def per_joint(field: str) -> Bools:
-            shown = np.array([getattr(robot, field) for robot in robots], bool)
-            return shown[world.joints.robot] if len(robots) else np.zeros(0, bool)
+            shown = np.array([getattr(owner, field) for owner in declared], bool)
+            return shown[world.joints.owner] if declared else np.zeros(0, bool)
 
         self.arrows = per_joint("show_arrows")
         self.arrow_quantity = world.joints.arrow_quantity.copy()
         self.billboards = per_joint("show_billboards")
         self.details = np.zeros(len(self.arrows), bool)
-        self.frame_names = np.zeros(len(world.frames.names), bool)
-        shown = np.array([*(robot.show_axes for robot in robots), True])  # -1: always shown
-        self.axes = shown[world.frames.robot]
-        self.legend = True
-        self.status = True
+        with_owner = np.array([*(owner.show_axes for owner in declared), False], bool)
+        owner = world.frames.owner
+        self.axes = np.where(owner < 0, world.frames.shown, with_owner[owner])
+        self.frame_names = np.full(len(self.axes), scene.toggles.frame_names)
+        self.vectors = np.array([arrow.show for arrow in scene.arrows.values()], bool)
+        self.cards = np.zeros(len(self.vectors), bool)
+        self.doubles = np.array([part.double.visible for part in world.doubles.values()], bool)
+        self.legend = scene.toggles.legend
+        self.status = scene.toggles.status
+        self.flange_checks = scene.toggles.flange_checks
+        self._last = np.full(len(self._switches), np.nan)  # what is routed holds on
+
+    def snapshot(self) -> dict[str, Any]:
+        """Returns what is shown now, for `restore`."""
+        state = {key: value for key, value in vars(self).items() if not key.startswith("_")}
+        return copy.deepcopy(state)
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Shows again what was shown when the snapshot was taken."""
+        vars(self).update(copy.deepcopy(snapshot))
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """Switches what packets switch.
+
+        A switch acts when its value changes, so that a user may still click in between. Above
+        0.5 is on; NaN leaves it as it is.
+        """
+        userdata = data.userdata
+        if not userdata[self._switch_flags].any():
+            return
+        values = np.where(userdata[self._switch_flags] > 0, userdata[self._switch_slots], np.nan)
+        changed = (values != self._last) & np.isfinite(values)
+        for i in changed.nonzero()[0]:
+            self._switch(self._switches[i], float(values[i]))
+            self._last[i] = values[i]
+
+    def _switch(self, item: Input, value: float) -> None:
+        world, on = self._world, value > 0.5
+        if item.name == SCENE:
+            if item.key == "frame_names":
+                self.frame_names[:] = on
+            else:
+                setattr(self, item.key, on)
+        elif item.key == "visible":
+            self.doubles[list(world.doubles).index(item.name)] = on
+        elif item.key == "show":
+            self.vectors[world.arrows.names.index(item.name)] = on
+        elif item.name not in world.owners:
+            self.axes[world.frames.names.index(item.name)] = on
+        elif item.key == "show_axes":
+            self.axes[world.frames.owner == list(world.owners).index(item.name)] = on
+        elif item.key == "arrow_quantity":
+            if 0 <= round(value) < len(ARROW_QUANTITIES):
+                self.arrow_quantity[world.owners[item.name].joints] = round(value)
+        else:
+            feature = {"show_arrows": self.arrows, "show_billboards": self.billboards}[item.key]
+            feature[world.owners[item.name].joints] = on
+
+    def shown(self, data: mujoco.MjData) -> Shown:
+        """What there is to be drawn: doubles without data and frames not received are nowhere."""
+        has = data.userdata[self._world.frames.has] > 0
+        frames = has | (self._world.frames.has < 0)
+        joints = np.ones(len(self.arrows), bool)
+        if len(self.doubles):
+            visible = np.array([*self.doubles, True])
+            frames &= visible[self._double_of_frame]
+            came = data.userdata[self._world.joints.has["joint_angles"]] > 0
+            joints = (came & visible[self._double_of_joint]) | (self._double_of_joint < 0)
+        return Shown(
+            arrows=self.arrows & joints,
+            billboards=(self.billboards | self.details) & joints,
+            axes=self.axes & frames,
+            frame_names=self.frame_names & frames,
+            vectors=self.vectors,
+            cards=self.cards & self.vectors,
+        )
+
+    def hidden_geoms(self) -> Bools | None:
+        """Which geoms of the model are those of doubles that are switched off; None for none."""
+        if self.doubles.all():
+            return None
+        hidden = np.zeros(self._world.model.ngeom, bool)
+        for part, on in zip(self._world.doubles.values(), self.doubles, strict=True):
+            if not on:
+                hidden |= np.isin(self._world.model.geom_bodyid, part.bodies)
+        return hidden

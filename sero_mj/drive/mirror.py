@@ -17,9 +17,10 @@ from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
 from ..receive.source import age
-from .doubles import pose_doubles
 from .follow import follow
-from .route import Route, Router, wire
+from .place import Placer
+from .route import Route, wire
+from .router import Router
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -54,7 +55,7 @@ class Mirror:
     Attributes:
         world: the compiled scene.
         data: its state.
-        routes: the routes in force.
+        routes: the routes from sources in force.
         sources: those that a route leads from.
 
     Raises:
@@ -73,6 +74,7 @@ class Mirror:
         self._routers = {
             name: Router(self.world, [r for r in self.routes if r.source == name]) for name in used
         }
+        self._placer = Placer(self.world, wiring)
         self._applied: dict[str, int] = {}
         self._started = time.monotonic()
 
@@ -150,9 +152,9 @@ class Mirror:
                 counters.last_size,
                 source.size,
                 clock - counters.last_fault_time if counters.malformed else -1.0,
+                counters.not_frames,
             )
-        pose_doubles(self.world, data)
-        follow(self.world.model, data)
+        self._placer.place(data)
         return fresh
 
     def state(self) -> NDArray[np.float64]:

@@ -1,41 +1,60 @@
-"""Routes: which event of which source goes to which input of which robot."""
+"""Routes: which event of which source, or which frame, goes to which input of which robot.
+
+route  = target "=" origin
+target = name "." input                   lwr.joint_angles, contact.vector, toggles.legend
+origin = ["not"] source "." event         udp.values0; `not` turns a switch round
+| frame                            lwr/flange: its pose in the world
+| robot ".fwd_kin_base_to_flange"  likewise in the robot's base
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from graphlib import CycleError, TopologicalSorter
 
-import mujoco
-
+from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
+from ..assemble.named_frames import WORLD
 from ..assemble.scene import Scene
-from ..assemble.tables import DOUBLE_INPUTS, INPUTS
-from ..assemble.world import World
-from ..errors import DeclarationError, Problem, did_you_mean
+from ..errors import DeclarationError, Problem, did_you_mean, nearest
 from ..receive.kinds import make_source
-from ..receive.source import Packet, Source
+from ..receive.source import Source
+
+FWD_KIN = "fwd_kin_base_to_flange"
+_NOT = "not "
 
 
 @dataclass(frozen=True)
 class Route:
-    """One checked route.
+    """One checked route from a source.
 
     Attributes:
-        robot: the target's robot or double.
-        key: its input, one of `INPUTS`.
+        to: the input it leads to.
         source: the source's name.
         event: the source's event.
+        negated: whether a switch is turned round.
     """
 
-    robot: str
-    key: str
+    to: Input
     source: str
     event: str
+    negated: bool = False
 
-    @property
-    def target(self) -> str:
-        """`robot.input`."""
-        return f"{self.robot}.{self.key}"
+
+@dataclass(frozen=True)
+class FrameRoute:
+    """One checked route from a frame.
+
+    Attributes:
+        to: the input it leads to.
+        frame: name of the frame, or of the robot whose `fwd_kin_base_to_flange` it is.
+        is_fwd_kin: which of the two.
+    """
+
+    to: Input
+    frame: str
+    is_fwd_kin: bool = False
 
 
 @dataclass
@@ -44,12 +63,16 @@ class Wiring:
 
     Attributes:
         sources: by name, not yet opened.
-        routes: those that are right.
+        routes: those from sources that are right.
+        frame_routes: those from frames that are right.
+        levels: names of what frames place, each after what it depends on.
         problems: what is wrong with the others.
     """
 
     sources: dict[str, Source] = field(default_factory=dict)
     routes: list[Route] = field(default_factory=list)
+    frame_routes: list[FrameRoute] = field(default_factory=list)
+    levels: list[list[str]] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
 
@@ -66,14 +89,20 @@ def wire(scene: Scene) -> Wiring:
         except DeclarationError as error:
             wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
     wiring.problems += _shared_places(wiring.sources)
-    for target, event in scene.routes.items():
+    inputs = list_inputs(scene)
+    for target, origin in scene.routes.items():
         try:
-            route = _route(scene, wiring.sources, target, event)
+            item = _input(scene, inputs, target)
+            route = _route(scene, wiring.sources, item, target, origin)
         except DeclarationError as error:
             wiring.problems += [p.inside(f"routes.{target}") for p in error.problems]
-        else:
-            if route is not None:
-                wiring.routes.append(route)
+            continue
+        if isinstance(route, Route):
+            wiring.routes.append(route)
+        elif route is not None:
+            wiring.frame_routes.append(route)
+    _allow_blanks(wiring)
+    wiring.levels = _levels(scene, wiring)
     return wiring
 
 
@@ -92,56 +121,157 @@ def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
     return problems
 
 
-def _route(scene: Scene, sources: Mapping[str, Source], target: str, event: str) -> Route | None:
-    problems: list[Problem] = []
-    robot, _, key = target.partition(".")
-    is_double = robot in scene.doubles
-    inputs = DOUBLE_INPUTS if is_double else INPUTS
-    if not is_double and not scene.declares("robots", robot):
-        near = did_you_mean(robot, [*scene.declared("robots"), *scene.doubles])
-        problems.append(Problem("", f"no robot '{robot}'{near}"))
-    elif key not in inputs:
-        problems.append(Problem("", f"no input '{key}' of {robot}{did_you_mean(key, inputs)}"))
-    elif is_double and scene.doubles[robot].path is not None:
-        problems.append(Problem("", f"'{robot}' shows a path; nothing can be routed to it"))
-    source, _, name = event.partition(".")
+def _input(scene: Scene, inputs: Mapping[str, Input], target: str) -> Input | Problem | None:
+    """The input that a route leads to, what is wrong with it, or None where that is known."""
+    if target in inputs:
+        return inputs[target]
+    name, _, key = target.partition(".")
+    keys = [item.key for item in inputs.values() if item.name == name]
+    if scene.is_broken(name):
+        near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
+        mistyped = near is not None and f"robots.{name}" in scene.broken and key not in ROBOT_INPUTS
+        return (
+            Problem("", f"no input '{key}' of {name}; did you mean '{near}'?") if mistyped else None
+        )
+    double = scene.doubles.get(name)
+    if double is not None and double.path is not None and key != "visible":
+        return Problem("", f"'{name}' shows a path; nothing can be routed to it")
+    if keys and (double is None or double.of in scene.robots):
+        return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
+    if double is not None:
+        return None
+    names = [item.name for item in inputs.values() if item.name != SCENE]
+    near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
+    return Problem("", f"no robot '{name}'{near}")
+
+
+def _route(
+    scene: Scene,
+    sources: Mapping[str, Source],
+    item: Input | Problem | None,
+    target: str,
+    origin: str,
+) -> Route | FrameRoute | None:
+    problems = [item] if isinstance(item, Problem) else []
+    negated = origin.startswith(_NOT)
+    text = origin.removeprefix(_NOT).strip()
+    if isinstance(item, Input) and negated and item.kind != "toggle":
+        problems.append(Problem("", f"'not' is for switches; {target} takes {item.meaning}"))
+    name, _, key = text.partition(".")
+    if "/" in text or text in scene.frames or text in scene.named_frames():
+        route: FrameRoute | None = _frame_route(scene, problems, item, target, text)
+    elif name in scene.robots and name not in scene.sources:
+        if key != FWD_KIN:
+            message = f"no output '{key}' of {name}{did_you_mean(key, [FWD_KIN])}"
+            problems.append(Problem("", f"{message}; its frames are {name}/flange and so on"))
+        route = _checked(problems, item, target, text, name, True)
+    else:
+        return _source_route(scene, sources, problems, item, (text, negated))
+    if problems:
+        raise DeclarationError(problems)
+    return route
+
+
+def _frame_route(
+    scene: Scene, problems: list[Problem], item: Input | Problem | None, target: str, text: str
+) -> FrameRoute | None:
+    frames = scene.named_frames()
+    if text not in frames:
+        if scene.is_broken(text.partition("/")[0]):
+            return None
+        problems.append(Problem("", f"no frame '{text}'{did_you_mean(text, frames)}"))
+        return None
+    received = scene.frames.get(item.name) if isinstance(item, Input) else None
+    if received is not None and received.relative_to != WORLD:
+        message = f"{text} is a pose in the world; set relative_to of {received.name} to 'world'"
+        problems.append(Problem("", message))
+    return _checked(problems, item, target, text, text, False)
+
+
+def _checked(
+    problems: list[Problem],
+    item: Input | Problem | None,
+    target: str,
+    text: str,
+    name: str,
+    is_fwd_kin: bool,
+) -> FrameRoute | None:
+    if not isinstance(item, Input):
+        return None
+    if item.shape != (4, 4):
+        problems.append(Problem("", f"{text} is a 4 x 4 frame; {target} takes {item.meaning}"))
+    return FrameRoute(item, name, is_fwd_kin)
+
+
+def _source_route(
+    scene: Scene,
+    sources: Mapping[str, Source],
+    problems: list[Problem],
+    item: Input | Problem | None,
+    origin: tuple[str, bool],
+) -> Route | None:
+    text, negated = origin
+    source, _, event = text.partition(".")
     if not scene.declares("sources", source):
         near = did_you_mean(source, scene.declared("sources"))
         problems.append(Problem("", f"no source '{source}'{near}"))
-    elif source in sources and name not in sources[source].events:
+    elif source in sources and event not in sources[source].events:
         events = sources[source].events
-        problems.append(Problem("", f"no event '{name}' of {source}{did_you_mean(name, events)}"))
+        problems.append(Problem("", f"no event '{event}' of {source}{did_you_mean(event, events)}"))
     if problems:
         raise DeclarationError(problems)
-    owner = scene.doubles[robot].of if is_double else robot
-    if source not in sources or owner not in scene.robots:
+    if source not in sources or not isinstance(item, Input):
         return None  # its own declaration is wrong and already reported
-    found, wanted = sources[source].events[name], scene.robots[owner].n
-    if found != wanted:
-        message = f"{event} has {found} values; {target} takes {wanted}, one per joint"
+    shape = sources[source].events[event]
+    count = math.prod(shape)
+    if item.shape == (4, 4) and shape != (1, 4, 4):
+        found = f"has {count} values" if len(shape) == 1 else f"is {' x '.join(map(str, shape))}"
+        message = f"{text} {found}; {item.target} takes {item.meaning}: 1M in the structure"
         raise DeclarationError([Problem("", message)])
-    return Route(robot, key, source, name)
+    if count != item.count:
+        message = f"{text} has {count} values; {item.target} takes {item.meaning}"
+        raise DeclarationError([Problem("", message)])
+    return Route(item, source, event, negated)
 
 
-class Router:
-    """Applies packets of one source to a world's data."""
+def _allow_blanks(wiring: Wiring) -> None:
+    """Lets NaN through where it blanks one number and moves nothing."""
+    for name, source in wiring.sources.items():
+        kinds: dict[str, set[str]] = {}
+        for route in wiring.routes:
+            if route.source == name:
+                kinds.setdefault(route.event, set()).add(route.to.kind)
+        source.allow_nan([event for event, led in kinds.items() if led <= set(BLANKABLE)])
 
-    def __init__(self, world: World, routes: list[Route]) -> None:
-        self._to_qpos: list[tuple[str, Any]] = []
-        self._to_userdata: list[tuple[str, slice]] = []
-        self._flags: list[int] = []
-        for route in routes:
-            if route.key == "joint_angles" and route.robot in world.robots:
-                self._to_qpos.append((route.event, world.robots[route.robot].qpos))
-            else:
-                self._to_userdata.append((route.event, world.slots[route.target]))
-            self._flags.append(world.slots[f"{route.robot}.has"].start + INPUTS.index(route.key))
 
-    def apply(self, packet: Packet, data: mujoco.MjData) -> None:
-        """Writes the packet's values where the routes lead; frames move with `follow`."""
-        qpos, userdata = data.qpos, data.userdata
-        for event, index in self._to_qpos:
-            qpos[index] = packet.values[event]
-        for event, slot in self._to_userdata:
-            userdata[slot] = packet.values[event]
-        userdata[self._flags] = 1.0
+def _levels(scene: Scene, wiring: Wiring) -> list[list[str]]:
+    """What frames place, in an order in which everything is placed after what it follows."""
+    frames = scene.named_frames()
+    after: dict[str, set[str]] = {
+        name: {double.of} for name, double in scene.doubles.items() if name not in scene.robots
+    }
+    placed = set()
+    for route in wiring.frame_routes:
+        mover = route.frame if route.is_fwd_kin else frames[route.frame].moves_with
+        if route.to.key != "flange_check":  # it moves nothing
+            after.setdefault(route.to.name, set()).add(mover)
+            placed.add(route.to.name)
+    for name, received in scene.frames.items():
+        if received.relative_to in frames:
+            after.setdefault(name, set()).add(frames[received.relative_to].moves_with)
+            placed.add(name)
+    sorter = TopologicalSorter(after)
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        circle = " -> ".join(reversed(error.args[1]))
+        wiring.problems.append(Problem("routes", f"frames that follow each other: {circle}"))
+        return []
+    levels = []
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        sorter.done(*ready)
+        level = [name for name in ready if name in placed]
+        if level:
+            levels.append(level)
+    return levels

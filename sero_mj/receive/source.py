@@ -7,7 +7,7 @@ never handed on.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,7 +24,8 @@ class Packet:
     """One good packet.
 
     Attributes:
-        values: event name to values, float64, finite.
+        values: event name to its array, float64, in the source's shapes. Finite, but for the
+            events in which NaN is allowed; matrices are rigid frames.
         arrival: when it arrived, on the clock of `time.monotonic`, s.
         number: 1 for the first good packet of the source.
     """
@@ -41,7 +42,9 @@ class Counters:
     Attributes:
         received: packets of any kind.
         wrong_size: malformed ones: not as long as the structure says.
-        not_finite: malformed ones: with NaN or infinity.
+        not_finite: malformed ones: with NaN or infinity where these are not allowed.
+        not_frames: malformed ones: with a matrix that is not a rigid frame.
+        blanked: good ones with NaN or infinity where these are allowed.
         superseded: good ones that a later packet replaced before they were used, as intended
             when a robot sends faster than pictures are made.
         dropped: packets that the kernel threw away because its buffer was full.
@@ -53,6 +56,8 @@ class Counters:
     received: int = 0
     wrong_size: int = 0
     not_finite: int = 0
+    not_frames: int = 0
+    blanked: int = 0
     superseded: int = 0
     dropped: int = 0
     last_fault: str = ""
@@ -62,7 +67,7 @@ class Counters:
     @property
     def malformed(self) -> int:
         """Packets that were counted and not applied."""
-        return self.wrong_size + self.not_finite
+        return self.wrong_size + self.not_finite + self.not_frames
 
 
 class Source(Protocol):
@@ -77,12 +82,19 @@ class Source(Protocol):
         """The source's name in routes."""
 
     @property
-    def events(self) -> Mapping[str, int]:
-        """Event name to its number of values."""
+    def events(self) -> Mapping[str, tuple[int, ...]]:
+        """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
 
     @property
     def size(self) -> int:
         """Bytes of a packet."""
+
+    def allow_nan(self, events: Collection[str]) -> None:
+        """Lets NaN and infinity mean `no data` in these events, and in no others.
+
+        There they are handed on as NaN, a matrix as a whole, and the rest of the packet is applied;
+        anywhere else they make it malformed. Raises UnknownName.
+        """
 
     def open(self) -> None:
         """Starts receiving; raises SourceError."""

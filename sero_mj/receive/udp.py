@@ -9,15 +9,14 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
-from typing import Any
 
-import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from ..assemble.declaration import Declaration
-from ..errors import SourceError, StructureError
+from ..errors import SourceError, StructureError, UnknownName
+from .checks import blank_not_finite, find_not_finite, find_not_frame
 from .source import Counters, Packet
 from .structure import Structure
 
@@ -30,22 +29,25 @@ class UdpReceiver(Declaration):
 
     Attributes:
         name: the source's name in routes.
-        structure: what the packets look like, e.g. `7F7F`; see `structure`.
+        structure: what the packets look like, e.g. `7F1M`; see `structure`.
         udpport: port to listen on (`port` in files); 0 lets the system choose.
         host: address to listen on. Loopback by default; `0.0.0.0` for every interface.
         is_double: numbers are float64, else float32 (`double` in files).
+        column_major: matrices come column by column, else row by row.
         buffer_size: bytes of the kernel's receive buffer; 0 leaves the system's default.
         counters: what came in since it was opened.
     """
 
     name: str = "udp"
     is_double: bool = Field(True, alias="double")  # before structure, whose size it decides
+    column_major: bool = True
     structure: str
     udpport: int = Field(0, alias="port", ge=0, le=65535)
     host: str = "127.0.0.1"
     buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
     _counters: Counters = PrivateAttr(default_factory=Counters)
+    _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
     _latest: Packet | None = PrivateAttr(None)
     _taken: int = PrivateAttr(0)
     _first: threading.Event = PrivateAttr(default_factory=threading.Event)
@@ -78,7 +80,7 @@ class UdpReceiver(Declaration):
     @cached_property
     def layout(self) -> Structure:
         """The decoder."""
-        return Structure(self.structure, is_double=self.is_double)
+        return Structure(self.structure, is_double=self.is_double, column_major=self.column_major)
 
     @property
     def counters(self) -> Counters:
@@ -86,8 +88,8 @@ class UdpReceiver(Declaration):
         return self._counters
 
     @property
-    def events(self) -> Mapping[str, int]:
-        """Event name to its number of values."""
+    def events(self) -> Mapping[str, tuple[int, ...]]:
+        """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
         return self.layout.events
 
     @property
@@ -99,6 +101,20 @@ class UdpReceiver(Declaration):
     def port(self) -> int:
         """The port it listens on; the one the system chose when `udpport` is 0."""
         return int(self._socket.getsockname()[1]) if self._socket else self.udpport
+
+    def allow_nan(self, events: Collection[str]) -> None:
+        """Lets NaN and infinity mean `no data` in these events, and in no others.
+
+        There they are handed on as NaN, a matrix as a whole, and the rest of the packet is applied
+        (counted as `blanked`); anywhere else they make it malformed. From the next packet on.
+
+        Raises:
+            UnknownName: an event that the structure does not have.
+        """
+        for event in events:
+            if event not in self.events:
+                raise UnknownName("event", event, self.events)
+        self._nan_allowed = frozenset(events)
 
     def open(self) -> None:
         """Binds the socket and starts the thread.
@@ -204,26 +220,22 @@ class UdpReceiver(Declaration):
                 more = " or more" if flags & socket.MSG_TRUNC else ""
                 counters.last_fault = f"{length} bytes{more}; expected {size}"
                 continue
-            values = self.layout.decode(bytes(memoryview(scratch)[:size]))
-            fault = _not_finite(values)
-            if fault:
+            layout, nan_allowed = self.layout, self._nan_allowed
+            values = layout.decode(bytes(memoryview(scratch)[:size]))
+            blanked = blank_not_finite(values, nan_allowed)
+            if fault := find_not_finite(values, but=nan_allowed):
                 counters.not_finite += 1
+            elif layout.matrices:
+                fault = find_not_frame(values, layout.matrices, column_major=layout.column_major)
+                counters.not_frames += bool(fault)
+            if fault:
                 counters.last_fault_time = arrival
                 counters.last_fault = fault
                 continue
+            counters.blanked += blanked
             number += 1
             self._latest = Packet(values, arrival, number)
             self._first.set()
-
-
-def _not_finite(values: Mapping[str, Any]) -> str:
-    """Says where the first NaN or infinity stands; empty when there is none."""
-    for event, array in values.items():
-        good = np.isfinite(array)
-        if not good.all():
-            index = int(np.flatnonzero(~good)[0])
-            return f"{event}[{index}] is {array[index]}"
-    return ""
 
 
 def _dropped_by_kernel(ancillary: list[tuple[int, int, bytes]], before: int) -> int:

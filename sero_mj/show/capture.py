@@ -23,13 +23,14 @@ from ..drive.mirror import Mirror, restore
 from ..errors import RenderError
 from .film import FilmWriter, check_writable, save_picture
 from .headless import DEFAULT_SIZE, HeadlessRenderer
+from .picking import FINGER
 
 log = logging.getLogger(__name__)
 
 MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is a slip of the finger
 State = NDArray[np.float64]
-# Pixel from the upper left corner, and whether Shift is held.
-Click = tuple[float, float, bool]
+# Pixel from the upper left corner; `click`, `shift`, `double`, or `hover`; finger or mouse.
+Click = tuple[float, float, str, bool]
 OnProgress = Callable[[int, int], None]
 
 
@@ -127,10 +128,14 @@ def render_film(
 
 
 def _click(renderer: HeadlessRenderer, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
-    for x, y, all_joints in clicks:
-        picked = renderer.click(data, x, y, all_joints=all_joints)
+    for x, y, gesture, finger in clicks:
+        if gesture == "hover":
+            picked = renderer.hover(data, x, y)
+        else:
+            tolerance = FINGER if finger else 0.0
+            picked = renderer.click(data, x, y, gesture, tolerance)  # type: ignore[arg-type]
         what = "nothing there" if picked is None else f"{picked.kind} {picked.name}"
-        log.info("click at %g,%g: %s", x, y, what)
+        log.info("%s at %g,%g: %s", gesture, x, y, what)
 
 
 def _states(mirror: Mirror, count: int, fps: float) -> Iterator[State]:

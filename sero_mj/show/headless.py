@@ -18,7 +18,8 @@ from ..decor.toggles import Toggles
 from ..decor.view import View
 from ..errors import RenderError
 from .camera import find_camera
-from .interaction import Picked, click, pick
+from .interaction import Gesture, click, hover
+from .picking import Picked, pick
 
 log = logging.getLogger(__name__)
 
@@ -100,19 +101,40 @@ class HeadlessRenderer:
             data: the world's state, with frames up to date.
             x: to the right, 0 to width.
             y: down, 0 to height.
-            tolerance: see `interaction.pick`.
+            tolerance: see `picking.pick`.
         """
         view, pen = self._lay_out(data)
-        # A pixel's middle is half a pixel from its corner.
-        pixel = (x + 0.5, view.height - y - 0.5)
-        return pick(self.world, data, pen, view, pixel, tolerance)
+        return pick(self.world, data, pen, view, _from_below(view, x, y), tolerance)
 
     def click(
-        self, data: mujoco.MjData, x: float, y: float, *, all_joints: bool = False
+        self,
+        data: mujoco.MjData,
+        x: float,
+        y: float,
+        gesture: Gesture = "click",
+        tolerance: float = 0.0,
     ) -> Picked | None:
-        """Clicks on a pixel, counted from the upper left corner, and returns what was hit."""
+        """Clicks on a pixel, counted from the upper left corner, and returns what was hit.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, 0 to width.
+            y: down, 0 to height.
+            gesture: a click, one with Shift held, or a double click.
+            tolerance: see `picking.pick`.
+        """
+        picked = self.pick(data, x, y, tolerance)
+        click(self.world, self.toggles, picked, gesture)
+        return picked
+
+    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
+        """Holds the pointer over a pixel, counted from the upper left corner.
+
+        The name of what is there is written beside it in the frames that follow.
+        """
         picked = self.pick(data, x, y)
-        click(self.world, self.toggles, picked, all_joints=all_joints)
+        assert self.view is not None  # pick has laid it out
+        hover(self.toggles, picked, _from_below(self.view, x, y))
         return picked
 
     def close(self) -> None:
@@ -124,6 +146,11 @@ class HeadlessRenderer:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+def _from_below(view: View, x: float, y: float) -> tuple[float, float]:
+    """The middle of a pixel, y up, from one that is counted from the upper left corner."""
+    return x + 0.5, view.height - y - 0.5
 
 
 def _make_renderer(world: World, width: int, height: int) -> Any:

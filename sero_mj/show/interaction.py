@@ -1,180 +1,214 @@
-"""What is at a pixel, and what a click on it does: the same in every host.
+"""What a click, a double click, a click with Shift or a key does: one table for every host.
 
-Robots and objects are found by `mj_ray`, decor by its own boxes; the nearest to the eye wins.
+A host finds what is at a pixel with `picking.pick` and passes on what its user did.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
-import mujoco
-import numpy as np
-from numpy.typing import NDArray
-
-from ..assemble.tables import ARROW_QUANTITIES
+from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world import World
-from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
 from ..decor.toggles import Toggles
-from ..decor.view import View
+from .picking import Picked
 
-Array = NDArray[np.float64]
+Gesture = Literal["click", "shift", "double"]
+GESTURES: tuple[Gesture, ...] = ("click", "shift", "double")
+Action = Callable[[World, Toggles, Picked], None]
 
-_ARROW_HEAD = 1.75  # the head of an arrow geom over its shaft, in MuJoCo's renderers
-_KINDS = {Kind.ARROW: "arrow", Kind.BILLBOARD: "billboard", Kind.AXES: "axes", Kind.NAME: "name"}
-
-
-@dataclass(frozen=True)
-class Picked:
-    """What is at a pixel.
-
-    Attributes:
-        kind: what sort of thing it is.
-        name: e.g. `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
-        robot: the robot it belongs to; empty for an object.
-        index: joint of the world for links, arrows and billboards, frame for axes and names;
-            -1 for an object or a double.
-        distance: from the eye, m.
-    """
-
-    kind: Literal["link", "double", "object", "arrow", "billboard", "axes", "name"]
-    name: str
-    robot: str
-    index: int
-    distance: float
+DOUBLE_CLICK_TIME = 0.35  # s between the two presses
+_DOUBLE_CLICK_PIXELS = 8.0  # between the two presses
 
 
-def pick(
-    world: World,
-    data: mujoco.MjData,
-    pen: Pen,
-    view: View,
-    pixel: tuple[float, float],
-    tolerance: float = 0.0,
-) -> Picked | None:
-    """Returns what is seen at a pixel, or None for the sky and the floor.
-
-    Args:
-        world: the compiled scene.
-        data: its state, frames up to date.
-        pen: the decor of the frame that the user sees.
-        view: of that frame.
-        pixel: x to the right and y up from the lower left corner of the picture.
-        tolerance: decor is this many pixels larger on every side; for fingers about 12.
-    """
-    origin = view.position
-    direction = view.at(np.array(pixel, float), 1.0) - origin
-    direction = direction / np.linalg.norm(direction)
-    decor = _pick_decor(world, pen, view, origin, direction, tolerance)
-    solid = _pick_solid(world, data, origin, direction)
-    if decor is None or solid is None:
-        return decor or solid
-    return decor if decor.distance <= solid.distance else solid
+def _joints(world: World, picked: Picked) -> slice:
+    """All joints of what was clicked on."""
+    return world.owners[picked.owner].joints
 
 
-def _pick_decor(
-    world: World, pen: Pen, view: View, origin: Array, direction: Array, tolerance: float
-) -> Picked | None:
-    rows = pen.rows[: pen.count]
-    box, arrow = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ARROW)
-    of_something = pen.kinds[: pen.count] != Kind.NONE
-    index = (of_something & ((rows["type"] == box) | (rows["type"] == arrow))).nonzero()[0]
-    if not len(index):
-        return None
-    rows = rows[index]
-    centre, half = rows["pos"].astype(float), rows["size"].astype(float)
-    mat = rows["mat"].astype(float)
-    straight = rows["type"] == arrow  # from its position along z; a box about it is near enough
-    half[straight, :2] *= _ARROW_HEAD
-    half[straight, 2] /= 2 * ARROW_SIZE_OF_LENGTH
-    centre[straight] += mat[straight, :, 2] * half[straight, 2:]
-    depth = np.maximum((centre - origin) @ view.forward, view.near)
-    half += (tolerance * view.pixel_size(1.0) * depth)[:, None]
-    distance = _ray_boxes(origin, direction, centre, mat, half)
-    nearest = int(np.argmin(distance))
-    if not np.isfinite(distance[nearest]):
-        return None
-    kind = Kind(int(pen.kinds[index[nearest]]))
-    item = int(pen.items[index[nearest]])
-    far = float(distance[nearest])
-    if kind in (Kind.AXES, Kind.NAME):
-        name = world.frames.names[item]
-        robot = name.partition("/")[0] if "/" in name else ""
-    else:
-        robot = list(world.robots)[world.joints.robot[item]]
-        name = f"{robot}/{world.joints.names[item]}"
-    return Picked(_KINDS[kind], name, robot, item, far)  # type: ignore[arg-type]
+def _frames(world: World, picked: Picked) -> Any:
+    """All frames of what was clicked on, or the one that belongs to nothing."""
+    if picked.owner not in world.owners:
+        return [picked.index]
+    return world.frames.owner == list(world.owners).index(picked.owner)
 
 
-def _ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
-    """Distance along a ray to boxes (k,), inf where it misses (the slab method)."""
-    start = np.einsum("kij,ki->kj", mat, origin - centre)
-    along = np.einsum("kij,i->kj", mat, direction)
-    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-    one, other = (-half - start) / along, (half - start) / along
-    enter = np.minimum(one, other).max(axis=1)
-    leave = np.maximum(one, other).min(axis=1)
-    hit = (enter <= leave) & (leave > 0)
-    return np.where(hit, np.maximum(enter, 0.0), np.inf)
+def _all_flipped(shown: Any, where: Any) -> None:
+    shown[where] = not shown[where].any()
 
 
-def _pick_solid(
-    world: World, data: mujoco.MjData, origin: Array, direction: Array
-) -> Picked | None:
-    geom = np.full(1, -1, np.int32)
-    model = world.model
-    distance = mujoco.mj_ray(model, data, origin, direction, None, 1, -1, geom, None)
-    if geom[0] < 0 or model.geom_type[geom[0]] == mujoco.mjtGeom.mjGEOM_PLANE:
-        return None
-    body = int(model.geom_bodyid[geom[0]])
-    for name, double in world.doubles.items():
-        if (double.bodies == body).any():
-            link = int((double.bodies == body).nonzero()[1][0])
-            label = f"{name}/link{link}" if link else f"{name}/base"
-            return Picked("double", label, double.robot.robot.name, -1, distance)
-    while body:  # children of a link belong to it
-        for name, part in world.robots.items():
-            found = (part.bodies == body).nonzero()[0]
-            if body == part.flange_body:
-                return Picked("link", f"{name}/flange", name, part.joints.stop - 1, distance)
-            if len(found):
-                link = int(found[0])
-                label = f"{name}/link{link}" if link else f"{name}/base"
-                joint = part.joints.start + max(link - 1, 0)
-                return Picked("link", label, name, joint, distance)
-        body = int(model.body_parentid[body])
-    return Picked("object", model.geom(int(geom[0])).name, "", -1, distance)
+def _toggle_billboard(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.billboards[picked.index] ^= True
+
+
+def _toggle_billboards(world: World, toggles: Toggles, picked: Picked) -> None:
+    _all_flipped(toggles.billboards, _joints(world, picked))
+
+
+def _toggle_axes(world: World, toggles: Toggles, picked: Picked) -> None:
+    _all_flipped(toggles.axes, _frames(world, picked))
+
+
+def _hide_billboard(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.billboards[picked.index] = toggles.details[picked.index] = False
+
+
+def _hide_billboards(world: World, toggles: Toggles, picked: Picked) -> None:
+    joints = _joints(world, picked)
+    toggles.billboards[joints] = toggles.details[joints] = False
+
+
+def _toggle_details(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.details[picked.index] ^= True
+
+
+def _toggle_all_details(world: World, toggles: Toggles, picked: Picked) -> None:
+    _all_flipped(toggles.details, _joints(world, picked))
+
+
+def _next_quantity_here(world: World, toggles: Toggles, picked: Picked) -> None:
+    joints = _joints(world, picked)
+    following = toggles.arrow_quantity[picked.index] + 1
+    toggles.arrow_quantity[joints] = following % len(ARROW_QUANTITIES)
+
+
+def _toggle_name(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.frame_names[picked.index] ^= True
+
+
+def _toggle_names(world: World, toggles: Toggles, picked: Picked) -> None:
+    _all_flipped(toggles.frame_names, _frames(world, picked))
+
+
+def _hide_axes(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.axes[picked.index] = toggles.frame_names[picked.index] = False
+
+
+def _toggle_card(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.cards[picked.index] ^= True
+
+
+def _toggle_cards(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.cards[:] = not toggles.cards.any()
+
+
+def _hide_checks(world: World, toggles: Toggles, picked: Picked) -> None:
+    toggles.flange_checks = False
+
+
+# Gesture and what it is made on: what it does, in words, and how. Every host reads this table.
+CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
+    ("click", "link"): ("its joint's billboard on or off", _toggle_billboard),
+    ("shift", "link"): ("all billboards of the robot on or off", _toggle_billboards),
+    ("double", "link"): ("all axes of the robot on or off", _toggle_axes),
+    ("click", "billboard"): ("hides it", _hide_billboard),
+    ("shift", "billboard"): ("hides all of the robot", _hide_billboards),
+    ("click", "arrow"): ("its precise numbers on or off", _toggle_details),
+    ("shift", "arrow"): ("precise numbers of the whole robot on or off", _toggle_all_details),
+    ("double", "arrow"): ("the robot's arrows show the next quantity", _next_quantity_here),
+    ("click", "axes"): ("their name on or off", _toggle_name),
+    ("shift", "axes"): ("names of all axes of the robot on or off", _toggle_names),
+    ("double", "axes"): ("hides them", _hide_axes),
+    ("click", "name"): ("hides it", _toggle_name),
+    ("shift", "name"): ("hides all of the robot", _toggle_names),
+    ("click", "vector"): ("its numbers on or off", _toggle_card),
+    ("shift", "vector"): ("numbers of all smart arrows on or off", _toggle_cards),
+    ("click", "card"): ("hides it", _toggle_card),
+    ("shift", "card"): ("hides all of them", _toggle_cards),
+    ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
+}
+# A transparent double is clicked on like a robot; one of a path has nothing to show.
+CLICKS |= {
+    (gesture, "double"): entry for (gesture, kind), entry in CLICKS.items() if kind == "link"
+}
 
 
 def click(
-    world: World, toggles: Toggles, picked: Picked | None, *, all_joints: bool = False
-) -> None:
-    """Does what a click on something does.
+    world: World, toggles: Toggles, picked: Picked | None, gesture: Gesture = "click"
+) -> bool:
+    """Does what a gesture on something does, see `CLICKS`.
 
-    A link toggles its joint's billboard, or with `all_joints` (Shift) those of the whole robot;
-    a billboard goes; an arrow brings up its precise numbers; axes show their name.
+    A double click on nothing shows again what the scene declares.
 
     Args:
         world: the compiled scene.
         toggles: changed in place.
-        picked: what was clicked on; None does nothing.
-        all_joints: whether a modifier was held.
+        picked: what it was made on; None for the sky and the floor.
+        gesture: a click, one with Shift held, or a double click.
+
+    Returns:
+        whether the table has an entry for it.
     """
-    if picked is None or picked.kind in ("object", "double"):
-        return
-    if picked.kind in ("axes", "name"):
-        toggles.frame_names[picked.index] ^= True
-    elif picked.kind == "billboard":
-        toggles.billboards[picked.index] = toggles.details[picked.index] = False
-    elif picked.kind == "arrow":
-        toggles.details[picked.index] ^= True
-    elif world.robots[picked.robot].robot.enable_touch_sensor:
-        joints = world.robots[picked.robot].joints
-        if all_joints:
-            toggles.billboards[joints] = not toggles.billboards[joints].any()
-        else:
-            toggles.billboards[picked.index] ^= True
+    if picked is None:
+        if gesture == "double":
+            toggles.reset()
+        return gesture == "double"
+    if (gesture, picked.kind) not in CLICKS:
+        return False
+    if picked.kind in ("link", "double"):
+        owner = world.owners.get(picked.owner)
+        if owner is None or not owner.robot.enable_touch_sensor:
+            return False
+    CLICKS[gesture, picked.kind][1](world, toggles, picked)
+    return True
+
+
+@dataclass
+class Pointer:
+    """Tells clicks from double clicks, and undoes the click that a double click begins with.
+
+    Attributes:
+        world: the compiled scene.
+        toggles: changed in place.
+    """
+
+    world: World
+    toggles: Toggles
+    _before: dict[str, Any] = field(default_factory=dict)
+    _first: Picked | None = None
+    _where: tuple[float, float] = (0.0, 0.0)
+    _when: float = float("-inf")
+
+    def press(
+        self, picked: Picked | None, pixel: tuple[float, float], time: float, *, shift: bool = False
+    ) -> Gesture:
+        """Takes one press of the button and does what it means.
+
+        Args:
+            picked: what is at the pixel.
+            pixel: where it was.
+            time: when, s on any clock.
+            shift: whether a modifier was held.
+
+        Returns:
+            the gesture it was taken for.
+        """
+        apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
+        second = time - self._when <= DOUBLE_CLICK_TIME and apart <= _DOUBLE_CLICK_PIXELS
+        if second and not shift:
+            kind = "" if self._first is None else self._first.kind
+            if not kind or ("double", kind) in CLICKS:
+                self.toggles.restore(self._before)
+                self._when = float("-inf")
+                click(self.world, self.toggles, self._first, "double")
+                return "double"
+        self._before, self._first = self.toggles.snapshot(), picked
+        self._where, self._when = pixel, float("-inf") if shift else time
+        gesture: Gesture = "shift" if shift else "click"
+        click(self.world, self.toggles, picked, gesture)
+        return gesture
+
+
+def hover(toggles: Toggles, picked: Picked | None, pixel: tuple[float, float]) -> None:
+    """Writes the name of what is under the pointer beside it, from the next frame on.
+
+    Args:
+        toggles: changed in place.
+        picked: what is there.
+        pixel: x to the right and y up from the lower left corner of the picture.
+    """
+    toggles.hover = None if picked is None or not picked.name else (picked.name, pixel)
 
 
 def _next_quantity(toggles: Toggles) -> None:
@@ -184,13 +218,12 @@ def _next_quantity(toggles: Toggles) -> None:
 def _flip(name: str) -> Callable[[Toggles], None]:
     def flip(toggles: Toggles) -> None:
         shown = getattr(toggles, name)
-        shown[:] = not shown.any()
+        if isinstance(shown, bool):
+            setattr(toggles, name, not shown)
+        else:
+            shown[:] = not shown.any()
 
     return flip
-
-
-def _flip_legend(toggles: Toggles) -> None:
-    toggles.legend = not toggles.legend
 
 
 # Key, what it does, and how: every host reads this one table.
@@ -200,5 +233,10 @@ KEYS: dict[str, tuple[str, Callable[[Toggles], None]]] = {
     "x": ("axes on or off", _flip("axes")),
     "n": ("names of all axes on or off", _flip("frame_names")),
     "q": ("arrows show the next quantity", _next_quantity),
-    "l": ("legend on or off", _flip_legend),
+    "d": ("transparent doubles on or off", _flip("doubles")),
+    "v": ("smart arrows on or off", _flip("vectors")),
+    "c": ("comparison of flange frames on or off", _flip("flange_checks")),
+    "l": ("legend on or off", _flip("legend")),
+    "s": ("faults of the sources on or off", _flip("status")),
+    "r": ("what the scene declares", Toggles.reset),
 }

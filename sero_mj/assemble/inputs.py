@@ -1,0 +1,130 @@
+"""Everything in a scene that values can be routed to, and where in userdata it is kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .robot_parts import VALUE_INPUTS
+from .scene import Scene
+from .scene_toggles import SceneToggles
+
+# What a source's slot holds.
+SOURCE_FIELDS = (
+    "received",
+    "malformed",
+    "dropped",
+    "age",  # s since the last good packet, -1 when there was none
+    "wrong_size",  # of the malformed
+    "last_size",  # bytes of the last packet of a wrong size
+    "size",  # bytes of a right one
+    "fault_age",  # s since the last malformed packet, -1 when there was none
+    "not_frames",  # of the malformed
+)
+# What a packet may switch; any value above 0.5 is on. `arrow_quantity` is an index.
+OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")
+# What every robot has, beside its own `inputs`.
+ROBOT_INPUTS = ("joint_angles", *VALUE_INPUTS, "base_frame", "flange_check", *OWNER_TOGGLES)
+SCENE = "toggles"  # `toggles.legend` switches for the whole scene
+
+InputKind = Literal["angles", "values", "pose", "frame", "vector", "toggle"]
+# A NaN in one of these blanks what it would show; in the others it would move something.
+BLANKABLE = ("values", "vector", "toggle", "frame")
+
+
+@dataclass(frozen=True)
+class Input:
+    """One thing that values can be routed to.
+
+    Attributes:
+        name: of the robot, double, arrow, frame, object or camera.
+        key: which of its inputs.
+        shape: of the values it takes: (n,), (3,), (4, 4) or (1,).
+        kind: `angles` move a robot or double, `values` are shown at joints, a `pose` places a
+            base, an object or a camera, a `frame` is kept, a `vector` is shown by an arrow, a
+            `toggle` switches.
+    """
+
+    name: str
+    key: str
+    shape: tuple[int, ...]
+    kind: InputKind
+
+    @property
+    def target(self) -> str:
+        """`name.key`."""
+        return f"{self.name}.{self.key}"
+
+    @property
+    def count(self) -> int:
+        """How many numbers it takes."""
+        return int(np.prod(self.shape))
+
+    @property
+    def meaning(self) -> str:
+        """What the numbers are, for messages."""
+        if self.kind in ("angles", "values"):
+            return f"{self.count}, one per joint"
+        return {"vector": "3: x, y, z", "toggle": "1"}.get(self.kind, "a 4 x 4 frame")
+
+
+def list_inputs(scene: Scene) -> dict[str, Input]:
+    """All inputs of a scene by `name.key`."""
+    inputs = []
+    for name, robot in scene.robots.items():
+        inputs.append(Input(name, "joint_angles", (robot.n,), "angles"))
+        inputs += [Input(name, key, (robot.n,), "values") for key in VALUE_INPUTS]
+        inputs += [Input(name, key, (robot.n,), "values") for key in robot.inputs]
+        inputs.append(Input(name, "base_frame", (4, 4), "pose"))
+        inputs.append(Input(name, "flange_check", (4, 4), "frame"))
+        inputs += [Input(name, key, (1,), "toggle") for key in OWNER_TOGGLES]
+    for name, double in scene.doubles.items():
+        if double.of in scene.robots and double.path is None:
+            robot = scene.robots[double.of]
+            inputs.append(Input(name, "joint_angles", (robot.n,), "angles"))
+            inputs += [
+                Input(name, key, (robot.n,), "values") for key in (*VALUE_INPUTS, *robot.inputs)
+            ]
+            inputs += [Input(name, key, (1,), "toggle") for key in OWNER_TOGGLES]
+        inputs.append(Input(name, "visible", (1,), "toggle"))
+    for name in scene.arrows:
+        inputs += [Input(name, "vector", (3,), "vector"), Input(name, "show", (1,), "toggle")]
+    for name in scene.frames:
+        inputs += [Input(name, "frame", (4, 4), "frame"), Input(name, "show_axes", (1,), "toggle")]
+    movable = [item.name for item in scene.objects if item.shape != "axes"]
+    inputs += [Input(name, "frame", (4, 4), "pose") for name in [*movable, *scene.cameras]]
+    inputs += [Input(SCENE, key, (1,), "toggle") for key in SceneToggles.model_fields]
+    return {item.target: item for item in inputs}
+
+
+def moving(scene: Scene) -> set[str]:
+    """Names of the objects and cameras that a route moves, and that need a body of their own."""
+    names = {item.name for item in scene.objects} | set(scene.cameras)
+    return {
+        name
+        for name, _, key in (target.partition(".") for target in scene.routes)
+        if key == "frame" and name in names
+    }
+
+
+def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int]]:
+    """Gives every input and source its place in userdata.
+
+    Returns:
+        slots (`lwr.torques`, `sources.udp`), and for every input the index of the flag that says
+        whether something came.
+    """
+    lengths: dict[str, int] = {}
+    inputs = list_inputs(scene)
+    for target, item in inputs.items():
+        if item.kind != "pose" and not (item.kind == "angles" and item.name in scene.robots):
+            lengths[target] = item.count
+    lengths |= {f"sources.{name}": len(SOURCE_FIELDS) for name in scene.sources}
+    slots = {}
+    start = 0
+    for key, length in lengths.items():
+        slots[key] = slice(start, start + length)
+        start += length
+    return slots, {target: start + i for i, target in enumerate(inputs)}

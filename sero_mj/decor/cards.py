@@ -1,0 +1,86 @@
+"""Cards: panels beside the robots, each with a leader to what it belongs to, in one layout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .layout import columns
+from .panels import PANEL_RGBA, Panels, draw_leaders
+from .pen import Kind, Pen
+from .view import View
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+LEADER_RGBA = (0.09, 0.11, 0.14, 0.9)
+
+
+@dataclass(frozen=True, eq=False)
+class Cards:
+    """Cards of one kind, not yet laid out.
+
+    Attributes:
+        kind: what they belong to.
+        items: which of them, (k,).
+        anchors: pixel that their leaders point at, (k, 2).
+        sizes: width and height, (k, 2), pixels.
+        texts: the lines of every card, top first.
+        side: `layout.LEFT` or `RIGHT`, (k,).
+        rank: the order in which they stand above each other, lowest first, (k,).
+        clear: how far from the anchors their columns begin, pixels.
+        rgba: (k, 4), or one for all.
+    """
+
+    kind: Kind
+    items: Ints
+    anchors: Array
+    sizes: Array
+    texts: list[list[bytes]]
+    side: Ints
+    rank: Ints
+    clear: float
+    rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
+
+
+def lay_out(pen: Pen, view: View, groups: list[Cards]) -> list[Panels]:
+    """Gives every card its place, draws the leaders and returns the panels for `draw_panels`."""
+    groups = [group for group in groups if group.texts]
+    if not groups:
+        return []
+    anchors = np.concatenate([group.anchors for group in groups])
+    sizes = np.concatenate([group.sizes for group in groups])
+    side = np.concatenate([group.side for group in groups])
+    order = np.argsort(np.concatenate([group.rank for group in groups]), kind="stable")
+    gap = view.font.height * 0.3
+    beside = min(max(3 * gap, *(group.clear for group in groups)), view.width / 8)
+    centres = np.empty((len(anchors), 2))
+    centres[order] = columns(
+        anchors[order], sizes[order], side[order], gap, beside, view.width, view.height
+    )
+    edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
+    starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
+    draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
+    panels = []
+    first = 0
+    for group in groups:
+        these = slice(first, first + len(group.texts))
+        panels.append(
+            Panels(centres[these], sizes[these], group.texts, group.rgba, group.kind, group.items)
+        )
+        first += len(group.texts)
+    return panels
+
+
+def heights_in_order(heights: Array) -> Ints:
+    """Rank of every height, the lowest first, (k,).
+
+    The order is taken once, where the scene declares things: sorting by the heights of the
+    moment would make panels swap places.
+    """
+    order = np.argsort(heights, kind="stable")
+    rank = np.empty(len(order), np.intp)
+    rank[order] = np.arange(len(order))
+    return rank

@@ -1,0 +1,129 @@
+"""Consistency (section 3.1): a received base-to-flange frame against the robot's own.
+
+It is shown as a second, paler flange frame with a line to the first, and the difference is
+written beside it: in red when it is above the robot's `flange_tolerance`.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.frames import rotation_angle
+from ..assemble.parts import RobotPart
+from ..assemble.world import World
+from .axes import AXIS_RGB, draw_bars
+from .cards import Cards
+from .layout import RIGHT
+from .panels import PANEL_RGBA, panel_sizes
+from .pen import Kind, Pen
+from .smart_arrows import frames_along
+from .view import View
+
+Array = NDArray[np.float64]
+
+OFF_RGBA = (0.55, 0.04, 0.04, 0.92)
+_PALE = 0.45  # how near to white the received axes are
+_LINE_RGBA = (0.78, 0.07, 0.07, 1.0)
+_RIGHT_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
+_LINE_HALF_WIDTH = 0.003  # m
+_AXES_SHARE = 0.8  # of the robot's axes
+
+
+def flange_difference(world: World, data: mujoco.MjData, robot: str) -> tuple[float, float] | None:
+    """How far the received flange frame is from the robot's own.
+
+    Args:
+        world: the compiled scene.
+        data: its state, frames up to date.
+        robot: its name.
+
+    Returns:
+        distance of the origins in m and angle between the two in rad; None where no frame, or
+        one with NaN, was received.
+    """
+    received = _received(world, data, robot)
+    if received is None:
+        return None
+    own = world.fwd_kin_base_to_flange(data, robot)
+    distance = float(np.linalg.norm(received[:3, 3] - own[:3, 3]))
+    return distance, rotation_angle(own[:3, :3].T @ received[:3, :3])
+
+
+def _received(world: World, data: mujoco.MjData, robot: str) -> Array | None:
+    """T_base_flange (4, 4) as received."""
+    target = f"{robot}.flange_check"
+    if data.userdata[world.flags[target]] <= 0:
+        return None
+    T = data.userdata[world.slots[target]].reshape(4, 4)
+    return T if np.isfinite(T).all() else None
+
+
+class FlangeCheck:
+    """Draws the comparison for every robot that one has been received for."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._flags = np.array([world.flags[f"{name}.flange_check"] for name in world.robots], int)
+
+    def draw(self, pen: Pen, data: mujoco.MjData, view: View) -> Cards | None:
+        """Draws the received flange frames; returns the cards with the differences."""
+        if not (data.userdata[self._flags] > 0).any():
+            return None
+        items, anchors, texts, rgba = [], [], [], []
+        for i, (name, part) in enumerate(self._world.robots.items()):
+            difference = flange_difference(self._world, data, name)
+            if difference is None:
+                continue
+            distance, angle = difference[0], float(np.rad2deg(difference[1]))
+            robot = part.robot
+            off = distance > robot.flange_tolerance or angle > robot.flange_tolerance_deg
+            point = self._draw_frame(pen, data, name, off)
+            pixel, depth = view.project(point)
+            if not view.sees(pixel, depth):
+                continue
+            items.append(i)
+            anchors.append(pixel)
+            head = f"{name} flange " + ("IS OFF" if off else "check")
+            numbers = f"  {1e3 * distance:7.2f} mm  {angle:6.2f} deg"
+            texts.append([head.encode("ascii", "replace"), numbers.encode()])
+            rgba.append(OFF_RGBA if off else PANEL_RGBA)
+        if not items:
+            return None
+        widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
+        top = len(self._world.joints.names)  # above all billboards
+        return Cards(
+            kind=Kind.CHECK,
+            items=np.array(items, np.intp),
+            anchors=np.array(anchors),
+            sizes=panel_sizes(widths, 2, view),
+            texts=texts,
+            side=np.full(len(items), RIGHT, np.intp),
+            rank=np.array(items, np.intp) + top,
+            clear=0.0,
+            rgba=np.array(rgba),
+        )
+
+    def _draw_frame(self, pen: Pen, data: mujoco.MjData, name: str, off: bool) -> Array:
+        """Draws the received frame and the line to it; returns where it is in the world."""
+        world = self._world
+        part: RobotPart = world.robots[name]
+        received = _received(world, data, name)
+        assert received is not None
+        base = world.frame(data, f"{name}/base")
+        own = world.frame(data, f"{name}/flange")[:3, 3]
+        T = base @ received
+        length = np.array([_AXES_SHARE * part.robot.axes_length])
+        rgb = (AXIS_RGB + _PALE * (1.0 - AXIS_RGB))[None]
+        draw_bars(pen, T[None, :3, 3], T[None, :3, :3], (length, 0.03 * length), rgb, np.ones(1))
+        between = T[:3, 3] - own
+        distance = float(np.linalg.norm(between))
+        if distance > 1e-6:
+            rows = pen.take(1, int(mujoco.mjtGeom.mjGEOM_BOX))
+            if len(rows):
+                rows["pos"] = own + between / 2
+                rows["mat"] = frames_along(between[None] / distance)
+                rows["size"] = (_LINE_HALF_WIDTH, _LINE_HALF_WIDTH, distance / 2)
+                rows["rgba"] = _LINE_RGBA if off else _RIGHT_LINE_RGBA
+        return np.asarray(T[:3, 3])

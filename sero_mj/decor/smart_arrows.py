@@ -1,0 +1,102 @@
+"""Smart arrows: Cartesian forces, torques and velocities, drawn where they act (section 2.4).
+
+A straight arrow begins at its point and is as long as its scale says; a round one turns about its
+direction by the right-hand rule and is as wide. The scale is stated in the legend. What is
+larger than `longest` is drawn so long and dark, or so wide and striped.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.world import World
+from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
+from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
+from .round_arrows import DARKER
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SHORTEST = 0.004  # m; what is shorter is not drawn, for its direction is noise
+_SEGMENTS = 30
+_HALF_WIDTH_OF_LENGTH = 0.045
+_HALF_WIDTHS = (0.004, 0.012)  # m
+
+
+def arrow_vectors(world: World, data: mujoco.MjData) -> tuple[Array, Array]:
+    """What every smart arrow shows.
+
+    Returns:
+        components as received (K, 3), and the same in the world's directions (K, 3); NaN where
+        there is no data.
+    """
+    table = world.arrows
+    components = data.userdata[table.slots]
+    known = (data.userdata[table.has] > 0) & np.isfinite(components).all(axis=1)
+    components[~known] = np.nan
+    rotation = data.site_xmat[table.components_site].reshape(-1, 3, 3).copy()
+    rotation[table.components_site < 0] = np.eye(3)
+    return components, np.einsum("kij,kj->ki", rotation, components)
+
+
+def draw_smart_arrows(
+    pen: Pen, world: World, data: mujoco.MjData, shown: Bools, vectors: Array, stale: Bools
+) -> None:
+    """Draws every smart arrow that is shown, has data and is long enough to have a direction.
+
+    Args:
+        pen: where to.
+        world: the compiled scene.
+        data: its state.
+        shown: which ones to draw, (K,).
+        vectors: in the world's directions, (K, 3), NaN for no data.
+        stale: which ones have no fresh data and are grey, (K,).
+    """
+    table = world.arrows
+    magnitude = np.linalg.norm(vectors, axis=1)
+    size = table.scale * magnitude
+    with np.errstate(invalid="ignore"):
+        index = (shown & (size > SHORTEST) & np.isfinite(size)).nonzero()[0]
+        over = size > table.longest
+    if not len(index):
+        return
+    rgba = table.rgba.copy()
+    rgba[stale, :3] = GREY
+    size = np.minimum(size, table.longest)
+    axes = frames_along(vectors[index] / magnitude[index][:, None])
+    straight = ~table.is_round[index]
+    turning = index[~straight]
+    if len(turning):
+        ribbons = Ribbons(
+            items=turning,
+            centre=data.site_xpos[table.site[turning]],
+            axes=axes[~straight],
+            phase=np.full(len(turning), TURNING_SPEED * data.time),
+            sign=np.ones(len(turning)),
+            radius=table.radius[turning],
+            width=size[turning],
+            rgba=rgba[turning],
+            striped=over[turning],
+        )
+        draw_ribbons(pen, Kind.VECTOR, ribbons, _SEGMENTS)
+    index, axes = index[straight], axes[straight]
+    rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.VECTOR, index)
+    if not len(rows):
+        return
+    length = size[index]
+    rgba[over, :3] *= DARKER
+    rows["pos"] = data.site_xpos[table.site[index]]
+    rows["mat"] = axes
+    rows["size"][:, :2] = np.clip(_HALF_WIDTH_OF_LENGTH * length, *_HALF_WIDTHS)[:, None]
+    rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length
+    rows["rgba"] = rgba[index]
+
+
+def frames_along(directions: Array) -> Array:
+    """Rotations (k, 3, 3) whose z are unit vectors (k, 3), x across the axis z is furthest from."""
+    helper = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
+    x = np.cross(helper, directions)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(directions, x), directions], axis=2)

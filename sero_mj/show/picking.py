@@ -1,0 +1,188 @@
+"""What is at a pixel: the same in every host, found without one.
+
+Robots, doubles and objects are found by `mj_ray`, decor by its own boxes; the nearest to the eye
+wins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.world import World
+from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
+from ..decor.view import View
+
+Array = NDArray[np.float64]
+PickedKind = Literal[
+    "link", "double", "object", "arrow", "billboard", "axes", "name", "vector", "card", "check"
+]
+
+FINGER = 12.0  # pixels: the tolerance for a touch screen
+_ARROW_HEAD = 1.75  # the head of an arrow geom over its shaft, in MuJoCo's renderers
+_KINDS: dict[Kind, PickedKind] = {
+    Kind.ARROW: "arrow",
+    Kind.BILLBOARD: "billboard",
+    Kind.AXES: "axes",
+    Kind.NAME: "name",
+    Kind.VECTOR: "vector",
+    Kind.CARD: "card",
+    Kind.CHECK: "check",
+}
+_MOST_HIDDEN = 200  # geoms of doubles that are switched off, behind each other
+_STEP = 1e-6  # m past the surface of one of them
+
+
+@dataclass(frozen=True)
+class Picked:
+    """What is at a pixel.
+
+    Attributes:
+        kind: what sort of thing it is.
+        name: e.g. `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
+        owner: the robot or double it belongs to; empty for anything else.
+        index: joint of the world for links, doubles, arrows and billboards, frame for axes and
+            names, smart arrow for vectors and cards, robot for checks; -1 for objects and paths.
+        distance: from the eye, m.
+    """
+
+    kind: PickedKind
+    name: str
+    owner: str
+    index: int
+    distance: float
+
+
+def pick(
+    world: World,
+    data: mujoco.MjData,
+    pen: Pen,
+    view: View,
+    pixel: tuple[float, float],
+    tolerance: float = 0.0,
+) -> Picked | None:
+    """Returns what is seen at a pixel, or None for the sky and the floor.
+
+    Args:
+        world: the compiled scene.
+        data: its state, frames up to date.
+        pen: the decor of the frame that the user sees.
+        view: of that frame.
+        pixel: x to the right and y up from the lower left corner of the picture.
+        tolerance: where no decor is hit, decor within so many pixels is; see `FINGER`.
+    """
+    origin = view.position
+    direction = view.at(np.array(pixel, float), 1.0) - origin
+    direction = direction / np.linalg.norm(direction)
+    decor = _pick_decor(world, pen, view, origin, direction, 0.0)
+    solid = _pick_solid(world, data, pen, origin, direction)
+    if decor is None and tolerance:
+        decor = _pick_decor(world, pen, view, origin, direction, tolerance)
+    if decor is None or solid is None:
+        return decor or solid
+    return decor if decor.distance <= solid.distance else solid
+
+
+def _pick_decor(
+    world: World, pen: Pen, view: View, origin: Array, direction: Array, tolerance: float
+) -> Picked | None:
+    rows = pen.rows[: pen.count]
+    box, arrow = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ARROW)
+    of_something = pen.kinds[: pen.count] != Kind.NONE
+    index = (of_something & ((rows["type"] == box) | (rows["type"] == arrow))).nonzero()[0]
+    if not len(index):
+        return None
+    rows = rows[index]
+    centre, half = rows["pos"].astype(float), rows["size"].astype(float)
+    mat = rows["mat"].astype(float)
+    straight = rows["type"] == arrow  # from its position along z; a box about it is near enough
+    half[straight, :2] *= _ARROW_HEAD
+    half[straight, 2] /= 2 * ARROW_SIZE_OF_LENGTH
+    centre[straight] += mat[straight, :, 2] * half[straight, 2:]
+    depth = np.maximum((centre - origin) @ view.forward, view.near)
+    half += (tolerance * view.pixel_size(1.0) * depth)[:, None]
+    distance = ray_boxes(origin, direction, centre, mat, half)
+    nearest = int(np.argmin(distance))
+    if not np.isfinite(distance[nearest]):
+        return None
+    kind = Kind(int(pen.kinds[index[nearest]]))
+    item = int(pen.items[index[nearest]])
+    name, owner = _name_of(world, kind, item)
+    return Picked(_KINDS[kind], name, owner, item, float(distance[nearest]))
+
+
+def _name_of(world: World, kind: Kind, item: int) -> tuple[str, str]:
+    """Name and owner of a piece of decor."""
+    if kind in (Kind.AXES, Kind.NAME):
+        name = world.frames.names[item]
+        return name, name.partition("/")[0] if "/" in name else ""
+    if kind in (Kind.VECTOR, Kind.CARD):
+        return world.arrows.names[item], ""
+    if kind == Kind.CHECK:
+        robot = list(world.robots)[item]
+        return f"{robot}/flange", robot
+    owner = list(world.owners)[world.joints.owner[item]]
+    return f"{owner}/{world.joints.names[item]}", owner
+
+
+def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
+    """Distance along a ray to boxes (k,), inf where it misses (the slab method)."""
+    start = np.einsum("kij,ki->kj", mat, origin - centre)
+    along = np.einsum("kij,i->kj", mat, direction)
+    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+    one, other = (-half - start) / along, (half - start) / along
+    enter = np.minimum(one, other).max(axis=1)
+    leave = np.maximum(one, other).min(axis=1)
+    hit = (enter <= leave) & (leave > 0)
+    return np.where(hit, np.maximum(enter, 0.0), np.inf)
+
+
+def _pick_solid(
+    world: World, data: mujoco.MjData, pen: Pen, origin: Array, direction: Array
+) -> Picked | None:
+    model = world.model
+    hit, distance = _ray(model, data, pen, origin, direction)
+    if hit < 0 or model.geom_type[hit] == mujoco.mjtGeom.mjGEOM_PLANE:
+        return None
+    body = int(model.geom_bodyid[hit])
+    for name, double in world.doubles.items():
+        if (double.bodies == body).any():
+            link = int((double.bodies == body).nonzero()[1][0])
+            label = f"{name}/link{link}" if link else f"{name}/base"
+            joint = -1 if name not in world.owners else double.joints.start + max(link - 1, 0)
+            return Picked("double", label, name, joint, distance)
+    while body:  # children of a link belong to it
+        for name, part in world.robots.items():
+            found = (part.bodies == body).nonzero()[0]
+            if body == part.flange_body:
+                return Picked("link", f"{name}/flange", name, part.joints.stop - 1, distance)
+            if len(found):
+                link = int(found[0])
+                label = f"{name}/link{link}" if link else f"{name}/base"
+                joint = part.joints.start + max(link - 1, 0)
+                return Picked("link", label, name, joint, distance)
+        body = int(model.body_parentid[body])
+    return Picked("object", model.geom(hit).name, "", -1, distance)
+
+
+def _ray(
+    model: mujoco.MjModel, data: mujoco.MjData, pen: Pen, origin: Array, direction: Array
+) -> tuple[int, float]:
+    """The first geom along a ray, those that are hidden left out; -1 for none."""
+    geom = np.full(1, -1, np.int32)
+    travelled = 0.0
+    for _ in range(_MOST_HIDDEN):
+        start = origin + travelled * direction
+        distance = mujoco.mj_ray(model, data, start, direction, None, 1, -1, geom, None)
+        hit = int(geom[0])
+        if hit < 0:
+            return -1, 0.0
+        travelled += distance
+        if pen.hidden is None or not pen.hidden[hit]:
+            return hit, travelled
+        travelled += _STEP
+    return -1, 0.0
