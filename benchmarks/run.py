@@ -27,10 +27,11 @@ from rich.console import Console
 from rich.table import Table
 from worlds import WORLDS, make_world
 
-from sero_mj import HeadlessRenderer, World
+from sero_mj import HeadlessRenderer, Placer, World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.toggles import Toggles
 from sero_mj.show.camera import find_camera
+from sero_mj.show.picking import pick
 
 Row = tuple[str, str, str, str, str]
 SIZE = (1280, 800)
@@ -58,6 +59,43 @@ def alternate(works: list[Callable[[], object]], rounds: int) -> list[float]:
     """Median time of each work, taken in turns."""
     times = np.array([[seconds(work) for work in works] for _ in range(rounds)])
     return [float(t) for t in np.median(times, axis=0)]
+
+
+def with_doubles(rounds: int) -> list[Row]:
+    """51 joints with everything on and one double each: layout, frame, geoms and a pick."""
+    world = make_world(WORLDS[51], doubles=True)
+    data, placer = world.make_data(), Placer(world)
+    placer.place(data)
+    rng = np.random.default_rng(4)
+    with HeadlessRenderer(world, *SIZE) as renderer:
+        toggles = renderer.toggles
+        everything = toggles.snapshot()
+
+        def frame(bare: bool) -> None:
+            toggles.restore(everything)
+            if bare:
+                toggles.arrows[:] = toggles.billboards[:] = toggles.axes[:] = False
+                toggles.doubles[:] = False
+            renderer.render(data)
+
+        bare, full = alternate([lambda: frame(True), lambda: frame(False)], rounds)
+        view, decor = renderer.view, Decor(world)
+        assert view is not None
+        pixels = iter(rng.uniform((0, 0), SIZE, (100_000, 2)))
+        (laid_out,) = alternate([lambda: decor.draw(data, toggles, view)], rounds * 20)
+        (picked,) = alternate(
+            [lambda: pick(world, data, decor.pen, view, tuple(next(pixels)))], rounds * 40
+        )
+        (placed,) = alternate([lambda: placer.place(data)], rounds * 20)
+    name = "51 joints and doubles"
+    return [
+        (f"layout, {name}", f"{laid_out * 1e3:.2f} ms", "", "", "under 2 ms"),
+        (f"geoms, {name}", f"{decor.pen.count}", f"left out {decor.pen.left_out}", "", "to 1024"),
+        (f"frame 1280x800, {name}", f"{full * 1e3:.1f} ms", f"bare {bare * 1e3:.1f} ms",
+         f"{full / bare:.2f}", "at most 1.5"),
+        (f"pick, {name}", f"{picked * 1e3:.2f} ms", "", "", "under 2 ms"),
+        (f"place, {name}", f"{placed * 1e3:.2f} ms", "", "", ""),
+    ]  # fmt: skip
 
 
 def layout(rounds: int) -> list[Row]:
@@ -203,7 +241,7 @@ def main() -> None:
     rounds, count = (5, 5_000) if options.quick else (25, 100_000)
     console = Console(width=130)
     table = Table("what", "time", "against", "ratio", "goal", title="sero-mj benchmarks")
-    for case in (layout, frames, kinematics, start_up):
+    for case in (layout, with_doubles, frames, kinematics, start_up):
         console.print(f"measuring {case.__name__} ...", style="dim")
         for row in case(rounds):
             table.add_row(*row)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sero_mj import Scene, SerialRobot, World
+from sero_mj import Double, Scene, SerialRobot, World
 
 # How 51 joints are spread over serial robots: Rollin' Justin's torso and neck, arms, hands of
 # four fingers, and platform (Hulin, Hertkorn, Preusche, section 4.1), as chains.
@@ -12,8 +12,11 @@ JUSTIN = [3, 7, 7, 12, 12, 2, 8]
 WORLDS = {7: [7], 14: [7, 7], 51: JUSTIN}
 
 
-def make_world(counts: list[int]) -> World:
-    """LWRs where a chain has 7 joints, else robots grown from as many rows of its table."""
+def make_world(counts: list[int], *, doubles: bool = False) -> World:
+    """LWRs where a chain has 7 joints, else robots grown from as many rows of its table.
+
+    With `doubles` every robot has one, in another pose.
+    """
     rng = np.random.default_rng(1)
     lwr = SerialRobot.from_model("lwr")
     robots = []
@@ -32,4 +35,9 @@ def make_world(counts: list[int]) -> World:
             continue
         fields |= {"dh_params": np.resize(lwr.dh_params, (n, 4)), "torque_limits": np.full(n, 40.0)}
         robots.append(SerialRobot(dh_convention="craig", **fields))
-    return World(Scene(robots=robots))
+    of_each = [
+        Double(name=f"double{i}", of=robot.name, joint_angles=robot.home + 0.5)
+        for i, robot in enumerate(robots)
+        if doubles
+    ]
+    return World(Scene(robots=robots, doubles=of_each))

@@ -24,16 +24,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .assemble.cartesian import ReceivedFrame as ReceivedFrame
+    from .assemble.cartesian import SmartArrow as SmartArrow
     from .assemble.dh import DhTable as DhTable
+    from .assemble.double import Double as Double
     from .assemble.looks import Camera as Camera
     from .assemble.looks import Light as Light
     from .assemble.looks import View as View
     from .assemble.objects import Object as Object
     from .assemble.robot import SerialRobot as SerialRobot
     from .assemble.scene import Scene as Scene
+    from .assemble.scene_toggles import SceneToggles as SceneToggles
     from .assemble.world import World as World
     from .drive.mirror import Mirror as Mirror
     from .drive.mirror import load_scene as load_scene
+    from .drive.place import Placer as Placer
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
     from .receive.structure import Structure as Structure
@@ -45,16 +50,21 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "ReceivedFrame": "assemble.cartesian",
+    "SmartArrow": "assemble.cartesian",
     "DhTable": "assemble.dh",
+    "Double": "assemble.double",
     "Object": "assemble.objects",
     "SerialRobot": "assemble.robot",
     "Camera": "assemble.looks",
     "Light": "assemble.looks",
     "Scene": "assemble.scene",
     "View": "assemble.looks",
+    "SceneToggles": "assemble.scene_toggles",
     "World": "assemble.world",
     "Mirror": "drive.mirror",
     "load_scene": "drive.mirror",
+    "Placer": "drive.place",
     "DeclarationError": "errors",
     "SeroError": "errors",
     "Structure": "receive.structure",

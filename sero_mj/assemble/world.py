@@ -67,6 +67,8 @@ class World:
         self.model = _compile(root, scene)
         if scene.doubles:
             self._measure_without_doubles()
+            # What is not there throws no shadow, and the shadow map costs as much as the picture.
+            self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
         self.robots = self._find_robots()
         self.doubles = self._find_doubles()
         single = {name: part for name, part in self.doubles.items() if part.path is None}

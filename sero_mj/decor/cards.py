@@ -55,7 +55,7 @@ def lay_out(pen: Pen, view: View, groups: list[Cards]) -> list[Panels]:
     side = np.concatenate([group.side for group in groups])
     order = np.argsort(np.concatenate([group.rank for group in groups]), kind="stable")
     gap = view.font.height * 0.3
-    beside = min(max(3 * gap, *(group.clear for group in groups)), view.width / 8)
+    beside = min(max(3 * gap, *(group.clear for group in groups)), view.width / 6)
     centres = np.empty((len(anchors), 2))
     centres[order] = columns(
         anchors[order], sizes[order], side[order], gap, beside, view.width, view.height

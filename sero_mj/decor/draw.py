@@ -14,11 +14,11 @@ from .flange_check import FlangeCheck
 from .frame_names import name_panels
 from .hover import hover_panel
 from .legend import Legend
-from .panels import draw_panels
+from .panels import Panels, draw_panels
 from .pen import Pen
 from .quantities import arrow_values, joint_values
 from .round_arrows import RoundArrows
-from .smart_arrows import arrow_vectors, draw_smart_arrows
+from .smart_arrows import arrow_vectors, draw_smart_arrows, drawn_sizes
 from .staleness import Staleness
 from .status import Status
 from .toggles import Toggles
@@ -68,10 +68,14 @@ class Decor:
             names = world.arrows.names
             draw_smart_arrows(pen, world, data, shown.vectors, vectors, _among(names, stale))
             ages = [stale.get(name, "") for name in names]
-            cards.append(self._vector_cards.cards(data, shown.cards, view, components, ages))
+            reach = drawn_sizes(world, vectors)
+            cards.append(self._vector_cards.cards(data, shown.cards, view, components, reach, ages))
+        right: Panels | None = None
         if toggles.flange_checks:
-            cards.append(self._flange_check.draw(pen, data, view))
+            off, right = self._flange_check.draw(pen, data, view)
+            cards.append(off)
         panels = [
+            right,
             *lay_out(pen, view, [group for group in cards if group is not None]),
             name_panels(world, data, shown.frame_names, view),
             self._legend.panels(toggles, view, limit),

@@ -1,7 +1,8 @@
 """Consistency (section 3.1): a received base-to-flange frame against the robot's own.
 
-It is shown as a second, paler flange frame with a line to the first, and the difference is
-written beside it: in red when it is above the robot's `flange_tolerance`.
+It is shown as a second, paler flange frame with a line to the first. The difference is written
+into the upper right corner, or in red beside the flange when it is above the robot's
+`flange_tolerance`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from ..assemble.world import World
 from .axes import AXIS_RGB, draw_bars
 from .cards import Cards
 from .layout import RIGHT
-from .panels import PANEL_RGBA, panel_sizes
+from .panels import Panels, panel_sizes
 from .pen import Kind, Pen
 from .smart_arrows import frames_along
 from .view import View
@@ -29,6 +30,8 @@ _LINE_RGBA = (0.78, 0.07, 0.07, 1.0)
 _RIGHT_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
 _LINE_HALF_WIDTH = 0.003  # m
 _AXES_SHARE = 0.8  # of the robot's axes
+_CORNER_RGBA = (0.09, 0.11, 0.14, 0.6)
+_MARGIN = 0.5  # of a line's height
 
 
 def flange_difference(world: World, data: mujoco.MjData, robot: str) -> tuple[float, float] | None:
@@ -67,11 +70,16 @@ class FlangeCheck:
         self._world = world
         self._flags = np.array([world.flags[f"{name}.flange_check"] for name in world.robots], int)
 
-    def draw(self, pen: Pen, data: mujoco.MjData, view: View) -> Cards | None:
-        """Draws the received flange frames; returns the cards with the differences."""
+    def draw(self, pen: Pen, data: mujoco.MjData, view: View) -> tuple[Cards | None, Panels | None]:
+        """Draws the received flange frames.
+
+        Returns:
+            the cards of flanges that are off, and the panel with those that are not.
+        """
         if not (data.userdata[self._flags] > 0).any():
-            return None
-        items, anchors, texts, rgba = [], [], [], []
+            return None, None
+        items, anchors, texts, right = [], [], [], []
+        clear = 0.0
         for i, (name, part) in enumerate(self._world.robots.items()):
             difference = flange_difference(self._world, data, name)
             if difference is None:
@@ -80,15 +88,23 @@ class FlangeCheck:
             robot = part.robot
             off = distance > robot.flange_tolerance or angle > robot.flange_tolerance_deg
             point = self._draw_frame(pen, data, name, off)
+            numbers = f"{1e3 * distance:7.2f} mm  {angle:6.2f} deg"
+            if not off:
+                right.append(f"{name} flange{numbers}".encode("ascii", "replace"))
+                continue
             pixel, depth = view.project(point)
             if not view.sees(pixel, depth):
                 continue
+            clear = max(clear, robot.axes_length / view.pixel_size(float(depth)))
             items.append(i)
             anchors.append(pixel)
-            head = f"{name} flange " + ("IS OFF" if off else "check")
-            numbers = f"  {1e3 * distance:7.2f} mm  {angle:6.2f} deg"
+            head = f"{name} flange is off"
             texts.append([head.encode("ascii", "replace"), numbers.encode()])
-            rgba.append(OFF_RGBA if off else PANEL_RGBA)
+        return self._cards(view, items, np.array(anchors), texts, clear), _corner(view, right)
+
+    def _cards(
+        self, view: View, items: list[int], anchors: Array, texts: list[list[bytes]], clear: float
+    ) -> Cards | None:
         if not items:
             return None
         widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
@@ -96,13 +112,13 @@ class FlangeCheck:
         return Cards(
             kind=Kind.CHECK,
             items=np.array(items, np.intp),
-            anchors=np.array(anchors),
+            anchors=anchors,
             sizes=panel_sizes(widths, 2, view),
             texts=texts,
             side=np.full(len(items), RIGHT, np.intp),
             rank=np.array(items, np.intp) + top,
-            clear=0.0,
-            rgba=np.array(rgba),
+            clear=clear,
+            rgba=OFF_RGBA,
         )
 
     def _draw_frame(self, pen: Pen, data: mujoco.MjData, name: str, off: bool) -> Array:
@@ -127,3 +143,14 @@ class FlangeCheck:
                 rows["size"] = (_LINE_HALF_WIDTH, _LINE_HALF_WIDTH, distance / 2)
                 rows["rgba"] = _LINE_RGBA if off else _RIGHT_LINE_RGBA
         return np.asarray(T[:3, 3])
+
+
+def _corner(view: View, lines: list[bytes]) -> Panels | None:
+    """A panel in the upper right corner, or None when there is nothing to say."""
+    if not lines:
+        return None
+    widest = np.array([max(view.font.width(line) for line in lines)])
+    size = panel_sizes(widest, len(lines), view)
+    margin = _MARGIN * view.font.height
+    corner = np.array([view.width - margin, view.height - margin])
+    return Panels(corner - size / 2, size, [lines], _CORNER_RGBA)

@@ -103,10 +103,10 @@ class Legend:
                 value = nice(_STATED_LENGTH / arrow.metres_per_unit)
                 size = 1e3 * value * arrow.metres_per_unit
                 word = "wide" if arrow.is_round else "long"
-                scale = f"{size:g} mm {word}: {value:g} {arrow.unit_text}"
+                scale = f"{size:g} mm {word} = {value:g} {arrow.unit_text}"
                 lines.setdefault(scale, []).append(name)
         return [
-            f"{', '.join(names)}, {scale}".encode("ascii", "replace")[:99]
+            f"{', '.join(names)}: {scale}".encode("ascii", "replace")[:99]
             for scale, names in lines.items()
         ]
 

@@ -94,6 +94,14 @@ def draw_smart_arrows(
     rows["rgba"] = rgba[index]
 
 
+def drawn_sizes(world: World, vectors: Array) -> Array:
+    """How far every smart arrow reaches from its point (K,), m; 0 where there is no data."""
+    table = world.arrows
+    magnitude = np.nan_to_num(np.linalg.norm(vectors, axis=1))
+    length = np.minimum(table.scale * magnitude, table.longest)
+    return np.asarray(np.where(table.is_round, table.radius + length / 2, length))
+
+
 def frames_along(directions: Array) -> Array:
     """Rotations (k, 3, 3) whose z are unit vectors (k, 3), x across the axis z is furthest from."""
     helper = np.eye(3)[np.argmin(np.abs(directions), axis=1)]

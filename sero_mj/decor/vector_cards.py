@@ -26,7 +26,13 @@ class VectorCards:
         self._rank = heights_in_order(heights)
 
     def cards(
-        self, data: mujoco.MjData, shown: Bools, view: View, components: Array, stale: list[str]
+        self,
+        data: mujoco.MjData,
+        shown: Bools,
+        view: View,
+        components: Array,
+        reach: Array,
+        stale: list[str],
     ) -> Cards | None:
         """Returns the cards that are to be shown and whose arrow is in the picture.
 
@@ -35,6 +41,7 @@ class VectorCards:
             shown: which ones, (K,).
             view: of the picture.
             components: as received, (K, 3), NaN for no data.
+            reach: how far every arrow reaches from its point, (K,), m.
             stale: why there is no fresh data, for each; empty where there is.
         """
         index = shown.nonzero()[0]
@@ -42,7 +49,7 @@ class VectorCards:
             return None
         anchors, depth = view.project(data.site_xpos[self._world.arrows.site[index]])
         inside = view.sees(anchors, depth)
-        index, anchors = index[inside], anchors[inside]
+        index, anchors, depth = index[inside], anchors[inside], depth[inside]
         if not len(index):
             return None
         texts = [self._text(int(i), components[i], stale[i]) for i in index]
@@ -55,7 +62,7 @@ class VectorCards:
             texts=texts,
             side=(index + 1) % 2,
             rank=self._rank[index],
-            clear=0.0,
+            clear=float((reach[index] / view.pixel_size(1.0) / depth).max()),
         )
 
     def _text(self, i: int, components: Array, stale: str) -> list[bytes]:
