@@ -62,7 +62,14 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
             process.wait()
     assert ran == {"bash": 5, "python": 3, "toml": 4}
     made = {path.name for path in (tmp_path / "out").iterdir()}
-    assert made == {"now.png", "film.mp4", "from_python.mp4", "mine.png", "two_arms.png"}
+    assert made == {
+        "now.png",
+        "film.mp4",
+        "from_python.mp4",
+        "mine.png",
+        "gripper.png",
+        "two_arms.png",
+    }
 
 
 @pytest.mark.gl

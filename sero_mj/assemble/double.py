@@ -34,7 +34,7 @@ class Double(Declaration):
         show_arrows: whether round arrows are shown.
         arrow_quantity: what they show; None for what its robot's show.
         show_billboards: whether billboards are shown.
-        billboard_lines: what they say; None for what its robot's say.
+        billboard_lines: what they say; None for what its robot's say, as far as it has values.
         torques: measured, (n,), until something is received; None for no data.
         commanded_torques: (n,), likewise.
         joint_accelerations: (n,), likewise.

@@ -111,7 +111,7 @@ class DoublePart:
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
-        """What its billboards say, where declared."""
+        """What its billboards say, where declared for it or for its robot."""
         return self.double.billboard_lines or self.robot.billboard_lines
 
 

@@ -90,7 +90,7 @@ class FlangeCheck:
             point = self._draw_frame(pen, data, name, off)
             numbers = f"{1e3 * distance:7.2f} mm  {angle:6.2f} deg"
             if not off:
-                right.append(f"{name} flange{numbers}".encode("ascii", "replace"))
+                right.append(f"{name} flange check{numbers}".encode("ascii", "replace"))
                 continue
             pixel, depth = view.project(point)
             if not view.sees(pixel, depth):

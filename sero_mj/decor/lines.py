@@ -71,12 +71,23 @@ class Line:
 
 
 def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
-    """Returns what billboards say: as declared, else what is routed to the robot or double."""
-    if part.billboard_lines is not None:
-        return part.billboard_lines
+    """Returns what billboards say: as declared, else what is routed to the robot or double.
+
+    A double says what its robot says, as far as it has values for it.
+    """
     declared = part.declared
+
+    def comes(key: str) -> bool:
+        return f"{declared.name}.{key}" in scene.routes or getattr(declared, key, None) is not None
+
+    if declared.billboard_lines is not None:
+        return declared.billboard_lines
+    if part.billboard_lines is not None:
+        lines = [line for line in part.billboard_lines if comes(line.value)]
+        if lines:
+            return lines
     for key in ("billboard_values", "torques"):
-        if f"{declared.name}.{key}" in scene.routes or getattr(declared, key) is not None:
+        if comes(key):
             return [BillboardLine(value=key)]
     return [BillboardLine(value="joint_angles")]
 
