@@ -45,8 +45,18 @@ class Cards:
     rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
 
 
-def lay_out(pen: Pen, view: View, groups: list[Cards]) -> list[Panels]:
-    """Gives every card its place, draws the leaders and returns the panels for `draw_panels`."""
+def lay_out(
+    pen: Pen, view: View, groups: list[Cards], legend: Panels | None, corner: Panels | None
+) -> list[Panels]:
+    """Gives every card its place, draws the leaders and returns the panels for `draw_panels`.
+
+    Args:
+        pen: where to.
+        view: of the picture.
+        groups: cards of every kind.
+        legend: in the lower left corner, to be kept clear of.
+        corner: in the upper right one, likewise.
+    """
     groups = [group for group in groups if group.texts]
     if not groups:
         return []
@@ -57,9 +67,12 @@ def lay_out(pen: Pen, view: View, groups: list[Cards]) -> list[Panels]:
     gap = view.font.height * 0.3
     beside = min(max(3 * gap, *(group.clear for group in groups)), view.width / 6)
     centres = np.empty((len(anchors), 2))
+    below = 0.0 if legend is None else float((legend.centres + legend.sizes / 2)[:, 1].max())
+    lowest = view.height if corner is None else (corner.centres - corner.sizes / 2)[:, 1].min()
     centres[order] = columns(
-        anchors[order], sizes[order], side[order], gap, beside, view.width, view.height
-    )
+        anchors[order], sizes[order], side[order], gap, beside, view.width, view.height,
+        below=below, above=view.height - float(lowest),
+    )  # fmt: skip
     edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
     starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
     draw_leaders(pen, view, starts, anchors, LEADER_RGBA)

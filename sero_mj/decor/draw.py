@@ -74,11 +74,12 @@ class Decor:
         if toggles.flange_checks:
             off, right = self._flange_check.draw(pen, data, view)
             cards.append(off)
+        legend = self._legend.panels(toggles, view, limit)
         panels = [
             right,
-            *lay_out(pen, view, [group for group in cards if group is not None]),
+            legend,
+            *lay_out(pen, view, [group for group in cards if group is not None], legend, right),
             name_panels(world, data, shown.frame_names, view),
-            self._legend.panels(toggles, view, limit),
             self._status.panels(data, toggles, view),
             self._staleness.panels(pen, data, view, stale),
             hover_panel(toggles, view),

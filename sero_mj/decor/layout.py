@@ -49,7 +49,16 @@ def spread(centres: Array, heights: Array, gap: float, low: float, high: float) 
 
 
 def columns(
-    anchors: Array, sizes: Array, side: Ints, gap: float, beside: float, width: int, height: int
+    anchors: Array,
+    sizes: Array,
+    side: Ints,
+    gap: float,
+    beside: float,
+    width: int,
+    height: int,
+    *,
+    below: float = 0.0,
+    above: float = 0.0,
 ) -> Array:
     """Lays out all panels of a picture.
 
@@ -62,6 +71,8 @@ def columns(
         beside: space between the innermost columns and the outermost joint, pixels.
         width: of the picture, pixels.
         height: of the picture, pixels.
+        below: what is kept free at the bottom on the left, for the legend, pixels.
+        above: what is kept free at the top on the right, pixels.
 
     Returns:
         centres of the panels, (k, 2), pixels from the lower left corner.
@@ -69,7 +80,11 @@ def columns(
     centres = np.empty((len(anchors), 2))
     if not len(anchors):
         return centres
-    groups = [_chunks((side == which).nonzero()[0], sizes, gap, height) for which in (LEFT, RIGHT)]
+    limits = ((min(below, height / 2), height), (0.0, height - min(above, height / 2)))
+    groups = [
+        _chunks((side == which).nonzero()[0], sizes, gap, limits[which][1] - limits[which][0])
+        for which in (LEFT, RIGHT)
+    ]
     widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
     left, right = (sum(group) for group in widths)
     # Both sides move inward, over the robot if need be, before anything leaves the picture or
@@ -85,14 +100,15 @@ def columns(
             half = sizes[column, 0] / 2
             x = edge + outward * half
             centres[column, 0] = np.maximum(np.minimum(x, width - half), half)
+            low, high = limits[which]
             centres[column, 1] = spread(
-                anchors[column, 1], sizes[column, 1], gap, gap, height - gap
+                anchors[column, 1], sizes[column, 1], gap, low + gap, high - gap
             )
             edge += outward * column_width
     return centres
 
 
-def _chunks(index: Ints, sizes: Array, gap: float, height: int) -> list[Ints]:
+def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
     """Splits one side's panels into as few columns as the height allows, of like length."""
     if not len(index):
         return []

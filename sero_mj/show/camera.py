@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.mjcf_double import DOUBLE_GROUP
 from ..assemble.world import World
-from ..errors import UnknownName, UsageError
+from ..drive.place import Placer
+from ..errors import DeclarationError, UnknownName, UsageError
 
 _MARGIN = 1.12  # room about the robots
 
@@ -47,8 +50,13 @@ def find_camera(world: World, wanted: str | None = None) -> mujoco.MjvCamera:
 
 
 def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
-    """Centre (3,) and radius (m) of a sphere about all but floor and doubles, as declared."""
+    """Centre (3,) and radius (m) of a sphere about all but floor and doubles, as declared.
+
+    What a route hangs on a robot's flange is where the robot has it.
+    """
     model, data = world.model, world.make_data()
+    with contextlib.suppress(DeclarationError):  # wrong routes are told by who follows them
+        Placer(world).place(data)
     solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
     solid &= model.geom_group != DOUBLE_GROUP  # they go where their robot can
     if not solid.any():
