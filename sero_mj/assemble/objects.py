@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -108,3 +108,10 @@ class Object(Declaration):
                 f"size of {article} {self.shape}: found {found}; expected positive {meaning} in m"
             )
         return self
+
+
+def set_directory(children: Any, folder: Path) -> None:
+    """Lets the folders of children start from the folder of the file that declares them."""
+    for child in children if isinstance(children, list) else []:
+        if isinstance(child, dict) and isinstance(child.setdefault("directory", ""), str):
+            child["directory"] = str(folder / child["directory"])

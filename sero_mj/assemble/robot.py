@@ -20,6 +20,7 @@ from .. import paths
 from ..errors import DeclarationError, did_you_mean
 from .declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
 from .dh import COLUMNS, DhTable
+from .objects import set_directory
 from .robot_parts import (
     ArrowQuantity,
     BillboardLine,
@@ -311,13 +312,6 @@ class SerialRobot(Declaration):
         """
         q = self.home if joint_angles is None else joint_angles
         return np.asarray(self.dh.frames(q)[-1] @ self.flange_frame)
-
-
-def set_directory(children: Any, folder: Path) -> None:
-    """Lets the folders of children start from the folder of the file that declares them."""
-    for child in children if isinstance(children, list) else []:
-        if isinstance(child, dict) and isinstance(child.setdefault("directory", ""), str):
-            child["directory"] = str(folder / child["directory"])
 
 
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:

@@ -13,8 +13,8 @@ from .cartesian import ReceivedFrame, SmartArrow
 from .declaration import is_name
 from .double import Double
 from .looks import Camera, Light, View
-from .objects import Object
-from .robot import SerialRobot, build_robot, set_directory
+from .objects import Object, set_directory
+from .robot import SerialRobot, build_robot
 from .scene import Scene
 from .scene_toggles import SceneToggles
 from .toml_file import read_toml
