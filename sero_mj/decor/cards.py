@@ -46,7 +46,12 @@ class Cards:
 
 
 def lay_out(
-    pen: Pen, view: View, groups: list[Cards], legend: Panels | None, corner: Panels | None
+    pen: Pen,
+    view: View,
+    groups: list[Cards],
+    points: Array,
+    legend: Panels | None,
+    corner: Panels | None,
 ) -> list[Panels]:
     """Gives every card its place, draws the leaders and returns the panels for `draw_panels`.
 
@@ -54,6 +59,7 @@ def lay_out(
         pen: where to.
         view: of the picture.
         groups: cards of every kind.
+        points: of the robots and doubles that are shown, (m, 3), m; cards stand beside them.
         legend: in the lower left corner, to be kept clear of.
         corner: in the upper right one, likewise.
     """
@@ -71,7 +77,7 @@ def lay_out(
     lowest = view.height if corner is None else (corner.centres - corner.sizes / 2)[:, 1].min()
     centres[order] = columns(
         anchors[order], sizes[order], side[order], gap, beside, view.width, view.height,
-        below=below, above=view.height - float(lowest),
+        span=_span(view, points, anchors), below=below, above=view.height - float(lowest),
     )  # fmt: skip
     edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
     starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
@@ -85,6 +91,14 @@ def lay_out(
         )
         first += len(group.texts)
     return panels
+
+
+def _span(view: View, points: Array, anchors: Array) -> tuple[float, float]:
+    """First and last column of pixels that the robots take, as far as they are in the picture."""
+    pixels, depth = view.project(points)
+    across = np.concatenate([pixels[depth > view.near, 0], anchors[:, 0]])
+    across = np.clip(across, 0.0, view.width)
+    return float(across.min()), float(across.max())
 
 
 def heights_in_order(heights: Array) -> Ints:

@@ -78,7 +78,14 @@ class Decor:
         panels = [
             right,
             legend,
-            *lay_out(pen, view, [group for group in cards if group is not None], legend, right),
+            *lay_out(
+                pen,
+                view,
+                [group for group in cards if group is not None],
+                data.site_xpos[self._world.joints.centre_site[shown.joints]],
+                legend,
+                right,
+            ),
             name_panels(world, data, shown.frame_names, view),
             self._status.panels(data, toggles, view),
             self._staleness.panels(pen, data, view, stale),

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..assemble.world import World
-from .panels import Panels, labels_at, panel_sizes
+from .panels import Panels, labels_at
 from .pen import Kind
 from .toggles import Bools
 from .view import View
+
+_SPACED = 1.05  # distance of two names that stand under each other, over their height
 
 
 def name_panels(world: World, data: mujoco.MjData, named: Bools, view: View) -> Panels | None:
@@ -23,14 +26,24 @@ def name_panels(world: World, data: mujoco.MjData, named: Bools, view: View) -> 
     if not len(shown):
         return None
     texts = [world.frames.names[i].encode("ascii", "replace")[:99] for i in shown]
-    # Frames at one place have their names under each other, first frame on top.
-    places = np.round(origins / (2 * view.font.height)).astype(int)
-    seen: dict[tuple[int, ...], int] = {}
-    centres = origins - [0.0, 1.0 * view.font.height]
-    apart = 1.1 * float(panel_sizes(np.zeros(1), 1, view)[0, 1])
-    for k, place in enumerate(map(tuple, places)):
-        centres[k, 1] -= seen.get(place, 0) * apart
-        seen[place] = seen.get(place, 0) + 1
     lines = [[text] for text in texts]
-    centres, sizes = labels_at(view, centres, lines)
+    below = origins - [0.0, view.font.height]
+    centres, sizes = labels_at(view, below, lines)
+    move_apart(centres, sizes)
     return Panels(centres, sizes, lines, kind=Kind.NAME, items=shown)
+
+
+def move_apart(centres: NDArray[np.float64], sizes: NDArray[np.float64]) -> None:
+    """Moves names under those of earlier frames that they would cover, in place.
+
+    Args:
+        centres: (k, 2), pixels.
+        sizes: (k, 2), pixels.
+    """
+    for k in range(1, len(centres)):
+        beside = np.abs(centres[:k, 0] - centres[k, 0]) < (sizes[:k, 0] + sizes[k, 0]) / 2
+        apart = (sizes[:k, 1] + sizes[k, 1]) / 2 * _SPACED
+        # From the highest down: each that is in the way moves the name below it.
+        for other in np.argsort(-centres[:k, 1]):
+            if beside[other] and abs(centres[other, 1] - centres[k, 1]) < apart[other]:
+                centres[k, 1] = centres[other, 1] - apart[other]

@@ -57,6 +57,7 @@ def columns(
     width: int,
     height: int,
     *,
+    span: tuple[float, float] | None = None,
     below: float = 0.0,
     above: float = 0.0,
 ) -> Array:
@@ -71,6 +72,8 @@ def columns(
         beside: space between the innermost columns and the outermost joint, pixels.
         width: of the picture, pixels.
         height: of the picture, pixels.
+        span: first and last column of pixels that the robots take, to be left free; None for
+            those of the anchors.
         below: what is kept free at the bottom on the left, for the legend, pixels.
         above: what is kept free at the top on the right, pixels.
 
@@ -89,8 +92,9 @@ def columns(
     left, right = (sum(group) for group in widths)
     # Both sides move inward, over the robot if need be, before anything leaves the picture or
     # covers the other side.
-    inner_left = max(float(anchors[:, 0].min()) - beside, left)
-    inner_right = min(float(anchors[:, 0].max()) + beside, width - right)
+    first, last = span or (float(anchors[:, 0].min()), float(anchors[:, 0].max()))
+    inner_left = max(first - beside, left)
+    inner_right = min(last + beside, width - right)
     inner_left = min(inner_left, width - right - gap)
     inner_right = max(inner_right, inner_left + gap)
     for which, outward, start in ((LEFT, -1.0, inner_left), (RIGHT, 1.0, inner_right)):

@@ -23,6 +23,7 @@ class Shown:
     """What there is to be drawn in one frame: what is switched on and is anywhere.
 
     Attributes:
+        joints: whether the joint is anywhere, (N,).
         arrows: for every joint of the world, (N,).
         billboards: likewise, those with an arrow's precise numbers included.
         axes: for every frame, (M,).
@@ -31,6 +32,7 @@ class Shown:
         cards: likewise, whether its numbers are shown.
     """
 
+    joints: Bools
     arrows: Bools
     billboards: Bools
     axes: Bools
@@ -158,6 +160,7 @@ class Toggles:
             came = data.userdata[self._world.joints.has["joint_angles"]] > 0
             joints = (came & visible[self._double_of_joint]) | (self._double_of_joint < 0)
         return Shown(
+            joints=joints,
             arrows=self.arrows & joints,
             billboards=(self.billboards | self.details) & joints,
             axes=self.axes & frames,

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.mjcf_double import DOUBLE_GROUP
+from ..assemble.mjcf_double import OUT_OF_SIGHT
 from ..assemble.world import World
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError
@@ -50,7 +50,7 @@ def find_camera(world: World, wanted: str | None = None) -> mujoco.MjvCamera:
 
 
 def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
-    """Centre (3,) and radius (m) of a sphere about all but floor and doubles, as declared.
+    """Centre (3,) and radius (m) of a sphere about all but the floor, as declared.
 
     What a route hangs on a robot's flange is where the robot has it.
     """
@@ -58,7 +58,7 @@ def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
     with contextlib.suppress(DeclarationError):  # wrong routes are told by who follows them
         Placer(world).place(data)
     solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-    solid &= model.geom_group != DOUBLE_GROUP  # they go where their robot can
+    solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles that are nowhere yet
     if not solid.any():
         return np.zeros(3), 1.0
     box = model.geom_aabb[solid]
