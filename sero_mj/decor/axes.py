@@ -6,6 +6,8 @@ can be told apart and clicked on, whatever their orientation (section 2.5).
 
 from __future__ import annotations
 
+from functools import cache
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +50,14 @@ def ranks(positions: Array) -> Array:
     apart = squares[:, None] + squares - 2.0 * positions @ positions.T
     distance = np.sqrt(np.maximum(apart, 0.0))
     near, far = _AT_ONE_PLACE
-    shared = np.clip((far - distance) / (far - near), 0.0, 1.0)
-    return np.asarray(np.tril(shared, -1).sum(axis=1))
+    shared = np.minimum(np.maximum((far - distance) / (far - near), 0.0), 1.0)
+    return np.asarray(np.einsum("ij,ij->i", shared, _earlier(len(positions))))
+
+
+@cache
+def _earlier(m: int) -> Array:
+    """1 where the column's frame comes before the row's, (m, m)."""
+    return np.tril(np.ones((m, m)), -1)
 
 
 def draw_axes(pen: Pen, world: World, data: mujoco.MjData, shown: Bools, stale: Bools) -> None:
@@ -73,8 +81,10 @@ def draw_axes(pen: Pen, world: World, data: mujoco.MjData, shown: Bools, stale: 
     rank = ranks(origins)
     length = table.size[index] / (1.0 + _SHORTER * rank)
     half_width = _HALF_WIDTH_OF_LENGTH * table.size[index] * (1.0 + _THICKER * rank)
-    rgb = np.broadcast_to(AXIS_RGB, (len(index), 3, 3)).copy()
-    rgb[stale[index]] += _STALE_SHARE * (np.array(GREY, np.float32) - AXIS_RGB)
+    rgb = AXIS_RGB
+    if stale.any():
+        rgb = np.repeat(AXIS_RGB[None], len(index), axis=0)
+        rgb[stale[index]] += _STALE_SHARE * (np.array(GREY, np.float32) - AXIS_RGB)
     rotation = data.site_xmat[sites].reshape(-1, 3, 3)
     draw_bars(pen, origins, rotation, (length, half_width), rgb, table.alpha[index], index)
 
@@ -95,7 +105,7 @@ def draw_bars(
         origins: (k, 3), m.
         rotation: (k, 3, 3).
         size: length and half the width of the bars, (k,) each, m.
-        rgb: of the three bars, (k, 3, 3).
+        rgb: of the three bars, (3, 3) or (k, 3, 3).
         alpha: (k,).
         items: which frames they are, (k,); None for what cannot be clicked on.
     """

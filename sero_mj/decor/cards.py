@@ -97,8 +97,7 @@ def _span(view: View, points: Array, anchors: Array) -> tuple[float, float]:
     """First and last column of pixels that the robots take, as far as they are in the picture."""
     pixels, depth = view.project(points)
     across = np.concatenate([pixels[depth > view.near, 0], anchors[:, 0]])
-    across = np.clip(across, 0.0, view.width)
-    return float(across.min()), float(across.max())
+    return max(float(across.min()), 0.0), min(float(across.max()), float(view.width))
 
 
 def heights_in_order(heights: Array) -> Ints:

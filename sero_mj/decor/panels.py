@@ -80,23 +80,23 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     centres = np.concatenate([group.centres for group in groups])
     sizes = np.concatenate([group.sizes for group in groups])
     texts = [lines for group in groups for lines in group.texts]
-    rgba = np.concatenate([np.broadcast_to(g.rgba, (len(g.texts), 4)) for g in groups])
     depth = _PANEL_DEPTH * view.near
     pixel = view.pixel_size(depth)
-    first = pen.count
+    first, start = pen.count, 0
     rows = pen.take(len(texts), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
     for group in groups:
+        stop = start + len(group.texts)
+        rows["rgba"][start:stop] = group.rgba
         if group.items is not None:
-            pen.kinds[first : first + len(group.texts)] = group.kind
-            pen.items[first : first + len(group.texts)] = group.items
-        first += len(group.texts)
+            pen.kinds[first + start : first + stop] = group.kind
+            pen.items[first + start : first + stop] = group.items
+        start = stop
     rows["pos"] = view.at(centres, depth)
     rows["mat"] = view.facing
     rows["size"][:, :2] = sizes * (pixel / 2)
     rows["size"][:, 2] = pixel / 10
-    rows["rgba"] = rgba
     rows["emission"] = 1.0
 
     line = view.font.height

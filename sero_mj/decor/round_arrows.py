@@ -116,10 +116,11 @@ class RoundArrows:
 
         It depends on what is switched on and not on the values, which would make them flicker.
         """
-        others = 3 * int(shown.axes.sum()) + 3 * int(shown.billboards.sum())
+        count = np.count_nonzero
+        others = 3 * int(count(shown.axes)) + 3 * int(count(shown.billboards))
         room = len(pen.rows) - _GEOMS_FOR_THE_REST - others
-        budget = room // max(int(shown.arrows.sum()), 1)
-        return int(np.clip(budget, _FEWEST_SEGMENTS, _MOST_SEGMENTS))
+        budget = room // max(int(count(shown.arrows)), 1)
+        return min(max(budget, _FEWEST_SEGMENTS), _MOST_SEGMENTS)
 
     def _draw_straight(
         self,
