@@ -165,6 +165,8 @@ def _route(
             message = f"no output '{key}' of {name}{did_you_mean(key, [FWD_KIN])}"
             problems.append(Problem("", f"{message}; its frames are {name}/flange and so on"))
         route = _checked(problems, item, target, text, name, True)
+    elif f"robots.{name}" in scene.broken and name not in scene.sources:
+        return None
     else:
         return _source_route(scene, sources, problems, item, (text, negated))
     if problems:
