@@ -11,6 +11,7 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.pen import Kind, Pen
 from sero_mj.decor.toggles import Toggles
 from sero_mj.decor.view import View
 
@@ -60,3 +61,60 @@ def drawn(world: World, view: View | None = None, **shown: bool) -> Any:
 def of_kind(rows: Any, kind: Any) -> Any:
     """The rows of one geom type."""
     return rows[rows["type"] == int(kind)]
+
+
+def labels(rows: Any) -> list[str]:
+    """All that is written, in the order in which it was drawn."""
+    return [row["label"].decode() for row in of_kind(rows, GEOM.mjGEOM_LABEL)]
+
+
+def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> View:
+    """A view from one point to another; not for straight up or down."""
+    position = np.array(position, float)
+    forward = np.array(at, float) - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    tan = float(np.tan(np.deg2rad(22.5)))
+    return View(position, right, up, forward, tan, 0.02, width, height)
+
+
+def turned(axis: Any, angle: float) -> Any:
+    """Rotation (3, 3) by Rodrigues' formula."""
+    x, y, z = np.array(axis, float) / np.linalg.norm(axis)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+def rigid(rotation: Any, position: Any) -> Any:
+    """A frame (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, position
+    return T
+
+
+def belonging(pen: Pen, kind: Kind, item: int | None = None) -> Any:
+    """The rows that belong to something of one kind, or to one such thing."""
+    these = pen.kinds[: pen.count] == kind
+    if item is not None:
+        these &= pen.items[: pen.count] == item
+    return pen.rows[: pen.count][these]
+
+
+def rectangle(view: View, row: Any) -> tuple[Any, Any]:
+    """Lower left and upper right pixel of a panel."""
+    half = row["mat"][:, :2] @ row["size"][:2]
+    corners, _ = view.project(np.array([row["pos"] - half, row["pos"] + half], float))
+    return corners[0], corners[1]
+
+
+def texts_in(view: View, rows: Any, panel: Any) -> list[str]:
+    """What is written on one panel, top first."""
+    low, high = rectangle(view, panel)
+    found = []
+    for row in of_kind(rows, GEOM.mjGEOM_LABEL):
+        start, _ = view.project(row["pos"].astype(float))
+        if (start >= low - 0.5).all() and (start <= high + 0.5).all():
+            found.append((-start[1], row["label"].decode()))
+    return [text for _, text in sorted(found)]

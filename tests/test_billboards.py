@@ -2,29 +2,24 @@
 
 import numpy as np
 import pytest
-from decor_tools import GEOM, drawn, of_kind, view_at, world_of
+from decor_tools import GEOM, drawn, labels, of_kind, rectangle, view_at, world_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sero_mj.assemble.double import Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.quantities import joint_values
+from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.decor.toggles import Toggles
 from sero_mj.decor.view import View
+from sero_mj.drive.follow import follow
+from sero_mj.drive.place import Placer
+from sero_mj.errors import UnknownName
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
-
-
-def labels(rows) -> list[str]:
-    return [row["label"].decode() for row in of_kind(rows, GEOM.mjGEOM_LABEL)]
-
-
-def rectangle(view: View, row) -> tuple[np.ndarray, np.ndarray]:
-    """Lower left and upper right pixel of a panel."""
-    half = row["mat"][:, :2] @ row["size"][:2]
-    corners, _ = view.project(np.array([row["pos"] - half, row["pos"] + half], float))
-    return corners[0], corners[1]
 
 
 def text_boxes(view: View, rows) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -105,8 +100,6 @@ def test_text_is_inside_its_panel_and_panels_clear_of_each_other(
     world.set_input(data, "lwr.joint_angles", rng.uniform(-2, 2, 7))
     # Beyond every limit and then some: the panel must grow with the number.
     world.set_input(data, "lwr.torques", rng.uniform(-1, 1, 7) * 10.0 ** rng.integers(0, 7, 7))
-    from sero_mj.drive.follow import follow
-
     follow(world.model, data)
     view = view_at(azimuth, distance, *size)
     pen = Decor(world).draw(data, Toggles(world), view)
@@ -264,8 +257,6 @@ def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width()
     toggles.arrows[:] = False
     assert decor.draw(data, toggles, view_at()).count == 0
     # The words are those of the colours: orange is mostly red, blue mostly blue.
-    from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
-
     assert np.argmax(POSITIVE_RGBA[:3]) == 0
     assert np.argmax(NEGATIVE_RGBA[:3]) == 2
 
@@ -285,3 +276,75 @@ def test_the_legend_leaves_small_pictures_alone() -> None:
     assert labels(decor.draw(data, toggles, view_at(width=640, height=480)).rows[: decor.pen.count])
     small = decor.draw(data, toggles, view_at(width=320, height=200))
     assert labels(small.rows[: small.count]) == []
+
+
+TEMPERATURE = {"value": "temperatures", "label": "T", "unit": "C", "decimals": 0}
+
+
+def warm_world(*others: SerialRobot, doubles=(), **fields) -> World:
+    fields = {"inputs": ["temperatures"], "billboard_lines": [TEMPERATURE], **fields}
+    robot = SerialRobot.from_model("lwr", name="warm", show_billboards=True, **fields)
+    return World(Scene(robots=[*others, robot], doubles=list(doubles), floor=False))
+
+
+def said(world: World, data=None) -> list[str]:
+    pen = Decor(world).draw(data or world.make_data(), Toggles(world), view_at(distance=4))
+    return labels(pen.rows[: pen.count])
+
+
+def test_a_robots_own_input_is_on_its_billboards() -> None:
+    world = warm_world()
+    data = world.make_data()
+    assert said(world, data) == [f"{name}  T no data" for name in world.joints.names]
+    world.set_input(data, "warm.temperatures", [31.4, 30.6, -5.0, 99.9, 100.0, 0.2, 45.0])
+    numbers = ["31", "31", "-5", "100", "100", "0", "45"]
+    expected = [f"{n}  T {t:>5} C" for n, t in zip(world.joints.names, numbers, strict=True)]
+    assert said(world, data) == expected
+
+
+def test_nan_in_one_joint_says_no_data_there_and_the_others_go_on() -> None:
+    lines = ["torques", TEMPERATURE, {"value": "currents", "unit": "A"}]
+    inputs = ["temperatures", "currents"]
+    world = warm_world(inputs=inputs, billboard_lines=lines, torques=TORQUES)
+    data = world.make_data()
+    world.set_input(data, "warm.temperatures", np.arange(20.0, 27.0))
+    world.set_input(data, "warm.currents", np.arange(7) / 8)
+    whole = said(world, data)
+    assert whole[3:6] == ["A2  msr    0.0 Nm", "    T    21 C", "    currents    0.12 A"]
+    for wrong in (np.nan, np.inf):
+        data.userdata[world.slots["warm.temperatures"]][4] = wrong
+        found = said(world, data)
+        assert found[13] == "    T no data"
+        assert found[:13] + found[14:] == whole[:13] + whole[14:]
+
+
+def test_a_robot_without_the_input_stands_beside_one_that_has_it() -> None:
+    plain = SerialRobot.from_model("lwr", name="plain", show_billboards=True, torques=TORQUES)
+    tiny = SerialRobot(name="tiny", dh_convention="craig", show_billboards=True)
+    for order in (1, -1):
+        world = warm_world(*[plain, tiny][::order])
+        data = world.make_data()
+        world.set_input(data, "warm.temperatures", np.arange(20.0, 27.0))
+        found = said(world, data)
+        assert "plain A1  -12.3 Nm" in found
+        assert "tiny J1    0.000 rad" in found
+        for k, name in enumerate(world.robots["warm"].robot.names):
+            assert f"warm {name}  T    {20 + k} C" in found
+        assert len(found) == 15
+        world.set_input(data, "toggles.flange_checks", 1.0)  # the last flag of all
+        temperatures = joint_values(world, data)["temperatures"]
+        assert np.isnan(temperatures).sum() == 8 and np.nanmax(temperatures) == 26
+        with pytest.raises(UnknownName):
+            world.set_input(data, "plain.temperatures", np.zeros(7))
+
+
+def test_a_double_has_its_robots_own_inputs_with_values_of_its_own() -> None:
+    shown = {"show_billboards": True, "billboard_lines": [TEMPERATURE]}
+    double = Double(name="goal", of="warm", joint_angles=np.full(7, 0.5), **shown)
+    world = warm_world(doubles=[double])
+    data = world.make_data()
+    Placer(world).place(data)
+    world.set_input(data, "warm.temperatures", np.full(7, 40.0))
+    assert said(world, data)[6:8] == ["A6  T    40 C", "goal A1  T no data"]
+    world.set_input(data, "goal.temperatures", np.full(7, 55.0))
+    assert said(world, data)[6:8] == ["A6  T    40 C", "goal A1  T    55 C"]

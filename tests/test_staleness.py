@@ -3,14 +3,18 @@
 import mujoco
 import numpy as np
 import pytest
-from decor_tools import of_kind, toggles_of, view_at
+from decor_tools import belonging, labels, of_kind, rectangle, texts_in, toggles_of, view_at
 
+from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.assemble.double import Double
 from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import GREY, Host
+from sero_mj.decor.pen import GREY, Host, Kind
+from sero_mj.drive.place import Placer
 from sero_mj.show.headless import HeadlessRenderer
 
 GEOM = mujoco.mjtGeom
@@ -113,6 +117,28 @@ def test_a_host_greys_what_it_is_told_and_nothing_else(fast: bool) -> None:
             assert geom.rgba == pytest.approx(declared, abs=1e-6)
 
 
+@pytest.mark.parametrize("fast", [True, False])
+def test_a_host_does_not_show_what_is_hidden(fast: bool) -> None:
+    world = fed_world()
+    toggles = toggles_of(world)
+    toggles.doubles[:] = False
+    toggles.axes[:] = toggles.vectors[:] = False
+    data = world.make_data()
+    Placer(world).place(data)
+    scene = mujoco.MjvScene(world.model, 200)
+    host = Host(scene)
+    if not fast:
+        host._view = None
+    everything = mujoco.mjtCatBit.mjCAT_ALL.value
+    mujoco.mjv_updateScene(
+        world.model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene
+    )
+    assert scene.ngeom == 3 * 24
+    host.add(Decor(world).draw(data, toggles, view_at(distance=4)))
+    seen = [geom.objid for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] > 0]
+    assert sorted(seen) == (~np.array(geoms_of(world, "double-"))).nonzero()[0].tolist()
+
+
 @pytest.mark.gl
 def test_a_stale_robot_is_seen_grey_in_the_picture_and_fresh_again() -> None:
     world = two_arms()
@@ -123,3 +149,164 @@ def test_a_stale_robot_is_seen_grey_in_the_picture_and_fresh_again() -> None:
     assert np.array_equal(fresh, again)
     darker = (fresh.sum(axis=2) - stale.sum(axis=2)) > 120
     assert darker.sum() > 1500
+
+
+def fed_world(**routes: str) -> World:
+    """A robot with a double, smart arrows and frames, and what is routed to them."""
+    sources = {
+        name: {"kind": "udp", "port": port, "structure": "7F1V1M1F"}
+        for port, name in enumerate(("arm", "goal_in", "sensor", "tracker", "keys"), 1)
+    }
+    arrow = {"at": [0, 0, 0.5], "vector": [0, 0, 9.0], "scale": 0.01}
+    return World(
+        Scene(
+            robots=[SerialRobot.from_model("lwr"), SerialRobot.from_model("lwr", name="other")],
+            doubles=[Double(name="goal", of="lwr", joint_angles=np.full(7, 0.4))],
+            arrows=[
+                SmartArrow(name="push", **arrow),
+                SmartArrow(name="long", longest=0.02, **arrow),
+                SmartArrow(name="turn", kind="torque", **arrow),
+                SmartArrow(name="wide", kind="torque", longest=0.02, **arrow),
+                SmartArrow(name="fixed", **arrow),
+            ],
+            frames=[
+                ReceivedFrame(name="seen", frame={"xyz": [0.2, 0.3, 0.4]}),
+                ReceivedFrame(name="still", frame={"xyz": [0.2, -0.3, 0.4]}),
+            ],
+            sources=sources,
+            routes={target.replace("__", "."): origin for target, origin in routes.items()},
+            floor=False,
+        )
+    )
+
+
+def drawn_with(world: World, **ages: float):
+    """The pen with these ages of sources; the others are fresh."""
+    data = world.make_data()
+    for name in world.scene.sources:
+        slot = world.slots[f"sources.{name}"]
+        data.userdata[slot] = (5, 0, 0, ages.get(name, 0.1), 0, 0, 216, -1, 0)
+    Placer(world).place(data)
+    return Decor(world).draw(data, toggles_of(world), view_at(distance=4))
+
+
+def written(pen) -> list[str]:
+    return labels(pen.rows[: pen.count])
+
+
+def geoms_of(world: World, start: str) -> list[bool]:
+    return [world.model.body(int(body)).name.startswith(start) for body in world.model.geom_bodyid]
+
+
+def test_a_stale_double_is_grey_alone_and_says_so_at_its_robots_base() -> None:
+    world = fed_world(lwr__joint_angles="arm.values0", goal__joint_angles="goal_in.values0")
+    pen = drawn_with(world, goal_in=1.4)
+    assert written(pen) == ["goal: no data for 1.4 s"]
+    assert pen.grey is not None
+    assert pen.grey.tolist() == geoms_of(world, "double-goal-")
+    pen = drawn_with(world, arm=-1)
+    assert written(pen) == ["lwr: no data yet"]
+    assert pen.grey is not None
+    assert pen.grey.tolist() == geoms_of(world, "lwr/")
+
+
+def test_a_robot_and_its_double_have_their_lines_under_each_other() -> None:
+    world = fed_world(
+        lwr__joint_angles="arm.values0",
+        goal__joint_angles="goal_in.values0",
+        other__torques="sensor.values0",
+    )
+    view = view_at(distance=4)
+    pen = drawn_with(world, arm=3.0, goal_in=-1)
+    rows = pen.rows[: pen.count]
+    assert written(pen) == ["lwr: no data for 3.0 s", "goal: no data yet"]
+    panels = of_kind(rows, GEOM.mjGEOM_BOX)
+    (panel,) = panels[panels["emission"] == 1]
+    assert texts_in(view, rows, panel) == written(pen)
+    starts, _ = view.project(of_kind(rows, GEOM.mjGEOM_LABEL)["pos"].astype(float))
+    assert starts[0, 0] == pytest.approx(starts[1, 0], abs=0.5)
+    assert starts[0, 1] - starts[1, 1] == pytest.approx(view.font.height, abs=0.5)
+    # Under the base.
+    (base,), _ = view.project(np.zeros((1, 3)))
+    low, high = rectangle(view, panel)
+    assert low[0] < base[0] < high[0]
+    assert high[1] < base[1]
+    assert pen.grey is not None
+    both = np.array(geoms_of(world, "lwr/")) | geoms_of(world, "double-goal-")
+    assert pen.grey.tolist() == both.tolist()
+
+
+def test_a_stale_arrow_is_grey_and_the_others_are_not() -> None:
+    world = fed_world(
+        **{f"{name}__vector": "sensor.vectors0" for name in ("push", "long", "turn", "wide")}
+    )
+    declared = world.arrows.rgba
+    for age in (0.1, 0.6, -1.0):
+        pen = drawn_with(world, sensor=age)
+        assert pen.grey is None and written(pen) == []
+        for k, name in enumerate(("push", "long", "turn", "wide", "fixed")):
+            rgba = belonging(pen, Kind.VECTOR, k)["rgba"]
+            stale = age != 0.1 and name != "fixed"
+            colour = np.array([*GREY, 1.0]) if stale else declared[k].copy()
+            if name == "long":
+                colour[:3] *= 0.4  # too long for the scale, still
+            unstriped = rgba[::2] if name == "wide" else rgba
+            assert unstriped == pytest.approx(np.tile(colour, (len(unstriped), 1)), rel=1e-5)
+
+
+def test_a_stale_frame_is_grey_and_the_others_are_not() -> None:
+    world = fed_world(seen__frame="tracker.matrices0")
+    for age in (0.1, 0.6, -1.0):
+        pen = drawn_with(world, tracker=age)
+        assert pen.grey is None and written(pen) == []
+        for name in ("seen", "still"):
+            bars = belonging(pen, Kind.AXES, world.frames.names.index(name))
+            grey = 0.75 if age != 0.1 and name == "seen" else 0.0
+            expected = (1 - grey) * AXIS_RGB + grey * np.array(GREY)
+            assert bars["rgba"][:, :3] == pytest.approx(expected, rel=1e-5)
+
+
+def test_what_only_switches_is_no_data() -> None:
+    world = fed_world(
+        lwr__show_arrows="keys.values1",
+        lwr__arrow_quantity="keys.values1",
+        goal__visible="keys.values1",
+        goal__show_axes="keys.values1",
+        push__show="keys.values1",
+        seen__show_axes="keys.values1",
+        toggles__legend="keys.values1",
+    )
+    for age in (-1.0, 99.0):
+        pen = drawn_with(world, keys=age)
+        assert pen.grey is None and written(pen) == []
+        rgba = belonging(pen, Kind.VECTOR, 0)["rgba"][0]
+        assert rgba == pytest.approx(world.arrows.rgba[0])
+        bars = belonging(pen, Kind.AXES, world.frames.names.index("seen"))
+        assert bars["rgba"][:, :3] == pytest.approx(AXIS_RGB)
+
+
+def test_beside_data_a_switch_of_another_source_does_not_make_stale() -> None:
+    world = fed_world(
+        lwr__joint_angles="arm.values0",
+        lwr__show_arrows="keys.values1",
+        push__vector="sensor.vectors0",
+        push__show="keys.values1",
+    )
+    assert written(drawn_with(world, keys=-1)) == []
+    assert written(drawn_with(world, keys=-1, arm=2.0)) == ["lwr: no data for 2.0 s"]
+
+
+def test_the_oldest_of_several_sources_counts_a_received_flange_among_them() -> None:
+    world = fed_world(lwr__joint_angles="arm.values0", lwr__flange_check="tracker.matrices0")
+    assert written(drawn_with(world, arm=0.2)) == []
+    assert written(drawn_with(world, arm=0.2, tracker=0.7)) == ["lwr: no data for 0.7 s"]
+    assert written(drawn_with(world, arm=1.2, tracker=0.7)) == ["lwr: no data for 1.2 s"]
+    assert written(drawn_with(world, arm=1.2, tracker=-1)) == ["lwr: no data yet"]
+
+
+def test_what_follows_a_frame_has_no_age() -> None:
+    world = fed_world(other__base_frame="lwr/flange", lwr__joint_angles="arm.values0")
+    pen = drawn_with(world, arm=5.0)
+    assert written(pen) == ["lwr: no data for 5.0 s"]
+    assert pen.grey is not None
+    assert not pen.grey[np.array(geoms_of(world, "other/"))].any()

@@ -1,0 +1,350 @@
+"""What doubles have of their own: arrows, billboards, axes; and room for all of it."""
+
+import numpy as np
+import pytest
+from decor_tools import (
+    GEOM,
+    belonging,
+    labels,
+    of_kind,
+    rigid,
+    texts_in,
+    toggles_of,
+    turned,
+    view_at,
+)
+
+from sero_mj.assemble.double import Double
+from sero_mj.assemble.mjcf_double import DOUBLE_GROUP
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.axes import AXIS_RGB
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.panels import PANEL_RGBA
+from sero_mj.decor.pen import Kind, Pen
+from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
+from sero_mj.decor.singularity import jacobian
+from sero_mj.drive.place import Placer
+
+POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
+TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])
+BASE = rigid(turned([1, 2, 3], 0.5), [0.1, -0.2, 0.2])
+TORQUES = np.array([30.0, -60.0, 20.0, -9.0, 12.0, -7.0, 5.0])
+JUSTIN = [3, 7, 7, 12, 12, 2, 8]  # chains of 51 joints, as in benchmarks/worlds.py
+TURNING = 1.6  # rad/s
+
+
+def world_with(*doubles: Double, **fields) -> World:
+    fields = {"joint_angles": POSE, "base_frame": BASE.tolist(), **fields}
+    robot = SerialRobot.from_model("lwr", **fields)
+    return World(Scene(robots=[robot], doubles=list(doubles), floor=False))
+
+
+def goal(**fields) -> Double:
+    return Double(name="goal", of="lwr", **{"joint_angles": TARGET, **fields})
+
+
+def draw(world: World, data=None, *, toggles=None, view=None, time: float = 0.0) -> Pen:
+    data = world.make_data() if data is None else data
+    Placer(world).place(data)
+    data.time = time
+    return Decor(world).draw(data, toggles or toggles_of(world), view or view_at(distance=3))
+
+
+def said(world: World) -> list[str]:
+    pen = draw(world)
+    return labels(pen.rows[: pen.count])
+
+
+def arrows_of(pen: Pen, joints) -> list[np.ndarray]:
+    return [belonging(pen, Kind.ARROW, joint) for joint in joints]
+
+
+@pytest.mark.parametrize("target", [TARGET, POSE])  # also where its robot hides its links
+def test_arrows_stand_at_the_joints_of_the_target(target: np.ndarray) -> None:
+    world = world_with(goal(joint_angles=target, torques=TORQUES, show_arrows=True))
+    robot = world.scene.robots["lwr"]
+    frames = robot.dh.frames(target, BASE)
+    pen = draw(world)
+    assert set(pen.kinds[: pen.count]) == {Kind.ARROW}
+    limit = robot.torque_limits
+    for joint, boxes in enumerate(arrows_of(pen, range(7, 14))):
+        frame = frames[joint + 1]
+        out = boxes["pos"] - (frame[:3, 3] + frame[:3, :3] @ robot.offsets[joint])
+        assert np.abs(out @ frame[:3, 2]).max() < 1e-6
+        smaller = np.full(len(boxes), 0.85 * 0.1)
+        assert np.linalg.norm(out, axis=1) == pytest.approx(smaller, abs=1e-6)
+        colour = POSITIVE_RGBA if TORQUES[joint] > 0 else NEGATIVE_RGBA
+        assert boxes["rgba"] == pytest.approx(np.tile([*colour[:3], 0.55], (len(boxes), 1)))
+        width = 0.085 * np.sqrt(abs(TORQUES[joint]) / limit[joint])
+        assert 2 * boxes["size"][0, 2] == pytest.approx(width, rel=1e-5)
+
+
+def test_arrows_of_a_double_turn_as_fast_as_those_of_robots_wherever_it_stands() -> None:
+    world = world_with(goal(torques=TORQUES, show_arrows=True))
+    robot = world.scene.robots["lwr"]
+    data = world.make_data()
+    q = TARGET.copy()
+    angles = []
+    for k in range(6):
+        q[3] += 0.4  # only this joint moves
+        world.set_input(data, "goal.joint_angles", q)
+        # The joint's frame if it did not turn; all before it stand still.
+        axis_frame = robot.dh.frames(np.where(np.arange(7) == 3, 0.0, q), BASE)[4]
+        first = belonging(draw(world, data, time=0.25 * k), Kind.ARROW, 7 + 3)["pos"][0]
+        x, y, _ = axis_frame[:3, :3].T @ (first - axis_frame[:3, 3])
+        angles.append(np.arctan2(y, x))
+    speed = np.diff(np.unwrap(angles)) / 0.25
+    assert speed == pytest.approx(np.full(5, np.sign(TORQUES[3]) * TURNING), abs=1e-3)
+
+
+def test_a_standard_table_has_its_arrows_about_the_axes_before_the_links() -> None:
+    robot = SerialRobot(
+        name="arm",
+        dh_convention="standard",
+        dh_params=[[1.2, 0.1, 0.3, 0.4], [-0.7, 0.3, 0, 0.1], [0.4, 0.2, -0.5, 0.2]],
+        base_frame=BASE.tolist(),
+        torque_limits=[10.0] * 3,
+        arrow_radius=0.2,
+    )
+    q = np.array([0.4, -0.8, 1.1])
+    double = Double(name="goal", of="arm", joint_angles=q, torques=[3, -4, 5], show_arrows=True)
+    pen = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
+    frames = robot.dh.frames(q, BASE)
+    for joint, boxes in enumerate(arrows_of(pen, range(3, 6))):
+        out = boxes["pos"] - frames[joint][:3, 3]
+        assert len(boxes) > 9
+        assert np.abs(out @ frames[joint][:3, 2]).max() < 1e-6
+        assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(len(boxes), 0.17), abs=1e-6)
+
+
+def test_a_sliding_joint_of_a_double_has_a_straight_arrow() -> None:
+    robot = SerialRobot(
+        name="arm", dh_convention="craig", dh_params=[[0.4, 0.1, 0.2, 0.3]],
+        joint_types=["prismatic"], arrow_radius=0.2,
+    )  # fmt: skip
+    double = Double(name="goal", of="arm", joint_angles=[0.5], torques=[-4], show_arrows=True)
+    pen = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
+    (row,) = belonging(pen, Kind.ARROW, 1)
+    frame = robot.dh.frames([0.5])[1]
+    assert row["mat"][:, 2] == pytest.approx(-frame[:3, 2], abs=1e-6)
+    middle = row["pos"] + row["mat"][:, 2] * (row["size"][2] / 4)
+    assert np.linalg.norm(middle - frame[:3, 3]) == pytest.approx(0.17, rel=1e-5)
+    assert row["rgba"] == pytest.approx([*NEGATIVE_RGBA[:3], 0.55])
+
+
+def test_billboards_say_whose_joint_it_is_on_a_tinted_panel() -> None:
+    rgba = [0.9, 0.1, 0.2, 0.3]
+    world = world_with(
+        goal(torques=TORQUES, show_billboards=True, rgba=rgba),
+        torques=2 * TORQUES,
+        show_billboards=True,
+    )
+    view = view_at(distance=3)
+    pen = draw(world, view=view)
+    rows = pen.rows[: pen.count]
+    names = world.scene.robots["lwr"].names
+    for joint in range(14):
+        (panel,) = belonging(pen, Kind.BILLBOARD, joint)
+        name, torque = names[joint % 7], TORQUES[joint % 7]
+        if joint < 7:
+            text, colour = f"{name} {2 * torque:6.1f} Nm", np.array(PANEL_RGBA)
+        else:
+            text = f"goal {name} {torque:6.1f} Nm"
+            tinted = 0.7 * np.array(PANEL_RGBA[:3]) + 0.3 * np.array(rgba[:3])
+            colour = np.array([*tinted, PANEL_RGBA[3]])
+        assert texts_in(view, rows, panel) == [text]
+        assert panel["rgba"] == pytest.approx(colour, rel=1e-5)
+    # Every leader ends at its joint, the robot's where it is, the double's at its target.
+    robot = world.scene.robots["lwr"]
+    leaders = of_kind(rows, GEOM.mjGEOM_TRIANGLE)
+    assert len(leaders) == 14
+    for joint, row in enumerate(leaders):
+        frame = robot.dh.frames(POSE if joint < 7 else TARGET, BASE)[joint % 7 + 1]
+        centre = frame[:3, 3] + frame[:3, :3] @ robot.offsets[joint % 7]
+        tip = row["pos"] + row["mat"][:, 1] * row["size"][1].astype(float)
+        assert view.project(tip)[0] == pytest.approx(view.project(centre)[0], abs=4.0)
+
+
+def test_what_its_billboards_say_may_be_its_own() -> None:
+    lines = [{"value": "joint_angles", "unit": "deg", "scale": 180 / np.pi, "decimals": 0}]
+    q = np.deg2rad([10, 20, 30, 40, 50, 60, 70])
+    own = goal(joint_angles=q, show_billboards=True, billboard_lines=lines)
+    world = world_with(own, billboard_lines=["torques"])
+    assert said(world)[:7:6] == ["goal A1    10 deg", "goal A6    70 deg"]
+    # Without lines of its own it says what its robot says, as far as it has values.
+    double = goal(torques=TORQUES, show_billboards=True)
+    world = world_with(double, billboard_lines=["joint_angles", "torques"])
+    assert said(world)[:2] == ["goal A1  pos   -0.400 rad", "         msr   30.0 Nm"]
+    world = world_with(double, billboard_lines=["torques", "billboard_values"])
+    assert said(world)[:2] == ["goal A1   30.0 Nm", "goal A2  -60.0 Nm"]
+
+
+def test_axes_stand_at_its_links_and_flange() -> None:
+    world = world_with(goal(show_axes=True), axes_size=0.15, axes_transparency=0.2)
+    robot = world.scene.robots["lwr"]
+    frames = robot.dh.frames(TARGET, BASE)
+    frames = np.concatenate([frames[1:], frames[-1:] @ robot.flange_frame])
+    pen = draw(world)
+    names = [*(f"goal/link{i + 1}" for i in range(7)), "goal/flange"]
+    assert pen.count == 3 * len(names)
+    for name, frame in zip(names, frames, strict=True):
+        bars = belonging(pen, Kind.AXES, world.frames.names.index(name))
+        for axis in range(3):
+            start = bars[axis]["pos"] - bars[axis]["mat"][:, 2] * bars[axis]["size"][2]
+            assert start == pytest.approx(frame[:3, 3], abs=1e-6)
+            assert bars[axis]["mat"][:, 2] == pytest.approx(frame[:3, axis], abs=1e-6)
+            assert bars[axis]["rgba"] == pytest.approx([*AXIS_RGB[axis], 0.4])
+
+
+EVERYTHING = {"show_arrows": True, "show_billboards": True, "show_axes": True, "torques": TORQUES}
+
+
+def test_without_a_target_nothing_is_there() -> None:
+    world = world_with(goal(joint_angles=None, **EVERYTHING))
+    data = world.make_data()
+    assert draw(world, data).count == 0
+    world.set_input(data, "goal.joint_angles", TARGET)
+    pen = draw(world, data)
+    assert set(pen.kinds[: pen.count]) >= {Kind.ARROW, Kind.BILLBOARD, Kind.AXES}
+    world.reset(data)
+    assert draw(world, data).count == 0
+
+
+def test_where_it_coincides_with_its_robot_its_links_are_hidden_and_its_decor_is_not() -> None:
+    world = world_with(goal(joint_angles=POSE, **EVERYTHING))
+    data = world.make_data()
+    pen = draw(world, data)
+    assert (data.xpos[world.doubles["goal"].bodies, 2] == -1000).all()
+    flange = BASE @ world.scene.robots["lwr"].fwd_kin_base_to_flange(POSE)
+    assert world.frame(data, "goal/flange") == pytest.approx(flange, abs=1e-9)
+    assert len(belonging(pen, Kind.BILLBOARD)) == 7
+    assert len(belonging(pen, Kind.AXES)) == 3 * 8
+    assert {int(i) for i in pen.items[: pen.count][pen.kinds[: pen.count] == 1]} == set(
+        range(7, 14)
+    )
+    solid = pen.rows[: pen.count]
+    assert (solid["pos"][:, 2] > -2).all()
+
+
+def test_a_double_that_is_switched_off_is_gone_with_all_it_has() -> None:
+    path = Double(name="drive", of="lwr", path=[POSE, TARGET, TARGET + 0.3], path_length=3)
+    world = world_with(goal(**EVERYTHING), path)
+    toggles = toggles_of(world)
+    model = world.model
+
+    def geoms_of(name: str) -> list[bool]:
+        bodies = [model.body(int(body)).name for body in model.geom_bodyid]
+        return [body.startswith(f"double-{name}-") for body in bodies]
+
+    assert draw(world, toggles=toggles).hidden is None
+    toggles.doubles[:] = (False, True)
+    toggles.details[9] = toggles.frame_names[:] = True
+    pen = draw(world, toggles=toggles)
+    assert pen.hidden is not None
+    assert pen.hidden.tolist() == geoms_of("goal")
+    assert sum(geoms_of("goal")) == 24
+    left = {name.partition("/")[0] for name in world.frames.names}
+    assert left == {"lwr", "goal"}
+    assert not any("goal" in text for text in labels(pen.rows[: pen.count]))
+    assert set(pen.kinds[: pen.count]) == {Kind.NONE, Kind.NAME}  # names of the robot's frames
+    toggles.doubles[:] = (True, False)
+    pen = draw(world, toggles=toggles)
+    assert pen.hidden is not None
+    assert pen.hidden.tolist() == geoms_of("drive")
+    assert len(belonging(pen, Kind.BILLBOARD)) == 7
+    toggles.doubles[:] = False
+    pen = draw(world, toggles=toggles)
+    assert pen.hidden is not None
+    assert pen.hidden.tolist() == (model.geom_group == DOUBLE_GROUP).tolist()
+
+
+def test_a_packet_switches_a_double_and_a_scene_declares_it() -> None:
+    world = world_with(goal(visible=False, **EVERYTHING))
+    data, toggles = world.make_data(), toggles_of(world)
+    pen = draw(world, data, toggles=toggles)
+    assert pen.count == 0 and pen.hidden is not None
+    world.set_input(data, "goal.visible", 1.0)
+    pen = draw(world, data, toggles=toggles)
+    assert pen.count > 0 and pen.hidden is None
+
+
+@pytest.mark.parametrize("elbow", [-4.0, 9.0])
+def test_its_singularity_arrows_are_those_of_a_robot_in_its_pose(elbow: float) -> None:
+    q = np.deg2rad([20, 40, 10, elbow, 30, 60, 0])
+    fields = {"show_arrows": True, "arrow_quantity": "singularity"}
+    double = world_with(goal(joint_angles=q, **fields), joint_angles=np.deg2rad(
+        [0, 40, 0, -90, 0, 60, 0]
+    ))  # fmt: skip
+    alone = world_with(joint_angles=q, **fields)
+    theirs, own = draw(double), draw(alone)
+    shown = 0
+    for joint in range(7):
+        at_double = belonging(theirs, Kind.ARROW, 7 + joint)
+        at_robot = belonging(own, Kind.ARROW, joint)
+        assert len(at_double) == len(at_robot)
+        if len(at_robot):
+            shown += 1
+            ratio = at_double["size"][0, 2] / at_robot["size"][0, 2]
+            assert ratio == pytest.approx(0.85, rel=1e-4)
+            assert at_double["rgba"][:, :3] == pytest.approx(at_robot["rgba"][:, :3])
+            middle = [rows["pos"].mean(axis=0) for rows in (at_double, at_robot)]
+            assert np.linalg.norm(middle[0] - middle[1]) < 0.02
+    assert shown >= 2
+    assert not len(belonging(theirs, Kind.ARROW, 3))  # its robot stands far from it
+
+
+@pytest.mark.parametrize("convention", ["craig", "standard"])
+def test_its_jacobian_is_that_of_the_table_at_its_target(convention: str) -> None:
+    rng = np.random.default_rng(3)
+    table = rng.uniform(-0.8, 0.8, (4, 4))
+    robot = SerialRobot(
+        name="arm", dh_convention=convention, dh_params=table, base_frame=BASE.tolist(),
+        joint_types=["revolute", "revolute", "prismatic", "revolute"],
+        flange_frame={"xyz": [0.1, 0.2, 0.3]},
+        offsets_to_center_of_joints=rng.uniform(-0.3, 0.3, (4, 3)),
+    )  # fmt: skip
+    q = np.array([0.4, -0.8, 0.3, 1.1])
+    double = Double(name="goal", of="arm", joint_angles=q)
+    world = World(Scene(robots=[robot], doubles=[double], floor=False))
+    data = world.make_data()
+    Placer(world).place(data)
+    for name, angles in (("goal", q), ("arm", np.zeros(4))):
+        expected = robot.dh.jacobian(angles, BASE, robot.flange_frame)
+        expected[:3] /= np.abs(table[:, [1, 3]]).sum()
+        assert jacobian(world, data, world.owners[name]) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_double_shows_the_quantity_of_its_robot_or_its_own() -> None:
+    for own, expected in ((None, 1), ("torques", 0)):
+        world = world_with(goal(arrow_quantity=own), arrow_quantity="torque_error")
+        assert toggles_of(world).arrow_quantity[7:].tolist() == [expected] * 7
+
+
+def test_51_joints_with_everything_and_a_double_each_find_room() -> None:
+    rng = np.random.default_rng(1)
+    table = SerialRobot.from_model("lwr").dh_params
+    robots, doubles = [], []
+    for i, n in enumerate(JUSTIN):
+        q = rng.uniform(-1, 1, n)
+        robots.append(
+            SerialRobot(
+                name=f"robot{i}", dh_convention="craig", dh_params=np.resize(table, (n, 4)),
+                base_frame={"xyz": [0.0, 0.6 * i, 0.0]}, torque_limits=np.full(n, 40.0),
+                joint_angles=q, torques=rng.uniform(5, 30, n),
+                show_arrows=True, show_billboards=True, show_axes=True,
+            )
+        )  # fmt: skip
+        doubles.append(Double(name=f"double{i}", of=f"robot{i}", joint_angles=q + 0.5))
+    world = World(Scene(robots=robots, doubles=doubles))
+    toggles = toggles_of(world)
+    toggles.legend = True
+    view = view_at(azimuth=0.0, distance=12, width=3840, height=2160)
+    pen = draw(world, toggles=toggles, view=view)
+    assert pen.left_out == 0
+    assert pen.count <= 1024
+    assert len(set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])) == 51
+    assert len(belonging(pen, Kind.BILLBOARD)) == 51
+    assert len(belonging(pen, Kind.AXES)) == 3 * (51 + 2 * 7)
+    assert len(labels(pen.rows[: pen.count])) == 51 + 3

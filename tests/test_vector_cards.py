@@ -1,0 +1,299 @@
+"""Cards of smart arrows, and the scale that the legend states."""
+
+import re
+
+import numpy as np
+import pytest
+from decor_tools import (
+    GEOM,
+    belonging,
+    labels,
+    look,
+    of_kind,
+    rectangle,
+    texts_in,
+    toggles_of,
+    view_at,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sero_mj.assemble.cartesian import SmartArrow
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.legend import nice
+from sero_mj.decor.pen import Kind
+from sero_mj.drive.place import Placer
+
+POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
+VECTOR = [3.0, -4.0, 12.0]  # 13 long
+
+
+def world_with(*arrows: SmartArrow, **fields) -> World:
+    robot = SerialRobot.from_model("lwr", joint_angles=POSE)
+    return World(Scene(robots=[robot], arrows=list(arrows), floor=False, **fields))
+
+
+def draw(world: World, data=None, *, view=None, cards=True, vectors=None, legend=False):
+    data = world.make_data() if data is None else data
+    Placer(world).place(data)
+    toggles = toggles_of(world)
+    toggles.legend = legend
+    toggles.cards[:] = cards
+    if vectors is not None:
+        toggles.vectors[:] = vectors
+    return Decor(world).draw(data, toggles, view or view_at())
+
+
+def card_texts(pen, item: int = 0, view=None) -> list[str]:
+    (panel,) = belonging(pen, Kind.CARD, item)
+    return texts_in(view or view_at(), pen.rows[: pen.count], panel)
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        (
+            {"kind": "force", "at": "lwr/flange"},
+            [
+                "push: force",
+                "  x       3.00 N",
+                "  y      -4.00 N",
+                "  z      12.00 N",
+                "  size   13.00 N",
+                "  in lwr/flange",
+            ],
+        ),
+        (
+            {"kind": "torque", "at": "lwr/flange", "expressed_in": "world", "decimals": 0},
+            [
+                "push: torque",
+                "  x        3 Nm",
+                "  y       -4 Nm",
+                "  z       12 Nm",
+                "  size    13 Nm",
+                "  in world",
+            ],
+        ),
+        (
+            {"kind": "velocity", "at": [0.1, 0, 0.8], "decimals": 4},
+            [
+                "push: velocity",
+                "  x       3.0000 m/s",
+                "  y      -4.0000 m/s",
+                "  z      12.0000 m/s",
+                "  size   13.0000 m/s",
+                "  in world",
+            ],
+        ),
+        (
+            {
+                "kind": "angular_velocity",
+                "at": [0.1, 0, 0.8],
+                "expressed_in": "lwr/link3",
+                "unit": "deg/s",
+                "decimals": 1,
+            },
+            [
+                "push: angular velocity",
+                "  x       3.0 deg/s",
+                "  y      -4.0 deg/s",
+                "  z      12.0 deg/s",
+                "  size   13.0 deg/s",
+                "  in lwr/link3",
+            ],
+        ),
+    ],
+)
+def test_a_card_says_name_kind_components_size_unit_and_frame(fields, text) -> None:
+    pen = draw(world_with(SmartArrow(name="push", vector=VECTOR, **fields)))
+    assert card_texts(pen) == text
+    assert labels(pen.rows[: pen.count]) == text
+
+
+def test_components_are_those_received_and_not_those_in_the_world() -> None:
+    world = world_with(SmartArrow(name="push", at="lwr/flange"))
+    data = world.make_data()
+    world.set_input(data, "push.vector", [-0.004, 0.125, 7.5])
+    assert card_texts(draw(world, data))[1:5] == [
+        "  x       0.00 N",  # a small negative is no -0.00
+        "  y       0.12 N",
+        "  z       7.50 N",
+        "  size    7.50 N",
+    ]
+
+
+def test_without_data_a_card_says_so() -> None:
+    world = world_with(SmartArrow(name="push", kind="torque", at="lwr/link4"))
+    data = world.make_data()
+    nothing = ["push: torque", "  no data", "  in lwr/link4"]
+    assert card_texts(draw(world, data)) == nothing
+    for wrong in (np.nan, np.inf):
+        world.set_input(data, "push.vector", VECTOR)
+        assert len(card_texts(draw(world, data))) == 6
+        data.userdata[world.slots["push.vector"]][1] = wrong
+        assert card_texts(draw(world, data)) == nothing
+
+
+def test_a_card_is_there_only_when_wanted_and_its_arrow_is_shown() -> None:
+    arrows = [SmartArrow(name=f"v{k}", at=[0, 0.1 * k, 0.6], vector=VECTOR) for k in range(3)]
+    world = world_with(*arrows)
+
+    def cards(**shown) -> list[int]:
+        pen = draw(world, **shown)
+        return sorted(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.CARD].tolist())
+
+    assert cards() == [0, 1, 2]
+    assert cards(cards=False) == []
+    assert cards(cards=[False, True, False]) == [1]
+    assert cards(vectors=[True, False, True]) == [0, 2]
+    assert cards(vectors=False) == []
+    assert not toggles_of(world).cards.any()  # none before a click
+
+
+def test_an_arrow_out_of_the_picture_has_no_card() -> None:
+    world = world_with(
+        SmartArrow(name="here", at=[0, 0, 0.6], vector=VECTOR),
+        SmartArrow(name="aside", at=[0, 9.0, 0.6], vector=VECTOR),
+        SmartArrow(name="behind", at=[9.0, 0.0, 0.6], vector=VECTOR),
+    )
+    view = look([2.5, 0.0, 0.6], [0, 0, 0.6])
+    pen = draw(world, view=view)
+    assert len(belonging(pen, Kind.CARD)) == 1
+    assert card_texts(pen, 0, view)[0] == "here: force"
+
+
+def test_cards_stand_clear_of_each_other_and_point_at_their_arrows() -> None:
+    places = ["lwr/flange", "lwr/base", "lwr/link4", [0.1, 0.2, 0.3], "lwr/flange"]
+    arrows = [SmartArrow(name=f"v{k}", at=at, vector=VECTOR) for k, at in enumerate(places)]
+    world = world_with(*arrows)
+    for size in ((1280, 800), (1920, 1080)):
+        view = view_at(0.4, 2.5, *size)
+        pen = draw(world, view=view)
+        rows = pen.rows[: pen.count]
+        leaders = of_kind(rows, GEOM.mjGEOM_TRIANGLE)
+        panels = [rectangle(view, row) for row in belonging(pen, Kind.CARD)]
+        assert len(panels) == len(leaders) == 5
+        frames = world.robots["lwr"].dh.frames(POSE)
+        flange = (frames[-1] @ world.scene.robots["lwr"].flange_frame)[:3, 3]
+        points = [flange, frames[0][:3, 3], frames[4][:3, 3], np.array([0.1, 0.2, 0.3]), flange]
+        for k, (low, high) in enumerate(panels):
+            assert (low >= -0.5).all() and (high <= np.array(size) + 0.5).all()
+            assert card_texts(pen, k, view)[0] == f"v{k}: force"
+            tip = leaders[k]["pos"] + leaders[k]["mat"][:, 1] * leaders[k]["size"][1].astype(float)
+            assert view.project(tip)[0] == pytest.approx(view.project(points[k])[0], abs=4.0)
+            for other_low, other_high in panels[:k]:
+                assert ((low >= other_high - 0.5) | (other_low >= high - 0.5)).any()
+
+
+@pytest.mark.parametrize(
+    ("age", "said"), [(0.1, []), (-1.0, ["  no data yet"]), (12.3, ["  no data for 12.3 s"])]
+)
+def test_a_card_says_how_old_its_data_is(age: float, said: list[str]) -> None:
+    world = world_with(
+        SmartArrow(name="push", at="lwr/flange", vector=VECTOR),
+        SmartArrow(name="declared", at="lwr/base", vector=VECTOR),
+        sources={"udp": {"kind": "udp", "port": 1, "structure": "1V"}},
+        routes={"push.vector": "udp.vectors0"},
+    )
+    data = world.make_data()
+    data.userdata[world.slots["sources.udp"]] = (5, 0, 0, age, 0, 0, 24, -1, 0)
+    pen = draw(world, data)
+    assert card_texts(pen)[6:] == said
+    assert len(card_texts(pen, 1)) == 6
+
+
+def scales(pen) -> list[str]:
+    return labels(pen.rows[: pen.count])
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"kind": "force"}, "v: 80 mm long = 20 N"),
+        ({"kind": "torque"}, "v: 100 mm wide = 20 Nm"),
+        ({"kind": "velocity"}, "v: 100 mm long = 0.2 m/s"),
+        ({"kind": "angular_velocity"}, "v: 100 mm wide = 2 rad/s"),
+        ({"kind": "force", "scale": 0.003, "unit": "kN"}, "v: 60 mm long = 20 kN"),
+        ({"kind": "torque", "scale": 2.5}, "v: 50 mm wide = 0.02 Nm"),
+    ],
+)
+def test_the_legend_states_the_scale(fields, said: str) -> None:
+    world = world_with(SmartArrow(name="v", at="lwr/flange", vector=VECTOR, **fields))
+    pen = draw(world, cards=False, legend=True)
+    assert scales(pen) == [said]
+    view = view_at()
+    (panel,) = [row for row in pen.rows[: pen.count] if row["emission"] == 1 and row["type"] == 6]
+    low, high = rectangle(view, panel)
+    assert (low >= 0).all() and high[0] < view.width / 2 and high[1] < view.height / 4
+    assert scales(draw(world, cards=False, legend=False)) == []
+    assert scales(draw(world, cards=False, legend=True, vectors=False)) == []
+
+
+def test_arrows_of_one_scale_share_a_line_and_hidden_ones_have_none() -> None:
+    world = world_with(
+        SmartArrow(name="left", at="lwr/flange"),
+        SmartArrow(name="turn", kind="torque", at="lwr/flange"),
+        SmartArrow(name="right", at="lwr/base"),
+        SmartArrow(name="fine", at="lwr/base", scale=0.05),
+    )
+    fine, turn = "fine: 100 mm long = 2 N", "turn: 100 mm wide = 20 Nm"
+    found = scales(draw(world, cards=False, legend=True))
+    assert found == ["left, right: 80 mm long = 20 N", turn, fine]
+    found = scales(draw(world, cards=False, legend=True, vectors=[False, True, True, False]))
+    assert found == [turn, "right: 80 mm long = 20 N"]
+
+
+def test_the_legend_follows_what_is_switched_live() -> None:
+    world = world_with(
+        SmartArrow(name="push", at="lwr/flange"),
+        SmartArrow(name="turn", kind="torque", at="lwr/flange"),
+    )
+    decor, data, toggles = Decor(world), world.make_data(), toggles_of(world)
+    toggles.legend = True
+    push, turn = "push: 80 mm long = 20 N", "turn: 100 mm wide = 20 Nm"
+    for shown, said in (
+        ((True, True), [push, turn]),
+        ((False, True), [turn]),
+        ((False, False), []),
+        ((True, False), [push]),
+    ):
+        toggles.vectors[:] = shown
+        assert scales(decor.draw(data, toggles, view_at())) == said
+
+
+@settings(max_examples=40, deadline=None)
+@given(scale=st.floats(1e-4, 50), turns=st.booleans())
+def test_what_the_legend_states_is_what_is_drawn(scale: float, turns: bool) -> None:
+    kind = "torque" if turns else "force"
+    limits = {"longest": 1.0, "radius": 0.2}
+    world = world_with(SmartArrow(name="v", kind=kind, at=[0, 0, 1], scale=scale, **limits))
+    data = world.make_data()
+    (said,) = scales(draw(world, cards=False, legend=True))
+    match = re.fullmatch(r"v: (\S+) mm (long|wide) = (\S+) Nm?", said)
+    assert match is not None
+    millimetres, value = float(match[1]), float(match[3])
+    assert match[2] == ("wide" if turns else "long")
+    assert 39.9 < millimetres < 100.1
+    assert value / 10 ** np.floor(np.log10(value) + 1e-9) == pytest.approx(
+        round(value / 10 ** np.floor(np.log10(value) + 1e-9))
+    )
+    world.set_input(data, "v.vector", [0, value * 0.6, value * 0.8])
+    first = belonging(draw(world, data, cards=False), Kind.VECTOR)[0]
+    drawn = 2 * first["size"][2] if turns else first["size"][2] / 2
+    assert 1e3 * drawn == pytest.approx(millimetres, rel=1e-4)
+
+
+@given(st.floats(1e-9, 1e9))
+def test_nice_is_the_largest_round_number_that_is_not_above(value: float) -> None:
+    steps = np.array([step * 10.0**k for k in range(-11, 11) for step in (1, 2, 5)])
+    found = steps[steps <= value * (1 - 1e-8)].max(), steps[steps <= value * (1 + 1e-8)].max()
+    assert nice(value) == pytest.approx(found[0]) or nice(value) == pytest.approx(found[1])
+
+
+@pytest.mark.parametrize("k", range(-6, 7))
+def test_round_numbers_are_nice_themselves(k: int) -> None:
+    for value, expected in ((1, 1), (2, 2), (5, 5), (1.99, 1), (4.99, 2), (9.99, 5)):
+        assert nice(value * 10.0**k) == pytest.approx(expected * 10.0**k)
