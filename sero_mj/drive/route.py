@@ -266,7 +266,9 @@ def _levels(scene: Scene, wiring: Wiring) -> list[list[str]]:
     try:
         sorter.prepare()
     except CycleError as error:
-        circle = " -> ".join(reversed(error.args[1]))
+        names = list(reversed(error.args[1]))[:-1]
+        first = names.index(min(names))  # which one is found first is chance
+        circle = " -> ".join([*names[first:], *names[:first], names[first]])
         wiring.problems.append(Problem("routes", f"frames that follow each other: {circle}"))
         return []
     levels = []

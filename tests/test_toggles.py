@@ -1,0 +1,292 @@
+"""Switches: those that a scene declares, those that packets set, and what gestures do."""
+
+from __future__ import annotations
+
+import itertools
+
+import mujoco
+import numpy as np
+import pytest
+from decor_tools import toggles_of, view_at
+
+from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.assemble.double import Double
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.scene_toggles import SceneToggles
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.pen import Kind
+from sero_mj.decor.toggles import Toggles
+from sero_mj.drive.place import Placer
+from sero_mj.show.headless import HeadlessRenderer
+from sero_mj.show.interaction import (
+    CLICKS,
+    DOUBLE_CLICK_TIME,
+    GESTURES,
+    KEYS,
+    Pointer,
+    click,
+    hover,
+)
+from sero_mj.show.picking import Picked, pick
+
+Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
+HERE = (100.0, 100.0)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(
+        Scene(
+            robots=[SerialRobot.from_model("lwr", joint_angles=Q, torques=np.full(7, 20.0))],
+            doubles=[Double(name="goal", of="lwr", joint_angles=Q + 0.6)],
+            arrows=[SmartArrow(name="push", at="lwr/flange", vector=[0, 0, 50])],
+            frames=[ReceivedFrame(name="seen", frame=np.eye(4))],
+            floor=False,
+        )
+    )
+
+
+def placed(world: World) -> mujoco.MjData:
+    data = world.make_data()
+    Placer(world).place(data)
+    return data
+
+
+def picked(kind: str, index: int = 0, owner: str = "lwr") -> Picked:
+    return Picked(kind, f"{owner}/x", owner, index, 1.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("target", "read"),
+    [
+        ("lwr.show_arrows", lambda t: t.arrows[:7]),
+        ("goal.show_arrows", lambda t: t.arrows[7:]),
+        ("lwr.show_billboards", lambda t: t.billboards[:7]),
+        ("goal.show_axes", lambda t: t.axes[9:17]),
+        ("goal.visible", lambda t: t.doubles),
+        ("push.show", lambda t: t.vectors),
+        ("seen.show_axes", lambda t: t.axes[17:]),
+        ("toggles.legend", lambda t: np.array([t.legend])),
+        ("toggles.status", lambda t: np.array([t.status])),
+        ("toggles.flange_checks", lambda t: np.array([t.flange_checks])),
+        ("toggles.frame_names", lambda t: t.frame_names),
+    ],
+)
+def test_a_value_switches_its_feature_and_no_other(world, target, read) -> None:
+    data, toggles = placed(world), Toggles(world)
+    assert world.frames.names[9] == "goal/link1"
+    declared = toggles.snapshot()
+    for value in (1.0, 0.0, 0.7):
+        world.set_input(data, target, value)
+        toggles.follow(data)
+        assert (read(toggles) == (value > 0.5)).all()
+    now = toggles.snapshot()
+    others = [key for key, before in declared.items() if np.array_equal(before, now[key])]
+    assert len(others) >= len(declared) - 1
+
+
+def test_a_switch_acts_when_its_value_changes_so_that_a_click_in_between_holds(world) -> None:
+    data, toggles = placed(world), Toggles(world)
+    world.set_input(data, "lwr.show_arrows", 1.0)
+    toggles.follow(data)
+    KEYS["a"][1](toggles)
+    for _ in range(3):
+        toggles.follow(data)
+    assert not toggles.arrows[:7].any()
+    data.userdata[world.slots["lwr.show_arrows"]] = np.nan
+    toggles.follow(data)
+    assert not toggles.arrows[:7].any()
+    world.set_input(data, "lwr.show_arrows", 0.0)
+    toggles.follow(data)
+    world.set_input(data, "lwr.show_arrows", 1.0)
+    toggles.follow(data)
+    assert toggles.arrows[:7].all()
+
+
+def test_a_packet_chooses_the_quantity_and_what_is_none_is_left(world) -> None:
+    data, toggles = placed(world), Toggles(world)
+    for value, expected in ((2.0, 2), (3.0, 3), (9.0, 3), (-1.0, 3)):
+        world.set_input(data, "lwr.arrow_quantity", value)
+        toggles.follow(data)
+        assert (toggles.arrow_quantity[:7] == expected).all()
+    assert (toggles.arrow_quantity[7:] == 0).all()
+
+
+def test_a_scene_declares_its_toggles() -> None:
+    off = SceneToggles(legend=False, status=False, frame_names=True, flange_checks=False)
+    toggles = Toggles(World(Scene(robots=[SerialRobot.from_model("lwr")], toggles=off)))
+    assert not (toggles.legend or toggles.status or toggles.flange_checks)
+    assert toggles.frame_names.all()
+    toggles.legend = True
+    toggles.frame_names[:] = False
+    toggles.reset()
+    assert toggles.frame_names.all() and not toggles.legend
+
+
+@pytest.mark.parametrize(
+    ("gesture", "kind", "field", "where"),
+    [
+        ("click", "link", "billboards", [2]),
+        ("shift", "link", "billboards", range(7)),
+        ("double", "link", "axes", range(9)),
+        ("click", "arrow", "details", [2]),
+        ("shift", "arrow", "details", range(7)),
+        ("click", "axes", "frame_names", [2]),
+        ("shift", "axes", "frame_names", range(9)),
+    ],
+)
+def test_gestures_switch_on_and_off_again(world, gesture, kind, field, where) -> None:
+    toggles = Toggles(world)
+    toggles.axes[:] = False
+    for shown in (True, False):
+        assert click(world, toggles, picked(kind, 2), gesture)
+        on = getattr(toggles, field).nonzero()[0].tolist()
+        assert on == (list(where) if shown else [])
+
+
+def test_a_double_is_clicked_on_like_a_robot(world) -> None:
+    toggles = Toggles(world)
+    assert click(world, toggles, picked("double", 9, "goal"))
+    assert toggles.billboards.nonzero()[0].tolist() == [9]
+    assert click(world, toggles, picked("double", 9, "goal"), "double")
+    assert toggles.axes.nonzero()[0].tolist() == [*range(9, 17), 17]  # `seen` is on anyway
+    assert not click(world, toggles, picked("double", -1, "path"))
+
+
+def test_the_rest_of_the_table(world) -> None:
+    toggles = Toggles(world)
+    click(world, toggles, picked("vector", 0, ""))
+    assert toggles.cards.all()
+    click(world, toggles, picked("card", 0, ""))
+    assert not toggles.cards.any()
+    click(world, toggles, picked("arrow", 3), "double")
+    assert toggles.arrow_quantity.tolist() == [1] * 7 + [0] * 7
+    toggles.billboards[:] = toggles.details[:] = True
+    click(world, toggles, picked("billboard", 4))
+    assert not toggles.billboards[4] and not toggles.details[4] and toggles.billboards.sum() == 13
+    click(world, toggles, picked("billboard", 4), "shift")
+    assert toggles.billboards.nonzero()[0].tolist() == list(range(7, 14))
+    toggles.axes[:] = True
+    click(world, toggles, picked("axes", 3), "double")
+    assert not toggles.axes[3] and toggles.axes.sum() == 17
+    click(world, toggles, picked("check", 0))
+    assert not toggles.flange_checks
+    assert not click(world, toggles, picked("object", -1, ""))
+    assert not click(world, toggles, None)
+    assert click(world, toggles, None, "double")  # what the scene declares
+    assert toggles.flange_checks and not toggles.billboards.any()
+
+
+def test_every_entry_of_the_tables_does_something(world) -> None:
+    for gesture, kind in itertools.product(GESTURES, {kind for _, kind in CLICKS}):
+        toggles = Toggles(world)
+        toggles.billboards[:] = toggles.details[:] = toggles.frame_names[:] = True
+        toggles.axes[:] = toggles.cards[:] = True
+        before = toggles.snapshot()
+        did = click(world, toggles, picked(kind), gesture)
+        after = toggles.snapshot()
+        changed = any(not np.array_equal(before[key], after[key]) for key in before)
+        assert did == ((gesture, kind) in CLICKS) == changed, (gesture, kind)
+    for key, (_, act) in KEYS.items():
+        toggles = Toggles(world)
+        toggles.billboards[0] = True
+        before = toggles.snapshot()
+        act(toggles)
+        after = toggles.snapshot()
+        assert any(not np.array_equal(before[k], after[k]) for k in before), key
+
+
+def test_two_quick_presses_are_a_double_click_and_leave_the_billboard_as_it_was(world) -> None:
+    toggles = Toggles(world)
+    pointer = Pointer(world, toggles)
+    link = picked("link", 2)
+    assert pointer.press(link, HERE, 10.0) == "click"
+    assert toggles.billboards[2]
+    assert pointer.press(link, HERE, 10.0 + 0.9 * DOUBLE_CLICK_TIME) == "double"
+    assert not toggles.billboards.any() and toggles.axes[:9].all()
+    # A third press begins anew.
+    assert pointer.press(link, HERE, 10.0 + 1.5 * DOUBLE_CLICK_TIME) == "click"
+
+
+@pytest.mark.parametrize(
+    ("second", "time", "kind"),
+    [
+        (HERE, 1.1 * DOUBLE_CLICK_TIME, "link"),  # too late
+        ((120.0, 100.0), 0.1, "link"),  # too far
+        (HERE, 0.1, "vector"),  # which has no double click
+    ],
+)
+def test_other_presses_are_two_clicks(world, second, time, kind) -> None:
+    toggles = Toggles(world)
+    before = toggles.snapshot()
+    pointer = Pointer(world, toggles)
+    assert pointer.press(picked(kind), HERE, 5.0) == "click"
+    assert pointer.press(picked(kind), second, 5.0 + time) == "click"
+    after = toggles.snapshot()
+    assert all(np.array_equal(before[key], after[key]) for key in before)  # on, and off again
+
+
+def test_shift_never_begins_a_double_click(world) -> None:
+    pointer = Pointer(world, Toggles(world))
+    assert pointer.press(picked("link"), HERE, 1.0, shift=True) == "shift"
+    assert pointer.press(picked("link"), HERE, 1.1) == "click"
+    assert pointer.press(None, HERE, 2.0) == "click"
+    assert pointer.press(None, HERE, 2.1) == "double"
+
+
+def test_hovering_writes_a_name_inside_the_picture(world) -> None:
+    toggles, view, decor = toggles_of(world), view_at(), Decor(world)
+    data = placed(world)
+    for x, y in itertools.product((0.0, view.width), (0.0, view.height)):
+        hover(toggles, picked("link"), (x, y))
+        pen = decor.draw(data, toggles, view)
+        rows = pen.rows[: pen.count]
+        (label,) = rows[rows["label"] != b""]
+        assert label["label"] == b"lwr/x"
+        panel = rows[pen.kinds[: pen.count] == Kind.NONE]
+        panel = panel[panel["type"] == int(mujoco.mjtGeom.mjGEOM_BOX)][-1]
+        (centre, depth) = view.project(panel["pos"].astype(float))
+        half = panel["size"][:2] / view.pixel_size(float(depth))
+        assert (centre - half > -1).all()
+        assert (centre + half < [view.width + 1, view.height + 1]).all()
+    hover(toggles, None, HERE)
+    assert toggles.hover is None
+
+
+@pytest.mark.gl
+def test_a_double_that_is_off_is_neither_rendered_nor_picked(world) -> None:
+    data = placed(world)
+    plain = World(Scene(robots=[SerialRobot.from_model("lwr", joint_angles=Q)], floor=False))
+    with HeadlessRenderer(world, 320, 240) as renderer, HeadlessRenderer(plain, 320, 240) as bare:
+        toggles = renderer.toggles
+        toggles.vectors[:] = toggles.axes[:] = False
+        bare.camera = renderer.camera
+        with_double = renderer.render(data).copy()
+        picks = [renderer.pick(data, x, 120) for x in range(0, 320, 4)]
+        assert any(found is not None and found.kind == "double" for found in picks)
+        toggles.doubles[:] = False
+        without = renderer.render(data)
+        assert (np.abs(with_double.astype(int) - without).max(axis=2) > 20).sum() > 300
+        expected = bare.render(plain.make_data())
+        assert (np.abs(expected.astype(int) - without).max(axis=2) > 8).mean() < 0.002
+        view = renderer.view
+        assert view is not None
+        for x in range(0, 320, 4):  # the ray goes through to what is behind
+            found = renderer.pick(data, x, 120)
+            behind = bare.pick(plain.make_data(), x, 120)
+            assert (found is None) == (behind is None)
+            if found is not None and behind is not None:
+                assert (found.kind, found.name) == (behind.kind, behind.name)
+
+
+def test_a_tolerance_takes_no_click_from_what_is_exactly_there(world) -> None:
+    data, toggles, view = placed(world), toggles_of(world), view_at()
+    toggles.arrows[:] = toggles.billboards[:] = toggles.axes[:] = True
+    pen = Decor(world).draw(data, toggles, view)
+    rng = np.random.default_rng(3)
+    for pixel in rng.uniform((0, 0), (view.width, view.height), (400, 2)):
+        exact = pick(world, data, pen, view, tuple(pixel))
+        if exact is not None and exact.kind not in ("link", "double", "object"):
+            assert pick(world, data, pen, view, tuple(pixel), 12.0) == exact
