@@ -332,8 +332,7 @@ def test_a_robot_without_the_input_stands_beside_one_that_has_it() -> None:
             assert f"warm {name}  T    {20 + k} C" in found
         assert len(found) == 15
         world.set_input(data, "toggles.flange_checks", 1.0)  # the last flag of all
-        temperatures = joint_values(world, data)["temperatures"]
-        assert np.isnan(temperatures).sum() == 8 and np.nanmax(temperatures) == 26
+        assert np.isnan(joint_values(world, data)["temperatures"]).sum() == 8
         with pytest.raises(UnknownName):
             world.set_input(data, "plain.temperatures", np.zeros(7))
 

@@ -7,13 +7,15 @@ from decor_tools import of_kind, toggles_of, view_at, world_of
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.assemble.double import Double
 from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
-from sero_mj.drive.follow import follow
+from sero_mj.drive.place import Placer
 from sero_mj.show.headless import HeadlessRenderer
 from sero_mj.show.interaction import KEYS, click
 from sero_mj.show.picking import Picked, pick, ray_boxes
@@ -69,21 +71,25 @@ def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], 
     return {(x, y): owners[ids[y, x]] for x, y in pixels}, ids
 
 
-@pytest.mark.gl
-def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
+def compare(world: World, camera: str) -> tuple[int, int, set[str]]:
+    """Picks random pixels of random poses from random sides.
+
+    Returns:
+        how many were asked, how many differ from the oracle, and what was seen.
+    """
     rng = np.random.default_rng(0)
-    data = world.make_data()
+    data, placer = world.make_data(), Placer(world)
     asked = wrong = 0
     seen: set[str] = set()
-    with HeadlessRenderer(world, *SIZE, "150,-15,2.0") as renderer:
+    with HeadlessRenderer(world, *SIZE, camera) as renderer:
         renderer.toggles.legend = False
+        renderer.toggles.cards[:] = True
         for _ in range(12):
-            world.set_input(data, "lwr.joint_angles", rng.uniform(-1.8, 1.8, 7))
-            follow(world.model, data)
-            renderer.camera.azimuth, renderer.camera.elevation = (
-                rng.uniform(0, 360),
-                rng.uniform(-40, 10),
-            )
+            for name in world.owners:
+                world.set_input(data, f"{name}.joint_angles", rng.uniform(-1.8, 1.8, 7))
+            placer.place(data)
+            look = renderer.camera
+            look.azimuth, look.elevation = rng.uniform(0, 360), rng.uniform(-40, 10)
             pixels = [(int(x), int(y)) for x, y in rng.uniform(0.15, 0.85, (300, 2)) * SIZE]
             expected, ids = label_at(renderer, data, pixels)
             for (x, y), (kind, item) in expected.items():
@@ -91,25 +97,56 @@ def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
                 if (around != around[0, 0]).any():
                     continue  # on an edge either answer is right
                 picked = renderer.pick(data, x, y)
-                if kind == "geom":
-                    found = picked is not None and picked.kind in ("link", "object")
-                    body = int(world.model.geom_bodyid[item])
-                    part = world.robots["lwr"]
-                    link = (part.bodies == body).nonzero()[0]
-                    if found and len(link):
-                        found = picked.index == max(int(link[0]) - 1, 0)
-                elif kind:
-                    found = picked is not None and picked.kind.upper() == kind
-                    found = found and picked.index == item
-                else:
-                    found = picked is None
                 asked += 1
-                wrong += not found
-                seen.add(kind)
+                wrong += not is_right(world, picked, kind, item)
+                seen.add("DOUBLE" if picked is not None and picked.kind == "double" else kind)
+    return asked, wrong, seen
+
+
+def is_right(world: World, picked: Picked | None, kind: str, item: int) -> bool:
+    """Whether what was picked is what the oracle says."""
+    if not kind or picked is None:
+        return not kind and picked is None
+    if kind != "geom":
+        return picked.kind.upper() == kind and picked.index == item
+    body = int(world.model.geom_bodyid[item])
+    for name, part in world.doubles.items():
+        if (part.bodies == body).any():
+            link = int((part.bodies == body).nonzero()[1][0])
+            return picked.kind == "double" and picked.name == f"{name}/link{link}"
+    link = (world.robots["lwr"].bodies == body).nonzero()[0]
+    index = max(int(link[0]) - 1, 0) if len(link) else picked.index
+    return picked.kind in ("link", "object") and picked.index == index
+
+
+@pytest.mark.gl
+def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
+    asked, wrong, seen = compare(world, "150,-15,2.0")
     assert {"geom", "ARROW", "BILLBOARD", "AXES"} <= seen
     assert asked > 2500
     # Arrow heads of straight arrows aside, only hair's breadths differ.
     assert wrong / asked < 0.005
+
+
+@pytest.mark.gl
+def test_picking_agrees_for_doubles_smart_arrows_and_received_frames() -> None:
+    shown = {"show_arrows": True, "show_axes": True, "torques": [90, -60, 30, -20, 14, -9, 4]}
+    scene = Scene(
+        robots=[SerialRobot.from_model("lwr", **shown)],
+        doubles=[Double(name="goal", of="lwr", show_billboards=True, **shown)],
+        arrows=[
+            SmartArrow(name="push", at="lwr/flange", vector=[10, 60, 50]),
+            SmartArrow(name="turn", kind="torque", at="lwr/link4", vector=[5, 10, 8]),
+            SmartArrow(name="wind", kind="velocity", at=[0.3, 0.3, 0.6], vector=[0.4, 0.2, 0]),
+        ],
+        frames=[ReceivedFrame(name="seen", relative_to="lwr/link4", frame=np.eye(4))],
+        floor=False,
+    )
+    asked, wrong, seen = compare(World(scene), "150,-15,2.4")
+    assert {"geom", "DOUBLE", "ARROW", "BILLBOARD", "AXES", "VECTOR", "CARD"} <= seen
+    assert asked > 2500
+    # A straight arrow is picked by a box about it.
+    assert wrong / asked < 0.01
 
 
 @given(st.integers(0, 2**31))

@@ -78,6 +78,8 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
     declared = part.declared
 
     def comes(key: str) -> bool:
+        if key == "torque_error":  # it follows from the two
+            return comes("commanded_torques") and comes("torques")
         return f"{declared.name}.{key}" in scene.routes or getattr(declared, key, None) is not None
 
     if declared.billboard_lines is not None:
