@@ -73,6 +73,8 @@ class ArrowTable:
         names: K.
         site: where it stands.
         components_site: site of the frame its components are in; -1 for the world.
+        frames: rows in the `FrameTable` of the frame it stands at and of the one its components
+            are in, (K, 2); -1 for a point and for the world.
         slots: index in `userdata` of its components, (K, 3).
         has: index in `userdata` of the flag that data came.
         is_round: whether it turns about its direction.
@@ -85,6 +87,7 @@ class ArrowTable:
     names: list[str]
     site: Ints
     components_site: Ints
+    frames: Ints
     slots: Ints
     has: Ints
     is_round: NDArray[np.bool_]
@@ -104,11 +107,14 @@ def arrow_table(
     def components(name: str) -> int:
         return -1 if name == WORLD else int(site_ids(model, [frames[name].site])[0])
 
+    rows = {name: i for i, name in enumerate(frames)} | {WORLD: -1}
+    used = [(rows.get(a.at, -1) if a.site is None else -1, rows[a.components_in]) for a in arrows]
     starts = np.array([slots[f"{name}.vector"].start for name in scene.arrows], np.intp)
     return ArrowTable(
         names=list(scene.arrows),
         site=site_ids(model, [arrow.site or frames[arrow.at].site for arrow in arrows]),
         components_site=np.array([components(arrow.components_in) for arrow in arrows], np.intp),
+        frames=np.array(used, np.intp).reshape(-1, 2),
         slots=starts[:, None] + np.arange(3),
         has=np.array([flags[f"{name}.vector"] for name in scene.arrows], np.intp),
         is_round=np.array([arrow.is_round for arrow in arrows], bool),

@@ -58,10 +58,11 @@ class Decor:
         shown = toggles.shown(data)
         pen.hidden = toggles.hidden_geoms()
         stale = self._staleness.find(data)
+        for name, on in zip(world.doubles, toggles.doubles, strict=True):
+            if not on:
+                stale.pop(name, None)
         values = joint_values(world, data)
         arrows, limit = arrow_values(world, data, values, toggles.arrow_quantity)
-        draw_axes(pen, world, data, shown.axes, _among(world.frames.names, stale))
-        self._arrows.draw(pen, data, shown, arrows, limit)
         cards = [self._billboards.cards(data, toggles, shown, view, values)]
         if shown.vectors.any():
             components, vectors = arrow_vectors(world, data)
@@ -74,6 +75,7 @@ class Decor:
         if toggles.flange_checks:
             off, right = self._flange_check.draw(pen, data, view)
             cards.append(off)
+        groups = [group for group in cards if group is not None]
         legend = self._legend.panels(toggles, view, limit)
         panels = [
             right,
@@ -81,7 +83,7 @@ class Decor:
             *lay_out(
                 pen,
                 view,
-                [group for group in cards if group is not None],
+                groups,
                 data.site_xpos[self._world.joints.centre_site[shown.joints]],
                 legend,
                 right,
@@ -91,7 +93,12 @@ class Decor:
             self._staleness.panels(pen, data, view, stale),
             hover_panel(toggles, view),
         ]
+        # Numbers first: what finds no room are boxes of arrows, and no text.
         draw_panels(pen, view, [group for group in panels if group is not None])
+        draw_axes(pen, world, data, shown.axes, _among(world.frames.names, stale))
+        of_cards = sum(2 + len(lines) for group in groups for lines in group.texts)
+        others = 3 * int(np.count_nonzero(shown.axes)) + of_cards
+        self._arrows.draw(pen, data, shown, arrows, limit, others)
         return pen
 
 

@@ -74,12 +74,13 @@ class FlangeCheck:
         """Draws the received flange frames.
 
         Returns:
-            the cards of flanges that are off, and the panel with those that are not.
+            the cards of flanges that are off, and the panel with those that are not, or are off
+            and out of the picture.
         """
         if not (data.userdata[self._flags] > 0).any():
             return None, None
         items, anchors, texts, right = [], [], [], []
-        clear = 0.0
+        clear, unseen = 0.0, False
         for i, (name, part) in enumerate(self._world.robots.items()):
             difference = flange_difference(self._world, data, name)
             if difference is None:
@@ -94,13 +95,17 @@ class FlangeCheck:
                 continue
             pixel, depth = view.project(point)
             if not view.sees(pixel, depth):
+                right.append(f"{name} flange is off{numbers}".encode("ascii", "replace"))
+                unseen = True
                 continue
             clear = max(clear, robot.axes_length / view.pixel_size(float(depth)))
             items.append(i)
             anchors.append(pixel)
             head = f"{name} flange is off"
             texts.append([head.encode("ascii", "replace"), numbers.encode()])
-        return self._cards(view, items, np.array(anchors), texts, clear), _corner(view, right)
+        return self._cards(view, items, np.array(anchors), texts, clear), _corner(
+            view, right, unseen
+        )
 
     def _cards(
         self, view: View, items: list[int], anchors: Array, texts: list[list[bytes]], clear: float
@@ -145,12 +150,12 @@ class FlangeCheck:
         return np.asarray(T[:3, 3])
 
 
-def _corner(view: View, lines: list[bytes]) -> Panels | None:
-    """A panel in the upper right corner, or None when there is nothing to say."""
+def _corner(view: View, lines: list[bytes], off: bool) -> Panels | None:
+    """A panel in the upper right corner, red where one is off, or None for nothing to say."""
     if not lines:
         return None
     widest = np.array([max(view.font.width(line) for line in lines)])
     size = panel_sizes(widest, len(lines), view)
     margin = _MARGIN * view.font.height
     corner = np.array([view.width - margin, view.height - margin])
-    return Panels(corner - size / 2, size, [lines], _CORNER_RGBA)
+    return Panels(corner - size / 2, size, [lines], OFF_RGBA if off else _CORNER_RGBA)

@@ -67,7 +67,8 @@ class Legend:
 
     def _laid_out(self, toggles: Toggles, view: View, limit: Array) -> Panels:
         margin = _MARGIN * view.font.height
-        texts: list[list[bytes]] = []
+        scales = self._scales(toggles)
+        texts: list[list[bytes]] = [scales] if scales else []
         for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist())):
             shown = toggles.arrows & (toggles.arrow_quantity == code)
             what, width = _WORDS[ARROW_QUANTITIES[code]]
@@ -77,9 +78,6 @@ class Legend:
                 what += ", or force"
             lines = [f"arrows: {what}".encode(), _SIGNS, width.encode()]
             texts.append(lines)
-        scales = self._scales(toggles)
-        if scales:
-            texts.append(scales)
         sizes = np.array(
             [
                 panel_sizes(

@@ -13,6 +13,7 @@ from .geoms import GEOM, set_geom, struct_view
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 MAX_GEOMS = 1024  # MuJoCo Studio's web viewer silently drops what is over it
+CAPACITY = 4 * MAX_GEOMS  # for other hosts, when more is switched on than finds room there
 # Both renderers draw an arrow half as long as its size[2]: a third of it shaft, a sixth head
 # (glScalef by size[2] / 6 in render_gl3.c, seen with 4.0.0); a test measures it in a picture.
 ARROW_SIZE_OF_LENGTH = 2.0
@@ -44,7 +45,7 @@ class Pen:
         hidden: which geoms of the model are not to be shown, (ngeom,) bool; None for none.
     """
 
-    def __init__(self, capacity: int = MAX_GEOMS) -> None:
+    def __init__(self, capacity: int = CAPACITY) -> None:
         self.rows: NDArray[Any] = np.zeros(capacity, GEOM)
         self.rows["dataid"] = self.rows["objid"] = self.rows["matid"] = -1
         self.rows["texid"] = self.rows["segid"] = -1

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world import World
-from .pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
+from .pen import ARROW_SIZE_OF_LENGTH, MAX_GEOMS, Kind, Pen
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
 from .toggles import Shown
 
@@ -69,7 +69,7 @@ class RoundArrows:
         self._world = world
 
     def draw(
-        self, pen: Pen, data: mujoco.MjData, shown: Shown, values: Array, limit: Array
+        self, pen: Pen, data: mujoco.MjData, shown: Shown, values: Array, limit: Array, others: int
     ) -> None:
         """Draws an arrow for every joint that has a value and whose arrow is shown.
 
@@ -79,6 +79,7 @@ class RoundArrows:
             shown: what is to be drawn.
             values: what the arrows show, (N,), NaN for no data.
             limit: at which value an arrow is at full width, (N,).
+            others: how many geoms axes and cards need.
         """
         joints = self._world.joints
         widths = arrow_widths(
@@ -107,20 +108,9 @@ class RoundArrows:
                 rgba=rgba[turning],
                 striped=over[turning],
             )
-            draw_ribbons(pen, Kind.ARROW, ribbons, self._segments(pen, shown))
+            draw_ribbons(pen, Kind.ARROW, ribbons, _segments(shown, others))
         if len(sliding):
             self._draw_straight(pen, data, sliding, (values, widths, over, rgba))
-
-    def _segments(self, pen: Pen, shown: Shown) -> int:
-        """How finely ribbons can be drawn, so that everything that is shown finds room.
-
-        It depends on what is switched on and not on the values, which would make them flicker.
-        """
-        count = np.count_nonzero
-        others = 3 * int(count(shown.axes)) + 3 * int(count(shown.billboards))
-        room = len(pen.rows) - _GEOMS_FOR_THE_REST - others
-        budget = room // max(int(count(shown.arrows)), 1)
-        return min(max(budget, _FEWEST_SEGMENTS), _MOST_SEGMENTS)
 
     def _draw_straight(
         self,
@@ -149,3 +139,13 @@ class RoundArrows:
         rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
         rgba[over, :3] *= DARKER
         rows["rgba"] = rgba
+
+
+def _segments(shown: Shown, others: int) -> int:
+    """How finely ribbons are drawn, so that everything that is shown finds room in every host.
+
+    It depends on what is switched on and not on the values, which would make them flicker.
+    """
+    room = MAX_GEOMS - _GEOMS_FOR_THE_REST - others
+    budget = room // max(int(np.count_nonzero(shown.arrows)), 1)
+    return min(max(budget, _FEWEST_SEGMENTS), _MOST_SEGMENTS)

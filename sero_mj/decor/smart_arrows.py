@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..assemble.world import World
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
+from .quantities import ABSURD
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
 from .round_arrows import DARKER
 
@@ -21,6 +22,10 @@ Bools = NDArray[np.bool_]
 
 SHORTEST = 0.004  # m; what is shorter is not drawn, for its direction is noise
 _SEGMENTS = 30
+# Where directions are turned from: near no axis, for forces and torques often lie along one.
+_FROM = np.array([0.36, 0.48, 0.80])
+_START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
+_HALF_TURN = 2.0 * np.outer(_START[:, 0], _START[:, 0]) - np.eye(3)
 _HALF_WIDTH_OF_LENGTH = 0.045
 _HALF_WIDTHS = (0.004, 0.012)  # m
 
@@ -30,11 +35,13 @@ def arrow_vectors(world: World, data: mujoco.MjData) -> tuple[Array, Array]:
 
     Returns:
         components as received (K, 3), and the same in the world's directions (K, 3); NaN where
-        there is no data.
+        there is no data, or a value `ABSURD` times what the longest arrow shows.
     """
     table = world.arrows
     components = data.userdata[table.slots]
-    known = (data.userdata[table.has] > 0) & np.isfinite(components).all(axis=1)
+    with np.errstate(invalid="ignore"):  # as with joints: a fault of its source, no measurement
+        believable = np.abs(components) <= ABSURD * (table.longest / table.scale)[:, None]
+    known = (data.userdata[table.has] > 0) & believable.all(axis=1)
     components[~known] = np.nan
     rotation = data.site_xmat[table.components_site].reshape(-1, 3, 3).copy()
     rotation[table.components_site < 0] = np.eye(3)
@@ -103,8 +110,17 @@ def drawn_sizes(world: World, vectors: Array) -> Array:
 
 
 def frames_along(directions: Array) -> Array:
-    """Rotations (k, 3, 3) whose z are unit vectors (k, 3), x across the axis z is furthest from."""
-    helper = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
-    x = np.cross(helper, directions)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return np.stack([x, np.cross(directions, x), directions], axis=2)
+    """Rotations (k, 3, 3) whose z are unit vectors (k, 3).
+
+    They are continuous but at the opposite of `_FROM`, so that noise does not make an arrow jump.
+    """
+    along = directions @ _FROM
+    axis = np.cross(_FROM, directions)
+    skew = np.zeros((len(directions), 3, 3))
+    skew[:, [2, 0, 1], [1, 2, 0]] = axis
+    skew[:, [1, 2, 0], [2, 0, 1]] = -axis
+    # The smallest rotation that takes one onto the other (Rodrigues).
+    opposite = along < -1.0 + 1e-9
+    rotation = np.eye(3) + skew + skew @ skew / np.where(opposite, 1.0, 1.0 + along)[:, None, None]
+    rotation[opposite] = _HALF_TURN
+    return np.asarray(rotation @ _START)

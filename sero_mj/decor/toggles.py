@@ -159,14 +159,17 @@ class Toggles:
             frames &= visible[self._double_of_frame]
             came = data.userdata[self._world.joints.has["joint_angles"]] > 0
             joints = (came & visible[self._double_of_joint]) | (self._double_of_joint < 0)
+        # An arrow is nowhere while the frame that it stands at, or is given in, is.
+        anywhere = np.append(frames, True)[self._world.arrows.frames].all(axis=1)
+        vectors = self.vectors & anywhere
         return Shown(
             joints=joints,
             arrows=self.arrows & joints,
             billboards=(self.billboards | self.details) & joints,
             axes=self.axes & frames,
             frame_names=self.frame_names & frames,
-            vectors=self.vectors,
-            cards=self.cards & self.vectors,
+            vectors=vectors,
+            cards=self.cards & vectors,
         )
 
     def hidden_geoms(self) -> Bools | None:

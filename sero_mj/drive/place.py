@@ -80,6 +80,7 @@ class Placer:
         T = data.userdata[world.slots[f"{name}.frame"]].reshape(4, 4)
         if data.userdata[world.flags[f"{name}.frame"]] <= 0 or not np.isfinite(T).all():
             data.mocap_pos[world.placed[name]] = OUT_OF_SIGHT
+            data.userdata[world.flags[f"{name}.frame"]] = 0.0
             return
         relative_to = world.scene.frames[name].relative_to
         parent = np.eye(4) if relative_to == WORLD else world.frame(data, relative_to)
