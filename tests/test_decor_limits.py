@@ -1,0 +1,168 @@
+"""Decor at its limits: frames that are nowhere, noise, 51 joints with everything on, nonsense."""
+
+import numpy as np
+import pytest
+from decor_tools import belonging, labels, rectangle, toggles_of, view_at
+
+from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.assemble.double import Double
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.pen import Kind
+from sero_mj.decor.smart_arrows import frames_along
+from sero_mj.drive.place import Placer
+
+JUSTIN = [3, 7, 7, 12, 12, 2, 8]
+
+
+def draw(scene, edit=None, toggle=None, view=None):
+    world = World(scene)
+    data = world.make_data()
+    if edit:
+        edit(world, data)
+    Placer(world).place(data)
+    toggles = toggles_of(world)
+    if toggle:
+        toggle(toggles)
+    return Decor(world).draw(data, toggles, view or view_at())
+
+
+def lwr(**fields):
+    return SerialRobot.from_model("lwr", **fields)
+
+
+@pytest.mark.parametrize(
+    ("at", "expressed_in"), [("lwr/flange", "s"), ("s", None), ("s", "world"), ("g/flange", None)]
+)
+def test_an_arrow_whose_frame_is_nowhere_is_not_drawn(at, expressed_in):
+    scene = Scene(
+        robots=[lwr()],
+        frames=[ReceivedFrame(name="s")],
+        doubles=[Double(name="g", of="lwr")],
+        arrows=[SmartArrow(name="a", at=at, expressed_in=expressed_in, vector=[20, 0, 0])],
+        floor=False,
+    )
+    assert draw(scene).count == 0
+
+
+def test_a_frame_that_became_nan_has_no_axes_and_no_name():
+    def nan(world, data):
+        world.set_input(data, "s.frame", np.eye(4))
+        data.userdata[world.slots["s.frame"]] = np.nan
+
+    assert draw(Scene(frames=[ReceivedFrame(name="s")], floor=False), nan).count == 0
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_noise_does_not_turn_a_round_arrow(axis, sign):
+    rng = np.random.default_rng(0)
+    d = sign * np.eye(3)[axis] + 1e-3 * rng.normal(size=(100, 3))
+    R = frames_along(d / np.linalg.norm(d, axis=1, keepdims=True))
+    assert np.abs(R - R[0]).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("lines", "own"),
+    [
+        (2, {}),
+        (3, {}),
+        (1, {"show_arrows": True}),
+        (1, {"show_billboards": True}),
+        (1, {"show_axes": True}),
+        (1, {"show_arrows": True, "show_billboards": True, "show_axes": True}),
+    ],
+)
+def test_51_joints_find_room_for_their_numbers(lines, own):
+    rng = np.random.default_rng(1)
+    robots, doubles = [], []
+    for i, n in enumerate(JUSTIN):
+        q = rng.uniform(-1, 1, n)
+        robots.append(
+            SerialRobot(
+                name=f"r{i}",
+                dh_convention="craig",
+                dh_params=np.resize(lwr().dh_params, (n, 4)),
+                base_frame={"xyz": [0, 0.6 * i, 0]},
+                torque_limits=np.full(n, 40.0),
+                joint_angles=q,
+                torques=np.full(n, 9.0),
+                show_arrows=True,
+                show_billboards=True,
+                show_axes=True,
+                billboard_lines=["torques", "joint_angles", "torque_error"][:lines],
+            )
+        )
+        doubles.append(
+            Double(name=f"d{i}", of=f"r{i}", joint_angles=q + 0.5, torques=np.full(n, 9.0), **own)
+        )
+    pen = draw(Scene(robots=robots, doubles=doubles), view=view_at(0.0, 12, 3840, 2160))
+    assert pen.left_out == 0
+
+
+def test_precise_numbers_of_all_51_joints_find_room():
+    robots = [
+        SerialRobot(
+            name=f"r{i}",
+            dh_convention="craig",
+            dh_params=np.resize(lwr().dh_params, (n, 4)),
+            base_frame={"xyz": [0, 0.6 * i, 0]},
+            torque_limits=np.full(n, 40.0),
+            torques=np.full(n, 9.0),
+            show_arrows=True,
+            show_axes=True,
+        )
+        for i, n in enumerate(JUSTIN)
+    ]
+
+    def details(t):
+        t.details[:] = True
+
+    pen = draw(Scene(robots=robots), toggle=details, view=view_at(0.0, 12, 3840, 2160))
+    assert pen.left_out == 0
+
+
+def test_the_scale_is_stated_beside_two_quantities():
+    arrows = [SmartArrow(name="contact", at="lwr/flange", vector=[9, 0, 0])]
+
+    def two(t):
+        t.legend, t.arrow_quantity[3:] = True, 1
+
+    for size in ((1280, 800), (640, 480)):
+        scene = Scene(
+            robots=[lwr(torques=np.ones(7), show_arrows=True)], arrows=arrows, floor=False
+        )
+        pen = draw(scene, toggle=two, view=view_at(0.7, 2.5, *size))
+        assert any("contact" in text for text in labels(pen.rows[: pen.count])), size
+
+
+def test_a_hidden_double_does_not_say_that_it_is_stale():
+    def never(world, data):
+        data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1, 0, 0, 56, -1, 0)
+
+    scene = Scene(
+        robots=[lwr()],
+        doubles=[Double(name="g", of="lwr", visible=False)],
+        floor=False,
+        sources={"udp": {"kind": "udp", "port": 1, "structure": "7F"}},
+        routes={"g.joint_angles": "udp.values0"},
+    )
+    assert draw(scene, never).count == 0
+
+
+@pytest.mark.parametrize("value", [1e30, 1e200])
+def test_an_absurd_vector_is_no_data(value):
+    def absurd(world, data):
+        data.userdata[world.slots["a.vector"]] = (value, 0, 0)
+        data.userdata[world.flags["a.vector"]] = 1
+
+    def card(t):
+        t.cards[:] = True
+
+    arrows = [SmartArrow(name="a", at="lwr/flange")]
+    pen = draw(Scene(robots=[lwr()], arrows=arrows, floor=False), absurd, card)
+    (panel,) = belonging(pen, Kind.CARD)
+    low, high = rectangle(view_at(), panel)
+    assert high[0] - low[0] < 400
