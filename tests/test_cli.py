@@ -211,7 +211,7 @@ def test_render_sets_fields_over_the_scenes(capsys, tmp_path) -> None:
     options = ["--size", "160x120", "--wait", "0"]
     status, _, err = run(capsys, "render", "lwr_udp", "-o", str(plain), *options)
     assert status == 0
-    assert "no packet for source 'udp' within 0 s" in err
+    assert "no good packet for source 'udp' within 0 s" in err
     settings = ["--set", "lwr.joint_angles=0,1,0,-1.5,0,1,.5", "--set", "lwr.torques=9,9,9,9,9,9,9"]
     status, out, err = run(capsys, "render", "lwr_udp", "-o", str(posed), *options, *settings)
     assert (status, err, out.strip()) == (0, "", str(posed))  # nothing is left to receive

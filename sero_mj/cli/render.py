@@ -126,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
         )
     for name in silent:
         print(
-            f"sero-mj: no packet for source '{name}' within {options.wait:g} s; "
+            f"sero-mj: no good packet for source '{name}' within {options.wait:g} s; "
             "its robots are shown as the scene declares them",
             file=sys.stderr,
         )
