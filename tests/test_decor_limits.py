@@ -10,6 +10,7 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.flange_check import OFF_RGBA
 from sero_mj.decor.pen import Kind
 from sero_mj.decor.smart_arrows import frames_along
 from sero_mj.drive.place import Placer
@@ -166,3 +167,19 @@ def test_an_absurd_vector_is_no_data(value):
     (panel,) = belonging(pen, Kind.CARD)
     low, high = rectangle(view_at(), panel)
     assert high[0] - low[0] < 400
+
+
+def test_a_flange_that_is_off_and_out_of_the_picture_is_told_in_the_corner():
+    def off(world, data):
+        T = world.scene.robots["lwr"].fwd_kin_base_to_flange()
+        T[:3, 3] += [0.0, 0.0, 50.0]
+        world.set_input(data, "lwr.flange_check", T)
+
+    view = view_at()
+    pen = draw(Scene(robots=[lwr()], floor=False), off, view=view)
+    rows = pen.rows[: pen.count]
+    (label,) = labels(rows)
+    assert label == "lwr flange is off 50000.00 mm    0.00 deg"
+    panel = rows[np.isclose(rows["rgba"], OFF_RGBA).all(axis=1)]
+    ((x, y),), _ = view.project(panel["pos"].astype(float))
+    assert x > view.width / 2 and y > 0.9 * view.height

@@ -95,7 +95,7 @@ class FlangeCheck:
                 continue
             pixel, depth = view.project(point)
             if not view.sees(pixel, depth):
-                right.append(f"{name} flange is off{numbers}".encode("ascii", "replace"))
+                right.append(f"{name} flange is off {numbers}".encode("ascii", "replace"))
                 unseen = True
                 continue
             clear = max(clear, robot.axes_length / view.pixel_size(float(depth)))
