@@ -66,6 +66,7 @@ class Intake:
         self._senders: dict[bytes, float] = {}
         # What the batch in work adds; it counts only when the good packets have been handed on.
         self._tally = Counters()
+        self._began = 0  # index of the first packet in the batch after the last restart
         self._modulus = 0
         if sequence:
             dtype = layout.event_rows(np.zeros((1, layout.size), np.uint8), sequence).dtype
@@ -115,9 +116,9 @@ class Intake:
             self._fault(fault, arrivals[last])
         if layout.matrices:
             good &= self._are_frames(rows, arrivals, good)
-        if good.any():
-            seen = arrivals[good]
-            self.timing.add(seen, None if stamps is None else stamps[good])
+        timed = np.flatnonzero(good[self._began :]) + self._began
+        if len(timed):
+            self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
         good &= in_order
         if not good.all():
             rows, arrivals = rows[good], arrivals[good]
@@ -185,6 +186,7 @@ class Intake:
     ) -> NDArray[np.bool_]:
         """Which packets are to be applied by their numbers or time stamps."""
         good = np.ones(len(rows), bool)
+        self._began = 0
         if not self._sequence and stamps is None:
             return good
         if self._sequence:
@@ -218,6 +220,7 @@ class Intake:
             elif place is Place.RESTARTED:
                 counters.restarts += 1
                 self.timing.restart()
+                self._began = i
         return good
 
     def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:
