@@ -41,7 +41,7 @@ class Timing:
             arrivals: when they came, (n,), n >= 1, s.
             stamps: when they were sent, by the sender's clock, (n,), s.
         """
-        times = arrivals if self._arrival is None else np.insert(arrivals, 0, self._arrival)
+        times = _joined(self._arrival, arrivals)
         self._arrival = float(arrivals[-1])
         between = np.diff(times)
         steady = between < _PAUSE
@@ -50,7 +50,7 @@ class Timing:
             self.interval = float(between.mean())
         deviations = between - self.interval
         if stamps is not None:
-            sent = np.diff(stamps if self._stamp is None else np.insert(stamps, 0, self._stamp))
+            sent = np.diff(_joined(self._stamp, stamps))
             steady &= np.abs(sent) < _PAUSE
             deviations = (np.diff(times) - sent)[steady]
         self.interval = _running(self.interval, between)
@@ -68,6 +68,10 @@ class Timing:
     def rate(self) -> float:
         """Packets per second; 0 while unknown."""
         return 1.0 / self.interval if self.interval > 0 else 0.0
+
+
+def _joined(before: float | None, values: Array) -> Array:
+    return values if before is None else np.concatenate(([before], values))
 
 
 def _running(mean: float, values: Array) -> float:
