@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
-import gc
 import socket
 import struct
 import subprocess
