@@ -167,7 +167,7 @@ class Receiver(Declaration):
     def receiving(self) -> bool:
         """Whether a good packet came within the last half second."""
         last = self._last
-        return last is not None and clock.monotonic() - last[1][-1] < QUIET_AFTER
+        return last is not None and clock.monotonic() - float(last[1][-1]) < QUIET_AFTER
 
     @property
     def receive_trigger(self) -> int:
