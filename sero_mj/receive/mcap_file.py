@@ -91,6 +91,7 @@ class McapFile:
         self._oldest = 0.0  # when the first message came into the chunk, on time.monotonic
         self._summary = Summary()
         self._before_last: _Before | None = None
+        self._size = 0
         self._end = 0  # where whole records end, and the short ending begins
         try:
             # Unbuffered: what is left in a buffer would be lost with the process.
@@ -105,7 +106,7 @@ class McapFile:
     @property
     def size(self) -> int:
         """Bytes of the file."""
-        return self._end + len(SHORT_ENDING)
+        return self._size
 
     @property
     def closed(self) -> bool:
@@ -254,6 +255,7 @@ class McapFile:
             if not written:
                 raise OSError(errno.ENOSPC, "nothing was written")
             view = view[written:]
+        self._size = offset + len(data)
 
     def _rescue(self, error: OSError) -> NoReturn:
         """Takes back what is half written, ends the file as well as there is room, and tells."""
@@ -263,6 +265,7 @@ class McapFile:
                 if ending():
                     break
         else:
+            self._size = self._end
             with contextlib.suppress(OSError):
                 self._file.truncate(self._end)
         with contextlib.suppress(OSError):
