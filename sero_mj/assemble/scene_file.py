@@ -58,7 +58,7 @@ class _Reader:
     def scene(self) -> Scene:
         sections: dict[str, Callable[[], Any]] = {
             "robots": lambda: list(self._each("robots", self._robot).values()),
-            "sources": lambda: self._each("sources", lambda name, table: table),
+            "sources": lambda: self._each("sources", self._source),
             "routes": self._routes,
             "doubles": lambda: list(self._each("doubles", self._named(Double)).values()),
             "arrows": lambda: list(self._each("arrows", self._named(SmartArrow)).values()),
@@ -188,6 +188,11 @@ class _Reader:
         except (DeclarationError, UnknownName) as error:
             raise DeclarationError([Problem("model", str(error))]) from None
         return build_robot(fields, path)
+
+    def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
+        """The table as it stands, but for a file, which is found beside the scene."""
+        file = table.get("file")
+        return {**table, "file": str(self.path.parent / file)} if isinstance(file, str) else table
 
     def _named(self, kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
         """Builds what has a field for its name."""

@@ -34,13 +34,11 @@ def run(options: argparse.Namespace) -> int:
         look = "meshes" if robot.filenames else "shapes grown from its DH table"
         print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}")
     for name, source in wire(scene).sources.items():
-        layout = getattr(source, "layout", None)
-        if layout is not None:
-            events = ", ".join(
-                f"{event} ({' x '.join(map(str, shape))})" for event, shape in source.events.items()
-            )
-            where = f"{source.host}:{source.udpport}"  # type: ignore[attr-defined]
-            print(f"  source  {name}: UDP {where}, {layout.size} bytes: {events}")
+        events = ", ".join(
+            f"{event} ({' x '.join(map(str, shape))})" for event, shape in source.events.items()
+        )
+        about = getattr(source, "about", type(source).__name__)
+        print(f"  source  {name}: {about}, {source.size} bytes: {events}")
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():

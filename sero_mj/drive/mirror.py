@@ -114,6 +114,11 @@ class Mirror:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
+    @property
+    def is_live(self) -> bool:
+        """Whether a source follows the real time, so that what shows it must as well."""
+        return any(source.is_live for source in self.sources.values())
+
     def wait(self, timeout: float) -> list[str]:
         """Waits until every source has sent a good packet, up to `timeout` s in all.
 
@@ -155,11 +160,11 @@ class Mirror:
         Returns:
             whether a new packet was applied.
         """
-        clock = time.monotonic()
         data = self.data
-        data.time = clock - self._started if now is None else now
+        data.time = time.monotonic() - self._started if now is None else now
         fresh = False
         for name, source in self.sources.items():
+            source.advance_to(data.time)
             packets = source.take()
             if packets is not None:
                 self._latest[name] = packets.last
@@ -169,7 +174,7 @@ class Mirror:
             if packet is not None and (packets is not None or name in self._again):
                 self._routers[name].apply(packet, data)
                 fresh = True
-            counters = source.counters
+            counters, clock = source.counters, source.now()
             data.userdata[self.world.slots[f"sources.{name}"]] = (
                 counters.received,
                 counters.malformed,

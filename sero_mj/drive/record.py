@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError, UnknownName
+from ..receive.recording_format import Clock
 from ..receive.recording_writer import RecordingWriter
 
 Decode = Callable[[bytes], Mapping[str, NDArray[np.float64]] | None]
@@ -228,6 +229,11 @@ class Recorder:
             self._queued += batch.size
             self._changed.notify()
         return True
+
+    @property
+    def clock(self) -> Clock:
+        """When the recording began, on both clocks."""
+        return self._writer.clock
 
     @property
     def statistics(self) -> RecorderStatistics:

@@ -35,9 +35,10 @@ class Intake:
         time: event that says when the packet was sent; empty for none.
         time_scale: s per unit of `time`.
         lossless: whether late packets are applied as well.
-        on_fault: called with a line about every kind of fault in a batch.
+        on_fault: called with a line about the last fault of a batch.
 
     Attributes:
+        on_fault: as above.
         counters: what came in.
         timing: rate, jitter and delay.
         nan_allowed: events in which NaN means `no data`.
@@ -60,7 +61,7 @@ class Intake:
         self._sequence, self._time = sequence, time
         self._time_scale = time_scale
         self._lossless = lossless
-        self._on_fault = on_fault
+        self.on_fault = on_fault
         self._trackers: OrderedDict[bytes, SequenceTracker | StampTracker] = OrderedDict()
         self._lost_by_forgotten = 0
         self._senders: dict[bytes, float] = {}
@@ -148,7 +149,7 @@ class Intake:
             counters.last_size = tally.last_size or counters.last_size
             counters.last_fault_time = tally.last_fault_time
             counters.last_fault = tally.last_fault
-            self._on_fault(tally.last_fault)
+            self.on_fault(tally.last_fault)
 
     def _fault(self, text: str, when: float) -> None:
         tally = self._tally

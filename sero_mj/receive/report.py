@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import fields
 from typing import Any
 
@@ -35,7 +34,7 @@ def report(source: Receiver) -> dict[str, Any]:
         the packets have no time stamp), `good`.
     """
     counters, timing = source.counters, source.timing
-    since = age(source.latest(), time.monotonic())
+    since = age(source.latest(), source.now())
     return {
         "source": source.name,
         "about": source.about,
