@@ -17,7 +17,7 @@ from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.drive.mirror import Mirror, load_scene
-from sero_mj.drive.route import Route, wire
+from sero_mj.drive.route import wire
 from sero_mj.drive.router import Router
 from sero_mj.errors import DeclarationError
 from sero_mj.receive.kinds import make_source
@@ -133,10 +133,11 @@ def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
     scene = scene_of({"arm.joint_angles": "udp.values0", "arm.torques": "udp.values1"})
     wiring, inputs = wire(scene), list_inputs(scene)
     assert wiring.problems == []
-    assert wiring.routes == [
-        Route(inputs["arm.joint_angles"], "udp", "values0"),
-        Route(inputs["arm.torques"], "udp", "values1"),
+    assert [(route.to, route.value.whole, route.text) for route in wiring.routes] == [
+        (inputs["arm.joint_angles"], ("udp", "values0", True), "udp.values0"),
+        (inputs["arm.torques"], ("udp", "values1", True), "udp.values1"),
     ]
+    assert [route.direct for route in wiring.routes] == ["udp", "udp"]
     assert wiring.routes[1].to.target == "arm.torques"
     assert list(wiring.sources) == ["udp"]
 
@@ -206,12 +207,13 @@ def test_a_router_writes_its_input_and_nothing_else(key: str) -> None:
     scene = Scene(
         robots=[arm("left", 3), arm("right", 3)],
         sources={"udp": {"kind": "udp", "structure": "3F"}},
+        routes={f"right.{key}": "udp.values0"},
         floor=False,
     )
     world = World(scene)
     data, untouched = world.make_data(), world.make_data()
     values = np.array([0.1, -0.2, 0.3])
-    router = Router(world, [Route(world.inputs[f"right.{key}"], "udp", "values0")])
+    router = Router(world, wire(scene).routes)
     router.apply(Packet({"values0": values}, 0.0, 1), data)
     flag = world.flags[f"right.{key}"]
     assert data.userdata[flag] == 1.0

@@ -19,8 +19,9 @@ from ..paths import find_scene
 from ..receive.source import age
 from .follow import follow
 from .place import Placer
-from .route import Route, wire
+from .route import wire
 from .router import Router
+from .wiring import Route
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -55,7 +56,7 @@ class Mirror:
     Attributes:
         world: the compiled scene.
         data: its state.
-        routes: the routes from sources in force.
+        routes: the routes of numbers in force.
         sources: those that a route leads from.
 
     Raises:
@@ -69,13 +70,14 @@ class Mirror:
         self.world = World(scene)
         self.data = self.world.make_data()
         self.routes: list[Route] = wiring.routes
-        used = {route.source for route in self.routes}
+        used = {name for route in self.routes for name in route.sources}
         self.sources = {name: wiring.sources[name] for name in wiring.sources if name in used}
         self._routers = {
-            name: Router(self.world, [r for r in self.routes if r.source == name]) for name in used
+            name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
         }
         self._placer = Placer(self.world, wiring)
         self._applied: dict[str, int] = {}
+        self._latest: dict[str, Mapping[str, NDArray[np.float64]]] = {}  # by source and event
         self._started = time.monotonic()
 
     def open(self) -> None:
@@ -85,6 +87,7 @@ class Mirror:
             SourceError: a source cannot be opened.
         """
         self._applied.clear()
+        self._latest.clear()
         try:
             for source in self.sources.values():
                 source.open()
@@ -122,6 +125,7 @@ class Mirror:
         """Resets the data to the declared pose; the next `advance` applies the latest packets."""
         self.world.reset(self.data)
         self._applied.clear()
+        self._latest.clear()
 
     def advance(self, now: float | None = None) -> bool:
         """Applies the latest packet of every source and moves the frames.
@@ -141,6 +145,7 @@ class Mirror:
             if packet is not None and self._applied.get(name) != packet.number:
                 self._routers[name].apply(packet, data)
                 self._applied[name] = packet.number
+                self._latest[name] = packet.values
                 fresh = True
             counters = source.counters
             data.userdata[self.world.slots[f"sources.{name}"]] = (
@@ -154,7 +159,7 @@ class Mirror:
                 clock - counters.last_fault_time if counters.malformed else -1.0,
                 counters.not_frames,
             )
-        self._placer.place(data)
+        self._placer.place(data, self._latest)
         return fresh
 
     def state(self) -> NDArray[np.float64]:
