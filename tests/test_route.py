@@ -43,9 +43,8 @@ def arm(name: str = "arm", n: int = 2) -> SerialRobot:
 
 
 def scene_of(routes: dict[str, str], sources: dict[str, Any] | None = None) -> Scene:
-    return Scene(
-        robots=[arm()], sources={"udp": UDP} if sources is None else sources, routes=routes
-    )
+    sources = {"udp": UDP} if sources is None else sources
+    return Scene(robots=[arm()], sources=sources, routes=routes)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -241,8 +240,7 @@ def test_one_packet_drives_several_robots() -> None:
         floor=False,
     )
     world, wiring = World(scene), wire(scene)
-    data = world.make_data()
-    numbers = np.linspace(-1, 1, 28)
+    data, numbers = world.make_data(), np.linspace(-1, 1, 28)
     values = wiring.sources["udp"].layout.decode(struct.pack("<28d", *numbers))
     Router(world, wiring.routes).apply(Packet(values, 0.0, 1), data)
     assert (data.qpos[world.robots["left"].qpos] == numbers[:7]).all()
@@ -255,8 +253,7 @@ def test_one_event_leads_to_several_inputs() -> None:
     scene = scene_of(dict.fromkeys((f"arm.{key}" for key in INPUTS), "udp.values0"))
     world, wiring = World(scene), wire(scene)
     assert [route.to.key for route in wiring.routes] == list(INPUTS)
-    data = world.make_data()
-    values = np.array([0.5, -0.5])
+    data, values = world.make_data(), np.array([0.5, -0.5])
     Router(world, wiring.routes).apply(Packet({"values0": values}, 0.0, 1), data)
     assert (data.qpos == values).all()
     for key in VALUE_INPUTS:
@@ -334,8 +331,7 @@ def test_an_input_that_is_set_is_no_longer_routed_to(tmp_path: Path) -> None:
     assert len(load_scene(file).routes) == 2
     scene = load_scene(file, {"arm.joint_angles": [0.5, -0.5], "arm.show_axes": True})
     assert scene.routes == {"arm.torques": "udp.values1"}
-    assert scene.robots["arm"].joint_angles is not None
-    assert scene.robots["arm"].joint_angles.tolist() == [0.5, -0.5]
+    assert scene.robots["arm"].home.tolist() == [0.5, -0.5]
     assert scene.robots["arm"].show_axes
 
 

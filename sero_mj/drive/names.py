@@ -46,7 +46,9 @@ class Names:
 
     def frame_hint(self, text: str) -> str:
         """What may have been meant by the name of no frame."""
-        return self._spaces(text) or did_you_mean(text, self._frames)
+        events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
+        spaces = _missing_spaces(text, [*UNITS, *self._outputs, *events])
+        return spaces or did_you_mean(text, self._frames)
 
     def find(self, name: str) -> Value | Problem | None:
         """What a name in an expression stands for.
@@ -66,7 +68,9 @@ class Names:
         sections = ("robots", "doubles", "arrows")
         if {*sections, *(f"{section}.{owner}" for section in sections)} & self._scene.broken:
             return None
-        return Problem("", f"no {self._unknown(owner, is_bare=not key)}{self._spaces(name)}")
+        if "/" in name:
+            return Problem("", f"no frame '{name}'{self.frame_hint(name)}")
+        return Problem("", f"no {self._unknown(owner, is_bare=not key)}")
 
     def _event(self, name: str, event: str) -> Value | Problem | None:
         if name not in self._sources:
@@ -86,8 +90,9 @@ class Names:
         keys = [item.key for item in self._outputs.values() if item.name == name]
         hint = _missing_spaces(key, keys)
         if not hint and name in self._scene.robots:
-            near = did_you_mean(key, [*keys, FWD_KIN])
-            hint = f"{near}; its frames are {name}/flange and so on"
+            hint = did_you_mean(key, [*keys, FWD_KIN])
+            if nearest(key, [*keys, FWD_KIN]) is None:
+                hint += f"; its frames are {name}/flange and so on"
         return Problem("", f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}")
 
     def _unknown(self, owner: str, *, is_bare: bool) -> str:
@@ -101,10 +106,6 @@ class Names:
             if near is not None:
                 return f"unit '{owner}'; did you mean '{near}'?"
         return f"source '{owner}'{did_you_mean(owner, sources)}"
-
-    def _spaces(self, name: str) -> str:
-        events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
-        return _missing_spaces(name, [*UNITS, *self._outputs, *events])
 
 
 def _missing_spaces(name: str, known: Iterable[str]) -> str:

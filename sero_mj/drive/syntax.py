@@ -19,6 +19,7 @@ from ..assemble.route_text import NOT, Word, words_of
 from ..errors import RouteError
 
 _DEEPEST = 40  # brackets within each other
+_BEFORE = "expected +, -, * or / between spaces before it"
 _AFTER = "expected +, -, * or / between spaces, or the end"
 
 
@@ -98,7 +99,7 @@ def parse(text: str) -> tuple[bool, Node]:
     negated = parser.takes(NOT)
     tree = parser.sum()
     if parser.word is not None:
-        parser.refuse(_AFTER)
+        parser.refuse(_BEFORE if parser.word.kind in ("name", "number") else _AFTER)
     return negated, tree
 
 
