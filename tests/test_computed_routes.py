@@ -1,21 +1,24 @@
-"""Routes that compute: their shapes and units, several sources, outputs of other robots."""
+"""Routes that compute: with one packet, with several, and with outputs of other robots."""
 
 from __future__ import annotations
 
 import math
+import socket
+import struct
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
+from polling import until
+from route_scenes import arm, scene_of
 
-from sero_mj.assemble.cartesian import SmartArrow
 from sero_mj.assemble.double import Double
 from sero_mj.assemble.frames import frame_from
-from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.decor.staleness import NO_DATA_YET, Staleness
+from sero_mj.drive.mirror import Mirror
 from sero_mj.drive.place import Placer
 from sero_mj.drive.route import wire
 from sero_mj.drive.router import Router
@@ -23,34 +26,6 @@ from sero_mj.receive.source import Packet
 from sero_mj.receive.udp import UdpReceiver
 
 Array = NDArray[np.float64]
-TWO = {
-    "udp": {"kind": "udp", "structure": "2F2F3F2M"},
-    "other": {"kind": "udp", "structure": "2F1V"},
-}
-
-
-def arm(name: str, types: list[str] | None = None, **fields: Any) -> SerialRobot:
-    rows = [[0.0, 0.0, 0.0, 0.3], [1.5, 0.2, 0.0, 0.0]]
-    return SerialRobot(
-        name=name, dh_convention="craig", dh_params=rows, joint_types=types, **fields
-    )
-
-
-def scene_of(routes: Mapping[str, Any], **fields: Any) -> Scene:
-    robots = [arm("lwr"), arm("leader", joint_angles=[0.3, -0.4]), arm("crane", ["prismatic"] * 2)]
-    robots.append(arm("mixed", ["revolute", "prismatic"]))
-    declared: dict[str, Any] = {
-        "robots": robots,
-        "sources": TWO,
-        "doubles": [Double(name="goal", of="lwr")],
-        "arrows": [SmartArrow(name="push", kind="force", at="lwr/flange")],
-        "floor": False,
-    }
-    return Scene(**{**declared, **fields}, routes=dict(routes))
-
-
-def messages(routes: Mapping[str, Any], **fields: Any) -> list[str]:
-    return [problem.message for problem in wire(scene_of(routes, **fields)).problems]
 
 
 class Fed:
@@ -83,112 +58,6 @@ class Fed:
 
     def has(self, target: str) -> bool:
         return bool(self.data.userdata[self.world.flags[target]])
-
-
-@pytest.mark.parametrize(
-    ("target", "origin", "message"),
-    [
-        ("lwr.joint_angles", "udp.values2[1:]", ""),
-        ("lwr.joint_angles", "udp.values2[0:1]", "udp.values2[0:1] has 1 value; "
-         "lwr.joint_angles takes 2, one per joint"),
-        ("lwr.joint_angles", "udp.values2 * deg", "udp.values2 * deg has 3 values; "
-         "lwr.joint_angles takes 2, one per joint"),
-        ("lwr.joint_angles", "udp.values0 * deg", ""),
-        ("lwr.joint_angles", "udp.values0 * mm", "udp.values0 * mm is a length (m); "
-         "lwr.joint_angles takes an angle (rad)"),
-        ("crane.joint_angles", "udp.values0 * mm", ""),
-        ("crane.joint_angles", "udp.values0 * deg", "udp.values0 * deg is an angle (rad); "
-         "crane.joint_angles takes a length (m)"),
-        ("mixed.joint_angles", "[udp.values0[0] * deg, udp.values0[1] * mm]", ""),
-        ("mixed.joint_angles", "udp.values0 * deg", "udp.values0 * deg is an angle (rad); "
-         "mixed.joint_angles takes a length (m) at number 1, counted from 0"),
-        ("mixed.joint_angles", "lwr.joint_angles", "lwr.joint_angles is an angle (rad); "
-         "mixed.joint_angles takes a length (m) at number 1, counted from 0"),
-        ("mixed.joint_angles", "1 * deg", "1 * deg is an angle (rad); "
-         "mixed.joint_angles takes a length (m) at number 1, counted from 0"),
-        ("mixed.torques", "[udp.values0[0] * mNm, udp.values0[1] * kN]", ""),
-        ("crane.torques", "udp.values0 * Nm", "udp.values0 * Nm is a torque (Nm); "
-         "crane.torques takes a force (N)"),
-        ("lwr.joint_accelerations", "udp.values0 * deg / s / s", ""),
-        ("lwr.joint_accelerations", "udp.values0 * deg / s", "udp.values0 * deg / s is an angular "
-         "velocity (rad/s); lwr.joint_accelerations takes an angular acceleration (rad/s2)"),
-        ("lwr.torques", "leader.joint_angles", "leader.joint_angles is an angle (rad); "
-         "lwr.torques takes a torque (Nm)"),
-        ("lwr.torques", "leader.joint_angles * (20 * Nm / rad)", ""),
-        ("lwr.billboard_values", "leader.joint_angles", ""),
-        ("lwr.show_arrows", "udp.values0[1] * mm", ""),
-        ("push.vector", "other.vectors0[0] * kN", ""),
-        ("push.vector", "udp.values2 * mm / s", "udp.values2 * mm / s is a velocity (m/s); "
-         "push.vector takes a force (N)"),
-        ("lwr.base_frame", "udp.matrices0[1]", ""),
-        ("lwr.base_frame", "udp.matrices0", "udp.matrices0 is 2 x 4 x 4; "
-         "lwr.base_frame takes a 4 x 4 frame: 1M in the structure"),
-        ("lwr.torques", "udp.values0[0]", "udp.values0[0] has 1 value; "
-         "lwr.torques takes 2, one per joint"),
-        ("lwr.torques", 0.5, ""),
-        ("lwr.torques", [0.5, 1], ""),
-        ("lwr.torques", np.array([0.5, 1.0]), ""),
-        ("lwr.torques", [0.5], "[0.5] has 1 value; lwr.torques takes 2, one per joint"),
-        ("lwr.show_arrows", "not udp.values0", "udp.values0 has 2 values; lwr.show_arrows takes 1"),
-        ("lwr.torques", "not udp.values0", "'not' is for switches; "
-         "lwr.torques takes 2, one per joint"),
-        ("lwr.torques", "udp.values0-udp.values1", "no event 'values0-udp.values1' of udp; "
-         "put spaces about '-'"),
-        ("lwr.torques", "udp.values0/2", "no frame 'udp.values0/2'; put spaces about '/'"),
-        ("lwr.torques", "leader.torques/2 + 1", "no output 'torques/2' of leader; "
-         "put spaces about '/'"),
-        ("lwr.torques", "deg/2 + 1", "no frame 'deg/2'; put spaces about '/'"),
-        ("lwr.torques", "lwr/flang + 1", "no frame 'lwr/flang'; did you mean 'lwr/flange'?"),
-        ("lwr.torques", "degg", "no unit 'degg'; did you mean 'deg'?"),
-        ("lwr.torques", "leader.torque", "no output 'torque' of leader; did you mean 'torques'?"),
-        ("push.vector", "push.vektor + 1", "no output 'vektor' of push; did you mean 'vector'?"),
-        ("lwr.torques", "ledaer.torques", "no source or robot 'ledaer'; did you mean 'leader'?"),
-        ("lwr.torques", "2 * udp.values0 * Mn", "no unit 'Mn'; did you mean 'mN'?"),
-        ("lwr.torques", "2 * lwr/flange", "lwr/flange is a 4 x 4 frame, which only goes whole"),
-        ("lwr.torques", "lwr.fwd_kin_base_to_flange + 1",
-         "lwr.fwd_kin_base_to_flange is a 4 x 4 frame, which only goes whole"),
-        ("lwr.torques", "udp.values0 *", "'udp.values0 *', character 14: found the end, expected "
-         "an event such as udp.values0, a number, ( or ["),
-    ],
-)  # fmt: skip
-def test_shape_and_unit_are_checked_when_the_scene_is_read(
-    target: str, origin: Any, message: str
-) -> None:
-    assert messages({target: origin}) == ([message] if message else [])
-
-
-def test_every_wrong_name_of_an_expression_is_told() -> None:
-    found = messages({"lwr.torques": "upd.values0 + udp.values9 * degg"})
-    assert [text.partition(";")[0] for text in found] == [
-        "no source 'upd'", "no event 'values9' of udp", "no unit 'degg'"
-    ]  # fmt: skip
-
-
-def test_a_source_is_meant_where_a_robot_has_the_same_name() -> None:
-    sources = {"leader": {"kind": "udp", "structure": "2F"}}
-    assert messages({"lwr.torques": "leader.values0 * 2"}, sources=sources) == []
-    assert messages({"lwr.torques": "leader.torques * 2"}, sources=sources) == [
-        "no event 'torques' of leader; available: values0"
-    ]
-
-
-@pytest.mark.parametrize(
-    ("routes", "circle"),
-    [
-        ({"lwr.torques": "lwr.torques + 1"}, "lwr.torques -> lwr.torques"),
-        (
-            {
-                "lwr.joint_angles": "leader.joint_angles",
-                "leader.joint_angles": "udp.values0 - goal.joint_angles",
-                "goal.joint_angles": "lwr.joint_angles * 2",
-            },
-            "goal.joint_angles -> lwr.joint_angles -> leader.joint_angles -> goal.joint_angles",
-        ),
-    ],
-)
-def test_circles_are_told(routes: dict[str, str], circle: str) -> None:
-    (found,) = messages(routes)
-    assert found == f"values that follow each other: {circle}"
 
 
 def test_a_packet_is_computed_with() -> None:
@@ -301,3 +170,53 @@ def test_what_overflows_blanks_and_moves_nothing() -> None:
     fed.feed("udp", values0=[1e300, 1.0])
     np.testing.assert_equal(fed["lwr.torques"], [math.nan, 1e10])
     assert fed["lwr.joint_angles"] == [1e10, 2.0]
+
+
+def test_what_follows_is_as_stale_as_what_it_follows() -> None:
+    scene = scene_of({
+        "leader.joint_angles": "udp.values0",
+        "lwr.torques": "other.values0 - udp.values1",
+        "lwr.joint_angles": "leader.joint_angles * 0.5",
+        "crane.billboard_values": "lwr.torques * (1 / Nm)",
+        "mixed.torques": [1, 2],
+    })  # fmt: skip
+    assert scene.sources_of("lwr.joint_angles") == {"udp"}
+    assert scene.sources_of("lwr.torques") == {"udp", "other"}
+    assert scene.sources_of("crane.billboard_values") == {"udp", "other"}
+    assert scene.sources_of("mixed.torques") == set()
+    assert scene.sources_of() == {"udp", "other"}
+    scene.routes["lwr.torques"] = "crane.billboard_values"  # a circle is told elsewhere
+    assert scene.sources_of("lwr.torques") == set()
+
+
+def test_a_mirror_computes_with_the_packets_of_two_sources() -> None:
+    robots = [arm("lwr"), arm("leader"), arm("free")]
+    routes = {
+        "leader.joint_angles": "udp.values0 * deg",
+        "lwr.joint_angles": "leader.joint_angles[::-1]",
+        "lwr.torques": "other.values0 - udp.values1",
+    }
+    sources = {name: {"kind": "udp", "structure": "2F2F"} for name in ("udp", "other")}
+    scene = Scene(robots=robots, sources=sources, routes=routes, floor=False)
+    with Mirror(scene) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        staleness, world, data = Staleness(mirror.world), mirror.world, mirror.data
+
+        def send(name: str, *values: float) -> None:
+            source = mirror.sources[name]
+            assert isinstance(source, UdpReceiver)
+            sock.sendto(struct.pack("<4d", *values), ("127.0.0.1", source.port))
+            assert until(mirror.advance)
+
+        mirror.advance()
+        assert staleness.find(data) == {"lwr": NO_DATA_YET, "leader": NO_DATA_YET}
+        send("udp", 90.0, -45.0, 1.0, 2.0)
+        np.testing.assert_allclose(data.qpos[world.robots["lwr"].qpos], np.deg2rad([-45, 90]))
+        assert staleness.find(data) == {"lwr": NO_DATA_YET}
+        assert data.userdata[world.flags["lwr.torques"]] == 0.0
+        send("other", 5.0, 5.0, 0.0, 0.0)
+        assert data.userdata[world.slots["lwr.torques"]].tolist() == [4.0, 3.0]
+        assert staleness.find(data) == {}
+        mirror.reset()
+        assert data.userdata[world.flags["lwr.torques"]] == 0.0
+        assert mirror.advance()
+        assert data.userdata[world.slots["lwr.torques"]].tolist() == [4.0, 3.0]

@@ -58,8 +58,8 @@ class Names:
         """
         if name in UNITS:
             return constant(*UNITS[name])
-        if (self.is_frame(name) and name in self._frames) or self.is_fwd_kin(name):
-            return Problem("", f"{name} is a 4 x 4 frame, which only goes whole")
+        if self.is_frame(name) or self.is_fwd_kin(name):
+            return self._frame(name)
         owner, _, key = name.partition(".")
         if self._scene.declares("sources", owner):
             return self._event(owner, key)
@@ -68,9 +68,14 @@ class Names:
         sections = ("robots", "doubles", "arrows")
         if {*sections, *(f"{section}.{owner}" for section in sections)} & self._scene.broken:
             return None
-        if "/" in name:
-            return Problem("", f"no frame '{name}'{self.frame_hint(name)}")
         return Problem("", f"no {self._unknown(owner, is_bare=not key)}")
+
+    def _frame(self, name: str) -> Problem | None:
+        if name in self._frames or self.is_fwd_kin(name):
+            return Problem("", f"{name} is a 4 x 4 frame, which only goes whole")
+        if self._scene.is_broken(name.partition("/")[0]):
+            return None
+        return Problem("", f"no frame '{name}'{self.frame_hint(name)}")
 
     def _event(self, name: str, event: str) -> Value | Problem | None:
         if name not in self._sources:
