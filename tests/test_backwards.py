@@ -184,3 +184,9 @@ def test_a_longer_structure_carries_the_numbers_that_are_taken() -> None:
     packets = MotionPackets(scene, structure="9F")
     values = packets.structure.decode(packets.at(T))["values0"]
     np.testing.assert_allclose(values, [0.0, *POSITION, 0, 0, 0, 0, 0], atol=1e-13)
+
+
+def test_what_no_packet_can_change_is_left_alone() -> None:
+    scene = scene_of("3F", {"lwr.joint_angles": "0 * udp.values0 + [1, 2, 3]"})
+    world, data = received(scene)
+    assert angles(world, data, "lwr").tolist() == [1.0, 2.0, 3.0]

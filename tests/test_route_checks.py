@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from route_scenes import messages
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from route_scenes import messages, scene_of
+
+from sero_mj.assemble.inputs import list_inputs
+from sero_mj.drive.route import wire
 
 
 @pytest.mark.parametrize(
@@ -113,3 +118,31 @@ def test_a_source_is_meant_where_a_robot_has_the_same_name() -> None:
 def test_circles_are_told(routes: dict[str, str], circle: str) -> None:
     (found,) = messages(routes)
     assert found == f"values that follow each other: {circle}"
+
+
+def test_circles_of_values_and_of_frames_are_told_together() -> None:
+    routes = {
+        "lwr.torques": "lwr.torques",
+        "lwr.base_frame": "leader/flange",
+        "leader.base_frame": "lwr/flange",
+    }
+    assert [text.partition(":")[0] for text in messages(routes)] == [
+        "values that follow each other",
+        "frames that follow each other",
+    ]
+
+
+WORDS = ["udp.values0", "udp.values2", "other.vectors0", "udp.matrices0", "leader.torques"]
+WORDS += ["lwr/flange", "lwr.fwd_kin_base_to_flange", "deg", "not", *"+-*/()[],:", "0", "1", "2"]
+
+
+@settings(deadline=None)
+@given(
+    st.sampled_from(sorted(list_inputs(scene_of({})))),
+    st.lists(st.sampled_from(WORDS), max_size=9).map(" ".join),
+)
+def test_any_words_make_a_route_or_a_problem(target: str, origin: str) -> None:
+    wiring = wire(scene_of({target: origin}))
+    made = len(wiring.routes) + len(wiring.frame_routes)
+    in_circles = [problem for problem in wiring.problems if "follow each other" in problem.message]
+    assert made + bool(wiring.problems) - len(in_circles) == 1

@@ -116,8 +116,8 @@ class Scene:
         seen = set(todo)
         while todo:
             for name in names_in(self.routes[todo.pop()]):
-                source = name.partition(".")[0]
-                if source in self.sources:
+                source, dot, _ = name.partition(".")
+                if dot and source in self.sources:
                     found.add(source)
                 elif name in self.routes and name not in seen:
                     seen.add(name)

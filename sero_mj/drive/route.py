@@ -59,6 +59,9 @@ def wire(scene: Scene) -> Wiring:
     allow_blanks(wiring)
     try:
         wiring.later = routes_in_order(wiring.routes)
+    except DeclarationError as error:
+        wiring.problems += error.problems
+    try:
         wiring.levels = levels_of_frames(scene, wiring.frame_routes)
     except DeclarationError as error:
         wiring.problems += error.problems
