@@ -157,6 +157,16 @@ def test_outputs_beside_events_are_known() -> None:
     np.testing.assert_allclose(shown(world, data, "goal.joint_angles"), COMMANDED, atol=1e-13)
 
 
+def test_outputs_of_a_robot_that_another_source_moves_are_known() -> None:
+    routes = {
+        "leader.joint_angles": "other.values0",
+        "lwr.joint_angles": "leader.joint_angles * 0.5",
+        "goal.joint_angles": "udp.values0 + lwr.joint_angles",
+    }
+    world, data = received(scene_of({"udp": "3F", "other": "3F"}, routes))
+    np.testing.assert_allclose(shown(world, data, "goal.joint_angles"), COMMANDED, atol=1e-13)
+
+
 def test_what_only_follows_needs_no_packet() -> None:
     routes = {"leader.joint_angles": "udp.values0", "lwr.joint_angles": "leader.joint_angles"}
     world, data = received(scene_of("3F", routes))

@@ -36,6 +36,11 @@ class Backwards:
         rows = np.concatenate([self._rows(route, width) for route in routes])
         self._kept = _independent(rows)
         self._inverse = np.linalg.pinv(rows[self._kept])
+        # Of each origin: which of its numbers are taken, and where they are in the solution.
+        self._taken = {
+            origin: (np.array(list(columns), np.intp), np.array(list(columns.values()), np.intp))
+            for origin, columns in self._columns.items()
+        }
 
     def _rows(self, route: Route, width: int) -> Array:
         """What each number of a route takes of each number of the events, (n, width)."""
@@ -71,8 +76,9 @@ class Backwards:
 
         def numbers(origin: Origin, count: int) -> Array:
             found = np.zeros(count)
-            for number, column in self._columns.get(origin, {}).items():
-                found[number] = solution[column]
+            if origin in self._taken:
+                taken, columns = self._taken[origin]
+                found[taken] = solution[columns]
             return found
 
         return numbers

@@ -93,9 +93,7 @@ class MotionPackets:
         for route in routes:
             if route.value.whole is not None:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
-        items = [item for item, _ in self._wanted]
-        items += [self._inputs[output] for route in routes for output in route.outputs]
-        played = {self._robot_of(item) for item in items} - {None}
+        played = {self._robot_of(item) for item in self._asked(routes)} - {None}
         self._robots = {name: _Player(scene.robots[name], amplitude) for name in played if name}
 
     def _check_size(self, route: Route) -> None:
@@ -111,6 +109,18 @@ class MotionPackets:
                     f"structure '{self.structure.text}': {term.origin.key} has {found} values; "
                     f"{route.to.target} {wanted}"
                 )
+
+    def _asked(self, routes: Sequence[Route]) -> list[Input]:
+        """The inputs of routes, and those that they read of robots, doubles and arrows."""
+        todo = [route.to.target for route in routes]
+        todo += [output for route in routes for output in route.outputs]
+        seen: dict[str, Input] = {}
+        while todo:
+            target = todo.pop()
+            if target not in seen:
+                seen[target] = self._inputs[target]
+                todo += self._routes[target].outputs if target in self._routes else []
+        return list(seen.values())
 
     def _robot_of(self, item: Input) -> str | None:
         """The robot whose motion decides what an input gets."""
