@@ -6,6 +6,8 @@
     ├── StructureError        a packet structure string that cannot be parsed
     ├── RouteError            an expression in a route that cannot be parsed or has no meaning
     ├── SourceError           a source that cannot be opened (a port in use, say)
+    ├── RecordingError        a recording that cannot be written on, or read
+    ├── CsvError              a table of comma-separated values that cannot be read or written
     ├── RenderError           no picture can be made (no GL, no room for the file)
     └── UsageError            a command line that asks for something impossible
 
@@ -148,6 +150,41 @@ class SourceError(SeroError, OSError):
         self.source = source
         self.reason = reason
         super().__init__(f"source '{source}': {reason}")
+
+
+class RecordingError(SeroError, OSError):
+    """A recording that cannot be written on, or read.
+
+    Attributes:
+        path: the file.
+        reason: what stood in the way, what is kept, and what would help.
+    """
+
+    def __init__(self, path: object, reason: str) -> None:
+        self.path = str(path)
+        self.reason = reason
+        super().__init__(f"{path}: {reason}")
+
+
+class CsvError(SeroError, ValueError):
+    """A table of comma-separated values that cannot be read or written.
+
+    Attributes:
+        path: the file.
+        reason: what was found and what would be right.
+        line: its line, from 1, where one is at fault.
+        column: the name of its column, where one is at fault.
+    """
+
+    def __init__(
+        self, path: object, reason: str, *, line: int | None = None, column: str | None = None
+    ) -> None:
+        self.path = str(path)
+        self.reason = reason
+        self.line = line
+        self.column = column
+        place = str(path) if line is None else f"{path}:{line}"
+        super().__init__(": ".join(part for part in (place, column, reason) if part))
 
 
 class RenderError(SeroError, RuntimeError):

@@ -196,6 +196,13 @@ def test_a_longer_structure_carries_the_numbers_that_are_taken() -> None:
     np.testing.assert_allclose(values, [0.0, *POSITION, 0, 0, 0, 0, 0], atol=1e-13)
 
 
+def test_constants_and_types_of_the_structure_are_kept() -> None:
+    scene = scene_of("id: 1H=7, joints: 3h, 2M", {"lwr.joint_angles": "udp.joints * (0.1 * mrad)"})
+    world, data = received(scene)
+    np.testing.assert_allclose(angles(world, data, "lwr"), POSITION, atol=0.051e-3)
+    assert MotionPackets(scene).at(T)[:2] == (7).to_bytes(2, "little")
+
+
 def test_what_no_packet_can_change_is_left_alone() -> None:
     scene = scene_of("3F", {"lwr.joint_angles": "0 * udp.values0 + [1, 2, 3]"})
     world, data = received(scene)

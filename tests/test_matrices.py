@@ -76,7 +76,7 @@ def test_frames_and_vectors_arrive_as_they_were_sent(
         assert values["vectors0"].tolist() == [[1.5, -2.5, 3.5]]
         assert values["matrices0"].reshape(2, 16).tolist() == [IDENTITY, QUARTER_TURN]
         assert values["matrices0"][..., :3, 3].tolist() == [[0, 0, 0], [0.5, 0, 0.25]]
-        assert receiver.counters == Counters(received=1)
+        assert receiver.counters == Counters(received=1, senders=1)
 
 
 def test_a_scene_says_how_matrices_come() -> None:
@@ -212,7 +212,7 @@ def test_where_nan_is_allowed_it_blanks_that_value_only(deliver: Send) -> None:
         np.testing.assert_array_equal(values["values0"], [1, 2])
         np.testing.assert_array_equal(values["values1"], [3, NAN, 5])
         np.testing.assert_array_equal(values["vectors0"], [[6, 7, NAN], [NAN, 10, 11]])
-        assert receiver.counters == Counters(received=1, blanked=1)
+        assert receiver.counters == Counters(received=1, blanked=1, senders=1)
         # A packet without any is not counted as blanked.
         deliver(receiver, doubles(*range(11)), good=2)
         assert (receiver.counters.received, receiver.counters.blanked) == (2, 1)
@@ -236,7 +236,7 @@ def test_part_of_a_frame_is_none(deliver: Send) -> None:
         matrices = deliver(receiver, packet, good=1).values["matrices0"]
         np.testing.assert_array_equal(matrices[0].ravel(), QUARTER_TURN)
         assert np.isnan(matrices[1]).all()
-        assert receiver.counters == Counters(received=1, blanked=1)
+        assert receiver.counters == Counters(received=1, blanked=1, senders=1)
         # The other matrices are checked as ever, of that event and of others.
         bad = changed(QUARTER_TURN, m00=2)
         deliver(receiver, doubles(*holed, *bad, *IDENTITY, 2), packet, good=2)

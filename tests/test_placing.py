@@ -23,7 +23,6 @@ from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.drive.place import Placer
 from sero_mj.drive.play import MotionPackets
 from sero_mj.errors import DeclarationError
-from sero_mj.show.capture import wait_for_sources
 
 Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 BASE = {"xyz": [0.2, -0.3, 0.1], "rpy": [0.1, -0.2, 1.0]}
@@ -298,8 +297,8 @@ def test_a_picture_says_why_no_packet_was_good(caplog: pytest.LogCaptureFixture)
     scene = udp_scene("1M", {"arm.base_frame": "matrices0"}, robots=[arm("arm")])
     with Mirror(scene) as mirror:
         assert not received(mirror, frame(BASE).tobytes())  # row by row
-        assert wait_for_sources(mirror, 0.0) == ["udp"]
+        assert mirror.wait(0.0) == ["udp"]
     assert caplog.messages == [
-        "source 'udp': 1 packets not applied, the last: matrices0[0] is not a frame: "
+        "source 'udp': a packet is not applied: matrices0[0] is not a frame: "
         "last row [0.2, -0.3, 0.1, 1]; its transpose is one: set column_major = false"
     ]

@@ -103,7 +103,7 @@ def test_files_and_python_have_the_same_fields_under_two_names() -> None:
         (
             {"structure": "7F7"},
             "structure: structure '7F7', character 4: found the end, "
-            "expected F, V or M after a count, for example 7F1M",
+            "expected F, V, M, T, x or a type after a count, for example 7F1M",
         ),
         ({"structure": 7}, "structure: found 7; expected string"),
         ({"structure": "1F", "port": 65536}, "port: found 65536; expected less than or equal"),
@@ -282,7 +282,7 @@ structure = "3F"
             "scene.toml:2: robots.arm.dh_convention: found 'crag'; "
             "expected 'craig' or 'standard'; did you mean 'craig'?",
             "scene.toml:6: sources.udp.structure: structure '2F2F3X', character 6: found 'X', "
-            "expected F, V or M after a count, for example 7F1M",
+            "expected F, V, M, T, x or a type after a count, for example 7F1M",
             "scene.toml:12: routes.arm.torque: no input 'torque' of arm; did you mean 'torques'?",
             # The robot is there, though it is wrong: its name is near enough to be meant.
             "scene.toml:13: routes.amr.torques: no robot 'amr'; did you mean 'arm'?",

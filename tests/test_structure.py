@@ -21,10 +21,10 @@ from sero_mj.receive.structure import Structure
 from sero_mj.receive.udp import UdpReceiver
 
 MAX_BYTES = 65_507  # of UDP over IPv4: 65,535 less 20 bytes of IP and 8 of UDP header
-DIGITS = "0123456789"
+SPACES = "".join(c for c in map(chr, range(0x3001)) if c.isspace())
 
-NUMBERS = {"F": 1, "V": 3, "M": 16}
-SHAPES: dict[str, tuple[int, ...]] = {"F": (), "V": (3,), "M": (4, 4)}
+NUMBERS = {"F": 1, "V": 3, "M": 16, "T": 12}
+SHAPES: dict[str, tuple[int, ...]] = {"F": (), "V": (3,), "M": (4, 4), "T": (4, 4)}
 KINDS = {"F": "values", "V": "vectors", "M": "matrices"}
 
 Items = list[tuple[int, str]]
@@ -35,7 +35,7 @@ bit_patterns = st.one_of(
     st.sampled_from([0x7FF0000000000001, 0x7FF8000000000000, 0xFFF0000000000000, 1, 1 << 63]),
 )
 # What a tired typist writes, and digits that are none of ours.
-almost_structures = st.text(alphabet="0123456789FFFVVMMfvm ,\nX.-é٣²", max_size=12)
+almost_structures = st.text(alphabet="0123456789FFFVVMMTfdbBhHiIqQ?xvm ,\nX.-é٣²", max_size=12)
 
 
 def text_of(items: Items) -> str:
@@ -65,28 +65,38 @@ def places_of(items: Items, *, column_major: bool) -> dict[str, np.ndarray]:
     return places
 
 
+ITEM = re.compile(r"([0-9]+)(\s*)(?:([FVMT][fdbBhHiIqQ?]?)|([fdbBhHiIqQ?])|(x))")
+TYPE_BYTES = dict(zip("fdbBhHiIqQ?", (4, 8, 1, 1, 2, 2, 4, 4, 8, 8, 1), strict=True))
+
+
 def recognise(text: str, number_bytes: int = 8) -> Items | int:
-    """The items, or the index of the first wrong character, one character at a time."""
+    """The items, or the index of the first wrong character, by a regular expression.
+
+    Knows no names, byte orders and constants.
+    """
     items: Items = []
-    start, closed, size = None, False, 0
-    for i, char in enumerate(text):
-        if start is None:
-            if char in DIGITS:
-                start = i
-            elif not (char.isspace() or char == ","):
-                return i
-        elif char in NUMBERS:
-            count = int(text[start:i])
-            size += count * NUMBERS[char] * number_bytes
-            if count == 0 or size > MAX_BYTES:
-                return start
-            items.append((count, char))
-            start, closed = None, False
-        elif char.isspace():
-            closed = True
-        elif char not in DIGITS or closed:
-            return i
-    return len(text) if start is not None or not items else items
+    at, size = 0, 0
+    while True:
+        at += len(text[at:]) - len(text[at:].lstrip(SPACES + ","))
+        if at == len(text):
+            return items if any(kind != "x" for _, kind in items) else at
+        digits = re.match("[0-9]*", text[at:]).group()
+        if not digits:
+            return at
+        if not digits.strip("0"):
+            return at
+        found = ITEM.match(text, at)
+        if found is None:
+            at += len(digits)
+            return at + len(text[at:]) - len(text[at:].lstrip(SPACES))
+        kind = found[3] or found[4] or found[5]
+        each = TYPE_BYTES.get(kind[-1], number_bytes)
+        numbers = NUMBERS.get(kind[0], 1) * int(digits)
+        size += numbers * (1 if kind == "x" else each)
+        if size > MAX_BYTES:
+            return at
+        items.append((int(digits), kind))
+        at = found.end()
 
 
 def test_the_events_are_numbered_in_order_and_the_size_is_theirs_together() -> None:
@@ -123,18 +133,54 @@ def test_spaces_and_commas_may_stand_between_items() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "character 1: found the end, expected a count and F, V or M, for example 7F1M"),
-        ("F", "character 1: found 'F', expected a count and F, V or M, for example 7F1M"),
-        ("V", "character 1: found 'V', expected a count and F, V or M, for example 7F1M"),
-        ("7FM", "character 3: found 'M', expected a count and F, V or M, for example 7F1M"),
-        ("-7F", "character 1: found '-', expected a count and F, V or M, for example 7F1M"),
-        ("7F;7F", "character 3: found ';', expected a count and F, V or M, for example 7F1M"),
-        ("7", "character 2: found the end, expected F, V or M after a count, for example 7F1M"),
-        ("7F7", "character 4: found the end, expected F, V or M after a count, for example 7F1M"),
-        ("7X", "character 2: found 'X', expected F, V or M after a count, for example 7F1M"),
-        ("1m", "character 2: found 'm', expected F, V or M after a count, for example 7F1M"),
-        ("7F 3.5V", "character 5: found '.', expected F, V or M after a count, for example 7F1M"),
-        ("7 7F", "character 3: found '7', expected F, V or M after a count, for example 7F1M"),
+        (
+            "",
+            "character 1: found the end, "
+            "expected a count and F, V, M, T, x or a type, for example 7F1M",
+        ),
+        ("F", "character 1: found 'F', expected a count before it, for example 1F"),
+        ("V", "character 1: found 'V', expected a count before it, for example 1V"),
+        ("7FM", "character 3: found 'M', expected a count before it, for example 1M"),
+        (
+            "-7F",
+            "character 1: found '-', "
+            "expected a count and F, V, M, T, x or a type, for example 7F1M",
+        ),
+        (
+            "7F;7F",
+            "character 3: found ';', "
+            "expected a count and F, V, M, T, x or a type, for example 7F1M",
+        ),
+        (
+            "7",
+            "character 2: found the end, "
+            "expected F, V, M, T, x or a type after a count, for example 7F1M",
+        ),
+        (
+            "7F7",
+            "character 4: found the end, "
+            "expected F, V, M, T, x or a type after a count, for example 7F1M",
+        ),
+        (
+            "7X",
+            "character 2: found 'X', "
+            "expected F, V, M, T, x or a type after a count, for example 7F1M",
+        ),
+        (
+            "1m",
+            "character 2: found 'm', expected F, V, M, T, x or a type after a count, "
+            "for example 7F1M; did you mean 'M'?",
+        ),
+        (
+            "7F 3.5V",
+            "character 5: found '.', "
+            "expected F, V, M, T, x or a type after a count, for example 7F1M",
+        ),
+        (
+            "7 7F",
+            "character 3: found '7', "
+            "expected F, V, M, T, x or a type after a count, for example 7F1M",
+        ),
         ("7F0F", "character 3: found '0', expected a count of 1 or more"),
         ("7F00M", "character 3: found '0', expected a count of 1 or more"),
         (
@@ -193,7 +239,7 @@ def test_a_string_parses_or_the_error_points_at_the_first_wrong_character(text: 
         found = f"found '{text[expected]}'" if expected < len(text) else "found the end"
         assert f"character {expected + 1}: {found}, " in str(caught.value)
     else:
-        shapes = [(count, *SHAPES[letter]) for count, letter in expected]
+        shapes = [(n, *SHAPES.get(kind[0], ())) for n, kind in expected if kind != "x"]
         assert list(Structure(text).events.values()) == shapes
 
 

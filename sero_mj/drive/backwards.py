@@ -42,6 +42,11 @@ class Backwards:
             for origin, columns in self._columns.items()
         }
 
+    @property
+    def origins(self) -> list[Origin]:
+        """The events whose numbers the routes take."""
+        return [origin for origin in self._columns if origin.is_event]
+
     def _rows(self, route: Route, width: int) -> Array:
         """What each number of a route takes of each number of the events, (n, width)."""
         rows = np.zeros((len(route.value.offset), width))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,14 @@ from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
-from ..receive.source import age
+from ..receive.source import Packet, Packets, age
 from .follow import follow
 from .place import Placer
 from .route import wire
 from .router import Router
 from .wiring import Route
 
+Listener = Callable[[str, Packets], None]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -76,8 +78,12 @@ class Mirror:
             name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
         }
         self._placer = Placer(self.world, wiring)
-        self._applied: dict[str, int] = {}
-        self._latest: dict[str, Mapping[str, NDArray[np.float64]]] = {}  # by source and event
+        self._latest: dict[str, Packet] = {}
+        self._again: set[str] = set()  # whose latest packet is to be applied once more
+        self._listeners: list[Listener] = []
+        self._news = threading.Event()
+        for source in self.sources.values():
+            source.on_receive(self._news.set)
         self._started = time.monotonic()
 
     def open(self) -> None:
@@ -86,8 +92,9 @@ class Mirror:
         Raises:
             SourceError: a source cannot be opened.
         """
-        self._applied.clear()
         self._latest.clear()
+        self._again.clear()
+        self._news.clear()
         try:
             for source in self.sources.values():
                 source.open()
@@ -121,11 +128,24 @@ class Mirror:
             if not source.wait(max(deadline - time.monotonic(), 0.0))
         ]
 
+    def wait_next(self, timeout: float) -> bool:
+        """Waits up to `timeout` s for packets that came since it last returned; did any come?"""
+        came = self._news.wait(timeout)
+        self._news.clear()
+        return came
+
+    def listen(self, listener: Listener) -> None:
+        """Calls `listener(source, packets)` in `advance` with all packets that are applied.
+
+        Where a source has `only_latest_packet = false` these are all good ones, in order. A packet
+        sets everything that its source is routed to, so `data` shows the last of them.
+        """
+        self._listeners.append(listener)
+
     def reset(self) -> None:
         """Resets the data to the declared pose; the next `advance` applies the latest packets."""
         self.world.reset(self.data)
-        self._applied.clear()
-        self._latest.clear()
+        self._again.update(self._latest)
 
     def advance(self, now: float | None = None) -> bool:
         """Applies the latest packet of every source and moves the frames.
@@ -141,11 +161,14 @@ class Mirror:
         data.time = clock - self._started if now is None else now
         fresh = False
         for name, source in self.sources.items():
-            packet = source.latest()
-            if packet is not None and self._applied.get(name) != packet.number:
+            packets = source.take()
+            if packets is not None:
+                self._latest[name] = packets.last
+                for listener in self._listeners:
+                    listener(name, packets)
+            packet = self._latest.get(name)
+            if packet is not None and (packets is not None or name in self._again):
                 self._routers[name].apply(packet, data)
-                self._applied[name] = packet.number
-                self._latest[name] = packet.values
                 fresh = True
             counters = source.counters
             data.userdata[self.world.slots[f"sources.{name}"]] = (
@@ -159,7 +182,8 @@ class Mirror:
                 clock - counters.last_fault_time if counters.malformed else -1.0,
                 counters.not_frames,
             )
-        self._placer.place(data, self._latest)
+        self._again.clear()
+        self._placer.place(data, {name: packet.values for name, packet in self._latest.items()})
         return fresh
 
     def state(self) -> NDArray[np.float64]:

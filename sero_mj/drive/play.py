@@ -15,7 +15,6 @@ from ..assemble.scene import Scene
 from ..errors import DeclarationError, UsageError, did_you_mean
 from ..receive.structure import Structure
 from ..receive.udp import UdpReceiver
-from .affine import Origin
 from .backwards import Backwards
 from .motion import InverseDynamics, SineMotion
 from .route import wire
@@ -144,8 +143,9 @@ class MotionPackets:
                 lambda origin: self._output(str(origin), now, t),
             )
             values = {
-                event: numbers(Origin(self.source.name, event, True), math.prod(shape))
-                for event, shape in self.structure.events.items()
+                origin.key: numbers(origin, math.prod(self.structure.events[origin.key]))
+                for origin in self._backwards.origins
+                if origin.name == self.source.name
             }
         shapes = self.structure.events
         values = {event: np.reshape(value, shapes[event]) for event, value in values.items()}

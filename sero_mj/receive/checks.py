@@ -32,17 +32,17 @@ def find_not_finite(values: Mapping[str, Array], but: Collection[str] = ()) -> s
     return ""
 
 
-def blank_not_finite(values: MutableMapping[str, Array], events: Collection[str]) -> bool:
+def blank_not_finite(
+    values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
+) -> None:
     """Makes NaN of every infinity, and of a whole matrix when one of its numbers is either.
 
     Args:
-        values: event name to its array; what has to change is replaced by a copy.
+        values: event name to its array, of one packet or of many; what has to change is replaced
+            by a copy.
         events: those that are looked at.
-
-    Returns:
-        whether there is NaN in one of them now.
+        matrices: those that are matrices.
     """
-    blanked = False
     for event in events:
         array = values.get(event)
         if array is None:
@@ -50,11 +50,9 @@ def blank_not_finite(values: MutableMapping[str, Array], events: Collection[str]
         good = np.isfinite(array)
         if good.all():
             continue
-        if array.ndim == 3:  # part of a frame is none
-            good &= good.all(axis=(1, 2), keepdims=True)
+        if event in matrices:  # part of a frame is none
+            good &= good.all(axis=(-2, -1), keepdims=True)
         values[event] = np.where(good, array, np.nan)
-        blanked = True
-    return blanked
 
 
 def are_frames(matrices: Array) -> NDArray[np.bool_]:

@@ -1,14 +1,14 @@
-"""What all sources share: the latest packet, counters, and whether anything arrives.
+"""What all sources share: packets, counters, and the face they show to the rest.
 
-A source reads off the render thread. The latest packet wins; what is malformed is counted and
-never handed on.
+A source reads off the render thread. What is malformed is counted and never handed on.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +35,30 @@ class Packet:
     number: int
 
 
+@dataclass(frozen=True, eq=False)
+class Packets:
+    """Good packets, one after the other.
+
+    Attributes:
+        values: event name to its arrays, (n, ...), float64, n >= 1.
+        arrivals: when they arrived, (n,), s, on the clock of `time.monotonic`.
+        number: of the last one.
+    """
+
+    values: Mapping[str, Array]
+    arrivals: Array
+    number: int
+
+    def __len__(self) -> int:
+        return len(self.arrivals)
+
+    @cached_property
+    def last(self) -> Packet:
+        """The newest one."""
+        values = {event: array[-1] for event, array in self.values.items()}
+        return Packet(values, float(self.arrivals[-1]), self.number)
+
+
 @dataclass
 class Counters:
     """What came in since the source was opened.
@@ -42,8 +66,16 @@ class Counters:
     Attributes:
         received: packets of any kind.
         wrong_size: malformed ones: not as long as the structure says.
+        wrong_constant: malformed ones: another number where the structure demands one.
         not_finite: malformed ones: with NaN or infinity where these are not allowed.
         not_frames: malformed ones: with a matrix that is not a rigid frame.
+        foreign: from others than the `sender` that was named; not looked at.
+        lost: sequence numbers that never came.
+        late: came after one with a higher number; applied only when none may be lost.
+        duplicates: came before with the same number; not applied.
+        restarts: how often the sender began anew.
+        torn: reads of shared memory given up because the writer was always in between.
+        senders: how many have sent within the last 2 s.
         blanked: good ones with NaN or infinity where these are allowed.
         superseded: good ones that a later packet replaced before they were used, as intended
             when a robot sends faster than pictures are made.
@@ -55,8 +87,16 @@ class Counters:
 
     received: int = 0
     wrong_size: int = 0
+    wrong_constant: int = 0
     not_finite: int = 0
     not_frames: int = 0
+    foreign: int = 0
+    lost: int = 0
+    late: int = 0
+    duplicates: int = 0
+    restarts: int = 0
+    torn: int = 0
+    senders: int = 0
     blanked: int = 0
     superseded: int = 0
     dropped: int = 0
@@ -67,11 +107,11 @@ class Counters:
     @property
     def malformed(self) -> int:
         """Packets that were counted and not applied."""
-        return self.wrong_size + self.not_finite + self.not_frames
+        return self.wrong_size + self.wrong_constant + self.not_finite + self.not_frames
 
 
 class Source(Protocol):
-    """Where packets come from."""
+    """Where packets come from; `Receiver` is the base of all that sero-mj has."""
 
     @property
     def counters(self) -> Counters:
@@ -105,8 +145,17 @@ class Source(Protocol):
     def latest(self) -> Packet | None:
         """Returns the newest good packet, or None when there was none yet."""
 
+    def take(self) -> Packets | None:
+        """Returns the good packets since the last call, or None when there is none.
+
+        Only the newest one, unless the source loses none.
+        """
+
     def wait(self, timeout: float) -> bool:
         """Waits until a good packet has come; returns whether one has."""
+
+    def on_receive(self, callback: Callable[[], None]) -> None:
+        """Calls back, on the source's thread, whenever good packets have come."""
 
 
 def age(packet: Packet | None, now: float | None = None) -> float:

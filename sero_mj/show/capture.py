@@ -62,7 +62,7 @@ def render_picture(
     with Mirror(scene) as mirror:
         check_writable(Path(path))
         with HeadlessRenderer(mirror.world, *size, camera) as renderer:
-            silent = wait_for_sources(mirror, wait)
+            silent = mirror.wait(wait)
             mirror.advance(0.0)
             _click(renderer, mirror.data, clicks)
             save_picture(Path(path), renderer.render(mirror.data))
@@ -115,7 +115,7 @@ def render_film(
             FilmWriter(Path(path), *size, fps) as film,
             HeadlessRenderer(world, *size, camera) as renderer,
         ):
-            silent = wait_for_sources(mirror, wait)
+            silent = mirror.wait(wait)
             pixels = np.empty((size[1], size[0], 3), np.uint8)
             for done, state in enumerate(_states(mirror, count, fps), start=1):
                 restore(world, data, state)
@@ -124,17 +124,6 @@ def render_film(
                 film.add(renderer.render(data, out=pixels))
                 if on_progress is not None:
                     on_progress(done, count)
-    return silent
-
-
-def wait_for_sources(mirror: Mirror, timeout: float) -> list[str]:
-    """Waits for every source; says why packets came and none of them was good."""
-    silent = mirror.wait(timeout)
-    for name in silent:
-        counters = mirror.sources[name].counters
-        if counters.malformed:
-            count, fault = counters.malformed, counters.last_fault
-            log.warning("source '%s': %d packets not applied, the last: %s", name, count, fault)
     return silent
 
 

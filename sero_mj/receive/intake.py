@@ -1,0 +1,246 @@
+"""`Intake`: sorts packets into those that are applied and those that are counted and left out."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import are_frames, blank_not_finite, find_not_finite, find_not_frame
+from .order import Place, SequenceTracker, StampTracker
+from .source import Counters
+from .structure import Structure
+from .timing import Timing
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.uint8]
+Ints = NDArray[np.intp]
+Senders = NDArray[np.uint8]
+
+_MOST_SENDERS = 64  # whose numbers are followed; more at once is a flood
+# In the order in which they change; who waits for a malformed packet finds the others done.
+_COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
+            "wrong_constant", "wrong_size", "received")  # fmt: skip
+_SENDER_SEEN = 2.0  # s for which a sender counts after its last packet
+
+
+class Intake:
+    """Checks packets by the batch, as they come from a socket, a memory block or a file.
+
+    Args:
+        layout: of the packets.
+        sequence: event that numbers the packets; empty for none.
+        time: event that says when the packet was sent; empty for none.
+        time_scale: s per unit of `time`.
+        lossless: whether late packets are applied as well.
+        on_fault: called with a line about every kind of fault in a batch.
+
+    Attributes:
+        counters: what came in.
+        timing: rate, jitter and delay.
+        nan_allowed: events in which NaN means `no data`.
+    """
+
+    def __init__(
+        self,
+        layout: Structure,
+        *,
+        sequence: str = "",
+        time: str = "",
+        time_scale: float = 1.0,
+        lossless: bool = False,
+        on_fault: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.layout = layout
+        self.counters = Counters()
+        self.timing = Timing()
+        self.nan_allowed: frozenset[str] = frozenset()
+        self._sequence, self._time = sequence, time
+        self._time_scale = time_scale
+        self._lossless = lossless
+        self._on_fault = on_fault
+        self._trackers: OrderedDict[bytes, SequenceTracker | StampTracker] = OrderedDict()
+        self._lost_by_forgotten = 0
+        self._senders: dict[bytes, float] = {}
+        # What the batch in work adds; it counts only when the good packets have been handed on.
+        self._tally = Counters()
+        self._began = 0  # index of the first packet in the batch after the last restart
+        self._modulus = 0
+        if sequence:
+            dtype = layout.event_rows(np.zeros((1, layout.size), np.uint8), sequence).dtype
+            self._modulus = 2 ** (8 * dtype.itemsize) if dtype.kind in "iu" else 0
+
+    def take(
+        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Senders | None = None
+    ) -> tuple[Rows, Array]:
+        """Sorts packets, and returns those to apply; `count` then counts them all.
+
+        Args:
+            rows: (n, `size` or more), n >= 1, one packet a row.
+            lengths: of the packets, (n,), bytes; what a row does not hold need not be there.
+            arrivals: (n,), s.
+            senders: addresses, (n, any number of bytes).
+
+        Returns:
+            rows (m, `size`) and arrivals (m,); views into the arguments where all are good.
+        """
+        counters, layout = self._tally, self.layout
+        counters.received += len(rows)
+        rows = rows[:, : layout.size]
+        if (lengths != layout.size).any():
+            bad = lengths != layout.size
+            counters.wrong_size += int(bad.sum())
+            counters.last_size = int(lengths[bad][-1])
+            self._fault(f"{counters.last_size} bytes; expected {layout.size}", arrivals[bad][-1])
+            rows, arrivals = rows[~bad], arrivals[~bad]
+            senders = None if senders is None else senders[~bad]
+        if len(rows) and (bad := layout.find_wrong_constants(rows)).any():
+            counters.wrong_constant += int(bad.sum())
+            self._fault(layout.tell_wrong_constant(rows[bad][-1:]), arrivals[bad][-1])
+            rows, arrivals = rows[~bad], arrivals[~bad]
+            senders = None if senders is None else senders[~bad]
+        if not len(rows):
+            return rows, arrivals
+        self._count_senders(senders, float(arrivals[-1]))
+        stamps = self._stamps(rows) if self._time else None
+        in_order = self._follow(rows, arrivals, stamps, senders)
+        good = ~layout.find_not_finite(rows, self.nan_allowed)
+        if not good.all():
+            counters.not_finite += int((~good).sum())
+            last = int(np.flatnonzero(~good)[-1])
+            values = layout.decode_rows(rows[last : last + 1])
+            single = {event: array[0] for event, array in values.items()}
+            fault = find_not_finite(single, but=self.nan_allowed) or "a number is out of range"
+            self._fault(fault, arrivals[last])
+        if layout.matrices:
+            good &= self._are_frames(rows, arrivals, good)
+        timed = np.flatnonzero(good[self._began :]) + self._began
+        if len(timed):
+            self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
+        good &= in_order
+        if not good.all():
+            rows, arrivals = rows[good], arrivals[good]
+        if len(rows) and self.nan_allowed:
+            blanked = layout.find_not_finite(rows)
+            counters.blanked += int(blanked.sum())
+        return rows, arrivals
+
+    def decode(self, rows: Rows) -> dict[str, Array]:
+        """Decodes rows that `take` returned; infinity and NaN in what may be blank are NaN."""
+        values = self.layout.decode_rows(rows)
+        blank_not_finite(values, self.nan_allowed, self.layout.matrices)
+        return values
+
+    def count(self) -> None:
+        """Adds what the last `take` found to the counters."""
+        tally, counters = self._tally, self.counters
+        self._tally = Counters()
+        for name in _COUNTED:
+            if more := getattr(tally, name):
+                setattr(counters, name, getattr(counters, name) + more)
+        counters.lost = self._lost_by_forgotten + sum(
+            tracker.lost for tracker in self._trackers.values()
+        )
+        counters.senders = len(self._senders)
+        if tally.malformed:
+            counters.last_size = tally.last_size or counters.last_size
+            counters.last_fault_time = tally.last_fault_time
+            counters.last_fault = tally.last_fault
+            self._on_fault(tally.last_fault)
+
+    def _fault(self, text: str, when: float) -> None:
+        tally = self._tally
+        if when >= tally.last_fault_time:  # the last of the batch, whatever its kind
+            tally.last_fault, tally.last_fault_time = text, float(when)
+
+    def _stamps(self, rows: Rows) -> Array:
+        numbers = self.layout.event_rows(rows, self._time)[:, 0]
+        return numbers.astype(np.float64) * self._time_scale
+
+    def _are_frames(
+        self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Which packets have nothing but frames in their matrices; NaN is judged elsewhere."""
+        layout = self.layout
+        values = layout.decode_rows(rows)
+        blank_not_finite(values, layout.matrices, layout.matrices)
+        good = np.ones(len(rows), bool)
+        for event in layout.matrices:
+            matrices = values[event]
+            frames = are_frames(matrices.reshape(-1, 4, 4)) | np.isnan(matrices[..., 3, 3]).ravel()
+            good &= frames.reshape(len(rows), -1).all(axis=1)
+        bad = finite & ~good
+        if bad.any():
+            self._tally.not_frames += int(bad.sum())
+            last = int(np.flatnonzero(bad)[-1])
+            single = {event: values[event][last] for event in layout.matrices}
+            column_major = layout.column_major
+            fault = find_not_frame(single, layout.matrices, column_major=column_major)
+            self._fault(fault, arrivals[last])
+        return good
+
+    def _follow(
+        self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Senders | None
+    ) -> NDArray[np.bool_]:
+        """Which packets are to be applied by their numbers or time stamps."""
+        good = np.ones(len(rows), bool)
+        self._began = 0
+        if not self._sequence and stamps is None:
+            return good
+        if self._sequence:
+            raw = self.layout.event_rows(rows, self._sequence)[:, 0]
+            if raw.dtype.kind == "f":
+                finite = np.isfinite(raw) & (np.abs(raw) < 2.0**62)
+                numbers = np.where(finite, raw, 0.0).astype(np.int64).tolist()
+            else:
+                finite, numbers = np.ones(len(raw), bool), raw.tolist()
+        else:
+            assert stamps is not None
+            finite, numbers = np.isfinite(stamps), stamps.tolist()
+        one_sender = senders is None or (senders == senders[0]).all()
+        if one_sender and finite.all():
+            tracker = self._tracker(b"" if senders is None else senders[0].tobytes())
+            if isinstance(tracker, SequenceTracker) and tracker.is_plain(numbers):
+                tracker.skip_to(numbers[-1], float(arrivals[-1]))
+                return good
+        counters = self._tally
+        for i, arrival in enumerate(arrivals.tolist()):
+            if not finite[i]:
+                continue
+            tracker = self._tracker(b"" if senders is None else senders[i].tobytes())
+            place = tracker.place(numbers[i], arrival)
+            if place is Place.DUPLICATE:
+                counters.duplicates += 1
+                good[i] = False
+            elif place is Place.LATE:
+                counters.late += 1
+                good[i] = self._lossless
+            elif place is Place.RESTARTED:
+                counters.restarts += 1
+                self.timing.restart()
+                self._began = i
+        return good
+
+    def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:
+        tracker = self._trackers.get(sender)
+        if tracker is None:
+            tracker = SequenceTracker(self._modulus) if self._sequence else StampTracker()
+            self._trackers[sender] = tracker
+            if len(self._trackers) > _MOST_SENDERS:
+                self._lost_by_forgotten += self._trackers.popitem(last=False)[1].lost
+        return tracker
+
+    def _count_senders(self, senders: Senders | None, now: float) -> None:
+        """Notes who sent lately; several at once may be a mistake."""
+        if senders is None:
+            return
+        if (senders == senders[0]).all():
+            self._senders[senders[0].tobytes()] = now
+        else:
+            for sender in np.unique(senders, axis=0):
+                self._senders[sender.tobytes()] = now
+        if len(self._senders) > 1:
+            recent = {key: at for key, at in self._senders.items() if now - at < _SENDER_SEEN}
+            self._senders = dict(list(recent.items())[-_MOST_SENDERS:])

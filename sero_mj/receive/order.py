@@ -1,0 +1,119 @@
+"""Loss, reordering, duplicates and restarts of a sender, from its numbers or time stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+LATE_WITHIN = 64  # numbers; what is further back comes from a sender that began anew
+LATE_SECONDS = 0.5  # likewise for time stamps
+RUN = 4  # as many old packets, one after the other in order, come from such a sender as well
+PAUSE = 0.5  # s; after it, any number may follow
+
+
+class Place(Enum):
+    """Where a packet stands among those before it."""
+
+    NEXT = 0
+    DUPLICATE = 1
+    LATE = 2
+    RESTARTED = 3
+
+
+@dataclass
+class Track:
+    """What the numbers of one sender say so far.
+
+    Attributes:
+        lost: numbers that never came; one that comes late is taken off again.
+    """
+
+    lost: int = 0
+
+
+class SequenceTracker(Track):
+    """Follows the sequence numbers of one sender.
+
+    Args:
+        modulus: the number that wraps to 0 (65536 for 16 bits); 0 where they do not wrap.
+    """
+
+    def __init__(self, modulus: int = 0) -> None:
+        super().__init__()
+        self._modulus = modulus
+        self._last: int | None = None
+        self._last_arrival = 0.0
+        self._run, self._run_last = 0, 0
+
+    def is_plain(self, numbers: Sequence[int]) -> bool:
+        """Whether they are just the ones that come next; then `skip_to` will do."""
+        first, last = numbers[0], numbers[-1]
+        return (
+            self._last is not None
+            and first == self._last + 1
+            and last - first == len(numbers) - 1
+            and (not self._modulus or last < self._modulus)
+        )
+
+    def skip_to(self, number: int, arrival: float) -> None:
+        """Takes it for granted that all up to this number came in order."""
+        self._last, self._last_arrival, self._run = number, arrival, 0
+
+    def place(self, number: int, arrival: float) -> Place:
+        """Where this number stands; `arrival` (s) tells pauses.
+
+        A pause of half a second, a step back of more than 64, or four old numbers in order mean
+        that the sender has begun anew.
+        """
+        last, paused = self._last, arrival - self._last_arrival > PAUSE
+        self._last_arrival = arrival
+        if last is None:
+            self._last = number
+            return Place.NEXT
+        step = number - last
+        if self._modulus:
+            half = self._modulus // 2
+            step = (step + half) % self._modulus - half
+        if step > 0:
+            self.lost += step - 1
+            self._last, self._run = number, 0
+            return Place.NEXT
+        if paused or step < -LATE_WITHIN:
+            return self._restart(number)
+        if step == 0:
+            return Place.DUPLICATE
+        self._run = self._run + 1 if number == self._run_last + 1 else 1
+        self._run_last = number
+        if self._run >= RUN:
+            return self._restart(number)
+        self.lost = max(self.lost - 1, 0)
+        return Place.LATE
+
+    def _restart(self, number: int) -> Place:
+        self._last, self._run = number, 0
+        return Place.RESTARTED
+
+
+class StampTracker(Track):
+    """Follows the time stamps of one sender; equal ones are no duplicates."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._last: float | None = None
+        self._last_arrival = 0.0
+        self._run, self._run_last = 0, 0.0
+
+    def place(self, stamp: float, arrival: float) -> Place:
+        """Where this time (s) stands; `arrival` (s) tells pauses."""
+        last, paused = self._last, arrival - self._last_arrival > PAUSE
+        self._last_arrival = arrival
+        if last is None or stamp >= last:
+            self._last, self._run = stamp, 0
+            return Place.NEXT
+        self._run = self._run + 1 if self._run and stamp >= self._run_last else 1
+        self._run_last = stamp
+        if paused or last - stamp > LATE_SECONDS or self._run >= RUN:
+            self._last, self._run = stamp, 0
+            return Place.RESTARTED
+        return Place.LATE

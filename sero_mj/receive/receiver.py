@@ -1,0 +1,319 @@
+"""`Receiver`: what UDP, shared memory, FRI and recordings have in common."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time as clock
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
+
+from ..assemble.declaration import Declaration
+from ..errors import StructureError, UnknownName, did_you_mean
+from .intake import Intake
+from .source import QUIET_AFTER, Counters, Packet, Packets
+from .structure import Alignment, Structure
+from .timing import Timing
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.uint8]
+Ints = NDArray[np.intp]
+# Gets the packets of a batch as they came: rows, lengths (n,), arrivals (n,) s.
+Tap = Callable[[Rows, Ints, Array], None]
+
+QUEUE_BYTES = 64 * 2**20  # of packets that wait to be taken when none may be lost
+_WARN_EVERY = 10.0  # s
+
+
+class Receiver(Declaration):
+    """A source of packets of one structure.
+
+    Attributes:
+        name: the source's name in routes.
+        structure: what the packets look like, e.g. `7F1M`; see STRUCTURE.md.
+        is_double: `F`, `V`, `M` and `T` are float64, else float32 (`double` in files).
+        column_major: matrices come column by column, else row by row.
+        alignment: items begin at multiples of so many bytes: 1, 2, 4 or 8.
+        scale: every floating-point number is multiplied by it; of matrices only the position.
+        only_latest_packet: the newest packet wins; when false every packet is handed on in order.
+        sequence: event (a named field, say) that numbers the packets; it tells loss.
+        time: event that says when a packet was sent; it tells jitter and delay.
+        time_scale: s per unit of `time`.
+        debug_level: what is logged: 0 nothing, 1 faults, 2 restarts and loss too, 3 every batch.
+        counters: what came in since it was opened.
+        timing: rate, jitter and delay since it was opened.
+    """
+
+    name: str = "source"
+    is_double: bool = Field(True, alias="double")  # these are before structure: its size needs them
+    column_major: bool = True
+    alignment: Alignment = 1
+    scale: float = Field(1.0, gt=0, lt=1e100)
+    structure: str
+    only_latest_packet: bool = True
+    sequence: str = ""
+    time: str = ""
+    time_scale: float = Field(1.0, gt=0, lt=1e100)
+    debug_level: int = Field(1, ge=0, le=3)
+
+    _intake: Intake | None = PrivateAttr(None)
+    _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
+    _number: int = PrivateAttr(0)  # of good packets so far
+    _last: tuple[Rows, Array, int] | None = PrivateAttr(None)
+    _decoded: Packets | None = PrivateAttr(None)
+    _looked: int = PrivateAttr(0)
+    _taken: int = PrivateAttr(0)
+    _queue: deque[tuple[Rows, Array]] = PrivateAttr(default_factory=deque)
+    _queued_bytes: int = PrivateAttr(0)
+    _room: threading.Condition = PrivateAttr(default_factory=threading.Condition)
+    _first: threading.Event = PrivateAttr(default_factory=threading.Event)
+    _closing: threading.Event = PrivateAttr(default_factory=threading.Event)
+    _callbacks: list[Callable[[], None]] = PrivateAttr(default_factory=list)
+    _tap: Tap | None = PrivateAttr(None)
+    _warned: float = PrivateAttr(-np.inf)
+
+    @field_validator("structure")
+    @classmethod
+    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
+        known = info.data
+        try:
+            Structure(
+                text,
+                is_double=known.get("is_double", True),
+                alignment=known.get("alignment", 1),
+            )
+        except StructureError as error:
+            raise ValueError(str(error)) from None
+        return text
+
+    @field_validator("sequence", "time")
+    @classmethod
+    def _is_one_number(cls, event: str, info: ValidationInfo) -> str:
+        if not event or "structure" not in info.data:
+            return event
+        events = Structure(info.data["structure"]).events
+        if event not in events:
+            raise ValueError(f"no event '{event}' in the structure{did_you_mean(event, events)}")
+        if events[event] != (1,):
+            found = " x ".join(map(str, events[event]))
+            raise ValueError(f"'{event}' has {found} numbers; expected one, as in {event}:1I")
+        return event
+
+    @cached_property
+    def layout(self) -> Structure:
+        """The decoder."""
+        return Structure(
+            self.structure,
+            is_double=self.is_double,
+            column_major=self.column_major,
+            alignment=self.alignment,
+            scale=self.scale,
+        )
+
+    @property
+    def intake(self) -> Intake:
+        """What checks and counts the packets; a new one after every `open`."""
+        if self._intake is None:
+            self._intake = self._new_intake()
+        return self._intake
+
+    def _new_intake(self) -> Intake:
+        intake = Intake(
+            self.layout,
+            sequence=self.sequence,
+            time=self.time,
+            time_scale=self.time_scale,
+            lossless=not self.only_latest_packet,
+            on_fault=self._warn,
+        )
+        intake.nan_allowed = self._nan_allowed
+        return intake
+
+    @property
+    def counters(self) -> Counters:
+        """What came in since it was opened."""
+        return self.intake.counters
+
+    @property
+    def timing(self) -> Timing:
+        """Rate, jitter and delay since it was opened."""
+        return self.intake.timing
+
+    @property
+    def events(self) -> Mapping[str, tuple[int, ...]]:
+        """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
+        return self.layout.events
+
+    @property
+    def size(self) -> int:
+        """Bytes of a packet."""
+        return self.layout.size
+
+    @property
+    def about(self) -> str:
+        """Kind and place in a few words, for people."""
+        return self.name
+
+    @property
+    def receiving(self) -> bool:
+        """Whether a good packet came within the last half second."""
+        last = self._last
+        return last is not None and clock.monotonic() - float(last[1][-1]) < QUIET_AFTER
+
+    @property
+    def receive_trigger(self) -> int:
+        """How many good packets have come: it changes with every one."""
+        return self._number
+
+    def allow_nan(self, events: Collection[str]) -> None:
+        """Lets NaN and infinity mean `no data` in these events, and in no others.
+
+        There they are handed on as NaN, a matrix as a whole, and the rest of the packet is applied
+        (counted as `blanked`); anywhere else they make it malformed. From the next packet on.
+
+        Raises:
+            UnknownName: an event that the structure does not have.
+        """
+        for event in events:
+            if event not in self.events:
+                raise UnknownName("event", event, self.events)
+        self._nan_allowed = frozenset(events)
+        self.intake.nan_allowed = self._nan_allowed
+
+    def on_receive(self, callback: Callable[[], None]) -> None:
+        """Calls back, on the source's thread, whenever good packets have come."""
+        self._callbacks.append(callback)
+
+    def record_to(self, tap: Tap | None) -> None:
+        """Hands all packets, the malformed too, to `tap` as they come; None ends that."""
+        self._tap = tap
+
+    @abstractmethod
+    def open(self) -> None:
+        """Starts receiving; raises SourceError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stops receiving; harmless when it is not open."""
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _start_afresh(self) -> None:
+        """Forgets all packets, and takes a changed declaration into account."""
+        self.__dict__.pop("layout", None)
+        self._intake = self._new_intake()
+        self._number = self._looked = self._taken = self._queued_bytes = 0
+        self._last = self._decoded = None
+        self._queue.clear()
+        self._first.clear()
+        self._closing.clear()
+        self._warned = -np.inf
+
+    def latest(self) -> Packet | None:
+        """Returns the newest good packet, or None when there was none yet."""
+        packets = self._newest()
+        return None if packets is None else packets.last
+
+    def take(self) -> Packets | None:
+        """Returns the good packets since the last call, or None when there is none.
+
+        Only the newest one, unless `only_latest_packet` is false.
+        """
+        if self.only_latest_packet:
+            packets = self._newest()
+            if packets is None or packets.number == self._taken:
+                return None
+            self._taken = packets.number
+            return packets
+        with self._room:
+            batches = list(self._queue)
+            self._queue.clear()
+            self._queued_bytes = 0
+            self._taken = self._looked = self._number
+            self._room.notify()
+        if not batches:
+            return None
+        rows = np.concatenate([rows for rows, _ in batches])
+        arrivals = np.concatenate([arrivals for _, arrivals in batches])
+        return Packets(self.intake.decode(rows), arrivals, self._taken)
+
+    def _newest(self) -> Packets | None:
+        last, decoded = self._last, self._decoded
+        if last is None:
+            return None
+        rows, arrivals, number = last
+        if decoded is None or decoded.number != number:
+            decoded = self._decoded = Packets(self.intake.decode(rows), arrivals, number)
+        if number > self._looked:
+            if self.only_latest_packet:
+                self.counters.superseded += number - self._looked - 1
+            self._looked = number
+        return decoded
+
+    def wait(self, timeout: float) -> bool:
+        """Waits up to `timeout` s until a good packet has come; returns whether one has."""
+        return self._first.wait(timeout)
+
+    def _accept(
+        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
+    ) -> None:
+        """Takes in packets as they came; only for the source's own thread."""
+        if self._tap is not None:
+            self._tap(rows, lengths, arrivals)
+        intake = self.intake
+        before = (intake.counters.restarts, intake.counters.lost)
+        rows, arrivals = intake.take(rows, lengths, arrivals, senders)
+        if len(rows):
+            self._hand_on(rows, arrivals)
+        intake.count()
+        if self.debug_level >= 2:
+            self._tell(before, len(rows))
+        if len(rows):
+            for callback in self._callbacks:
+                callback()
+
+    def _hand_on(self, rows: Rows, arrivals: Array) -> None:
+        """Keeps good packets until they are taken."""
+        last = rows[-1:].copy()
+        if self.only_latest_packet:
+            self._number += len(rows)
+            self._last = (last, arrivals[-1:].copy(), self._number)
+        else:
+            with self._room:
+                while self._queued_bytes > QUEUE_BYTES and not self._closing.is_set():
+                    self._room.wait(0.1)
+                self._queue.append((rows.copy(), arrivals.copy()))
+                self._queued_bytes += rows.size
+                self._number += len(rows)
+                self._last = (last, arrivals[-1:].copy(), self._number)
+        self._first.set()
+
+    def _warn(self, fault: str) -> None:
+        """Logs a fault, but not each of a flood."""
+        now = clock.monotonic()
+        if self.debug_level >= 1 and now - self._warned > _WARN_EVERY:
+            self._warned = now
+            log.warning("source '%s': a packet is not applied: %s", self.name, fault)
+
+    def _tell(self, before: tuple[int, int], good: int) -> None:
+        counters = self.counters
+        if counters.restarts > before[0]:
+            log.info("source '%s': its sender has begun anew", self.name)
+        if counters.lost > before[1]:
+            log.info("source '%s': %d packets lost", self.name, counters.lost - before[1])
+        if self.debug_level >= 3:
+            log.info("source '%s': %d good packets", self.name, good)

@@ -1,0 +1,82 @@
+"""Rate, jitter and delay of packets."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_WEIGHT = 1.0 / 16.0  # of a new packet in a running mean, as in RFC 3550, section 6.4.1
+_PAUSE = 2.0  # s; a longer one says nothing about the rate
+_BASELINE = 10.0  # s for which the fastest packet is the measure; clocks of two machines drift
+
+
+class Timing:
+    """Measures arrivals, and what time stamps say about them.
+
+    Attributes:
+        interval: running mean of the time between packets, s; 0 while unknown.
+        jitter: running mean of how much that time differs from what the sender's time stamps say
+            (RFC 3550, section 6.4.1), or, without these, from its mean, s.
+        delay: by how much the last packet was slower than the fastest of the last 10 to 20 s, s.
+    """
+
+    def __init__(self) -> None:
+        self.interval = self.jitter = self.delay = 0.0
+        self._arrival: float | None = None
+        self._stamp: float | None = None
+        self._fastest = [np.inf, np.inf]  # of this stretch of time and of the one before
+        self._since = 0.0
+
+    def restart(self) -> None:
+        """Forgets the sender's clock: it has begun anew."""
+        self._arrival = self._stamp = None
+        self._fastest = [np.inf, np.inf]
+
+    def add(self, arrivals: Array, stamps: Array | None = None) -> None:
+        """Takes note of packets.
+
+        Args:
+            arrivals: when they came, (n,), n >= 1, s.
+            stamps: when they were sent, by the sender's clock, (n,), s.
+        """
+        times = _joined(self._arrival, arrivals)
+        self._arrival = float(arrivals[-1])
+        between = np.diff(times)
+        steady = between < _PAUSE
+        between = between[steady]
+        if self.interval == 0.0 and len(between):
+            self.interval = float(between.mean())
+        deviations = between - self.interval
+        if stamps is not None:
+            sent = np.diff(_joined(self._stamp, stamps))
+            steady &= np.abs(sent) < _PAUSE
+            deviations = (np.diff(times) - sent)[steady]
+        self.interval = _running(self.interval, between)
+        self.jitter = _running(self.jitter, np.abs(deviations))
+        if stamps is not None:
+            self._stamp = float(stamps[-1])
+            slowness = arrivals - stamps
+            if self._arrival - self._since > _BASELINE:
+                self._since = self._arrival
+                self._fastest = [np.inf, self._fastest[0]]
+            self._fastest[0] = min(self._fastest[0], float(slowness.min()))
+            self.delay = float(slowness[-1]) - min(self._fastest)
+
+    @property
+    def rate(self) -> float:
+        """Packets per second; 0 while unknown."""
+        return 1.0 / self.interval if self.interval > 0 else 0.0
+
+
+def _joined(before: float | None, values: Array) -> Array:
+    return values if before is None else np.concatenate(([before], values))
+
+
+def _running(mean: float, values: Array) -> float:
+    """The running mean after these values, as if it were updated with one after the other."""
+    if not len(values):
+        return mean
+    kept = (1.0 - _WEIGHT) ** np.arange(len(values) - 1, -1, -1)
+    return float(mean * (1.0 - _WEIGHT) ** len(values) + _WEIGHT * (kept @ values))
