@@ -187,6 +187,22 @@ def test_check_says_what_a_scene_holds(capsys) -> None:
     assert "route   udp.values1 -> lwr.torques" in out
 
 
+def test_check_says_what_routes_compute(capsys, tmp_path) -> None:
+    file = tmp_path / "s.toml"
+    scene = '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "9F"\n[routes]\n'
+    routes = '"lwr.joint_angles" = "udp.values0[2:] * deg"\n"lwr.torques" = 0.5\n'
+    file.write_text(scene + routes)
+    status, out, _ = run(capsys, "check", str(file))
+    assert status == 0
+    assert "route   udp.values0[2:] * deg -> lwr.joint_angles" in out
+    assert "route   0.5 -> lwr.torques" in out
+    file.write_text(scene + routes.replace("deg", "mm"))
+    status, _, err = run(capsys, "check", str(file))
+    assert status == 2
+    message = "udp.values0[2:] * mm is a length (m); lwr.joint_angles takes an angle (rad)"
+    assert f"s.toml:7: routes.lwr.joint_angles: {message}" in err
+
+
 def test_list_names_robots_scenes_and_fields(capsys) -> None:
     _, out, _ = run(capsys, "list")
     assert "lwr_udp" in out and "light-weight robot" in out

@@ -15,6 +15,7 @@ from .double import Double
 from .looks import Camera, Light, View
 from .objects import Object, set_directory
 from .robot import SerialRobot, build_robot
+from .route_text import origin_text
 from .scene import Scene
 from .scene_toggles import SceneToggles
 from .toml_file import read_toml
@@ -157,15 +158,11 @@ class _Reader:
 
     def _routes(self) -> dict[str, str]:
         routes = {}
-        for target, event in self._table("routes").items():
-            if isinstance(event, str):
-                routes[target] = event
-            else:
-                hint = "; put quotes about the whole name" if isinstance(event, dict) else ""
-                self.wrong(
-                    f"routes.{target}",
-                    f'found {event!r}; expected an event such as "udp.values0"{hint}',
-                )
+        for target, origin in self._table("routes").items():
+            try:
+                routes[target] = origin_text(origin)
+            except ValueError as error:
+                self.wrong(f"routes.{target}", str(error))
         return routes
 
     def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:

@@ -20,8 +20,9 @@ from ..paths import find_scene
 from ..receive.source import Packet, Packets, age
 from .follow import follow
 from .place import Placer
-from .route import Route, wire
+from .route import wire
 from .router import Router
+from .wiring import Route
 
 Listener = Callable[[str, Packets], None]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -57,7 +58,7 @@ class Mirror:
     Attributes:
         world: the compiled scene.
         data: its state.
-        routes: the routes from sources in force.
+        routes: the routes of numbers in force.
         sources: those that a route leads from.
 
     Raises:
@@ -71,10 +72,10 @@ class Mirror:
         self.world = World(scene)
         self.data = self.world.make_data()
         self.routes: list[Route] = wiring.routes
-        used = {route.source for route in self.routes}
+        used = {name for route in self.routes for name in route.sources}
         self.sources = {name: wiring.sources[name] for name in wiring.sources if name in used}
         self._routers = {
-            name: Router(self.world, [r for r in self.routes if r.source == name]) for name in used
+            name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
         }
         self._placer = Placer(self.world, wiring)
         self._latest: dict[str, Packet] = {}
@@ -187,7 +188,7 @@ class Mirror:
                 counters.not_frames,
             )
         self._again.clear()
-        self._placer.place(data)
+        self._placer.place(data, {name: packet.values for name, packet in self._latest.items()})
         return fresh
 
     def state(self) -> NDArray[np.float64]:
