@@ -20,9 +20,11 @@ from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.drive.route import wire
 from sero_mj.drive.router import Router
 from sero_mj.errors import DeclarationError
-from sero_mj.receive.kinds import make_source
+from sero_mj.receive.kinds import KINDS, make_source
 from sero_mj.receive.source import Packet
 from sero_mj.receive.udp import UdpReceiver
+
+ANY = " or ".join(map(repr, KINDS))
 
 INPUTS = ("joint_angles", *VALUE_INPUTS)
 ROBOT = """\
@@ -73,12 +75,12 @@ def test_a_source_is_made_from_its_table() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({}, "kind: is required; expected 'udp'"),
-        ({"kind": "shm"}, "kind: found 'shm'; expected 'udp'"),
-        ({"kind": "upd"}, "kind: found 'upd'; expected 'udp'; did you mean 'udp'?"),
-        ({"kind": 5}, "kind: found 5; expected 'udp'"),
-        ({"kind": ["udp"]}, "kind: found ['udp']; expected 'udp'"),
-        ({"kind": {"udp": 1}}, "kind: found {'udp': 1}; expected 'udp'"),
+        ({}, f"kind: is required; expected {ANY}"),
+        ({"kind": "tcp"}, f"kind: found 'tcp'; expected {ANY}"),
+        ({"kind": "upd"}, f"kind: found 'upd'; expected {ANY}; did you mean 'udp'?"),
+        ({"kind": 5}, f"kind: found 5; expected {ANY}"),
+        ({"kind": ["udp"]}, f"kind: found ['udp']; expected {ANY}"),
+        ({"kind": {"udp": 1}}, f"kind: found {{'udp': 1}}; expected {ANY}"),
     ],
 )
 def test_another_kind_of_source_is_refused(table: dict[str, Any], message: str) -> None:
