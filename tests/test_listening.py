@@ -50,3 +50,27 @@ def test_waiting_ends_when_a_packet_comes(lwr: SerialRobot) -> None:
         waiting.join(10.0)
         assert came == [True]
         assert not mirror.wait_next(0.0)  # only what came since
+
+
+def test_a_switch_follows_whether_packets_come(lwr: SerialRobot) -> None:
+    source = UdpReceiver(structure="7F")
+    routes = {
+        "lwr.joint_angles": "udp.values0",
+        "lwr.show_axes": "udp.receiving",
+        "toggles.legend": "not udp.receiving",
+        "lwr.show_billboards": "udp.receive_trigger",
+    }
+    scene = Scene(robots=[lwr], sources={"udp": source}, routes=routes)
+    targets = ("lwr.show_axes", "toggles.legend", "lwr.show_billboards")
+
+    def switches() -> list[float]:
+        mirror.advance()
+        return [float(mirror.data.userdata[mirror.world.slots[target]][0]) for target in targets]
+
+    with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        assert switches() == [0.0, 1.0, 0.0]
+        sock.sendto(bytes(56), ("127.0.0.1", source.port))
+        assert source.wait(5.0)
+        assert switches() == [1.0, 0.0, 1.0]
+        assert switches() == [1.0, 0.0, 0.0]  # it receives, but nothing new came
+        assert until(lambda: switches() == [0.0, 1.0, 0.0], seconds=2.0)

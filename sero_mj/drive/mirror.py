@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,14 @@ from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
-from ..receive.source import Packet, Packets, age
+from ..receive.source import QUIET_AFTER, Packet, Packets, age
 from .follow import follow
 from .place import Placer
 from .route import wire
 from .router import Router
 from .wiring import Route
 
+Array = NDArray[np.float64]
 Listener = Callable[[str, Packets], None]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -163,7 +164,7 @@ class Mirror:
         """
         data = self.data
         data.time = time.monotonic() - self._started if now is None else now
-        fresh = False
+        fresh = set()
         for name, source in self.sources.items():
             source.advance_to(data.time)
             packets = source.take()
@@ -174,7 +175,7 @@ class Mirror:
             packet = self._latest.get(name)
             if packet is not None and (packets is not None or name in self._again):
                 self._routers[name].apply(packet, data)
-                fresh = True
+                fresh.add(name)
             counters, clock = source.counters, source.now()
             data.userdata[self.world.slots[f"sources.{name}"]] = (
                 counters.received,
@@ -188,8 +189,21 @@ class Mirror:
                 counters.not_frames,
             )
         self._again.clear()
-        self._placer.place(data, {name: packet.values for name, packet in self._latest.items()})
-        return fresh
+        self._placer.place(data, self._values(fresh))
+        return bool(fresh)
+
+    def _values(self, fresh: Set[str]) -> dict[str, dict[str, Array]]:
+        """The latest values of every source, and whether it receives."""
+        values: dict[str, dict[str, Array]] = {}
+        for name, source in self.sources.items():
+            packet = self._latest.get(name)
+            receiving = age(packet, source.now()) < QUIET_AFTER
+            values[name] = {
+                "receiving": np.array([float(receiving)]),
+                "receive_trigger": np.array([float(name in fresh)]),
+                **({} if packet is None else packet.values),
+            }
+        return values
 
     def state(self) -> NDArray[np.float64]:
         """Returns a copy of everything that a picture of this moment needs."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from ..assemble.inputs import Input
 from ..assemble.scene import Scene
 from ..errors import Problem, did_you_mean, nearest
-from ..receive.source import Source
+from ..receive.source import SIGNALS, Source
 from .affine import Origin
 from .expression import Value, constant, numbers_of
 from .units import UNITS, dimension_of
@@ -80,7 +80,7 @@ class Names:
     def _event(self, name: str, event: str) -> Value | Problem | None:
         if name not in self._sources:
             return None
-        events = self._sources[name].events
+        events = {**self._sources[name].events, **SIGNALS}
         if event in events:
             return numbers_of(Origin(name, event, True), tuple(events[event]), None)
         spaces = _missing_spaces(event, events)

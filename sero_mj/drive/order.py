@@ -92,4 +92,4 @@ def allow_blanks(wiring: Wiring) -> None:
             for origin in route.value.origins:
                 if origin.is_event and origin.name == name:
                     good[origin.key] = good.get(origin.key, True) and blankable(route)
-        source.allow_nan([event for event, blanks in good.items() if blanks])
+        source.allow_nan([e for e, blanks in good.items() if blanks and e in source.events])

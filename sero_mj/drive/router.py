@@ -96,7 +96,7 @@ class LateRouter:
 
     def _has(self, data: mujoco.MjData, packets: Packets, origin: Origin) -> bool:
         if origin.is_event:
-            return origin.name in packets
+            return origin.key in packets.get(origin.name, ())
         if origin.key == "joint_angles" and origin.name in self._world.robots:
             return True  # a robot always stands somewhere
         return bool(data.userdata[self._world.flags[str(origin)]] > 0)

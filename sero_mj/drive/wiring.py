@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from ..assemble.inputs import Input
 from ..errors import Problem
-from ..receive.source import Source
+from ..receive.source import SIGNALS, Source
 from .affine import Affine
 
 
@@ -40,6 +40,8 @@ class Route:
     def direct(self) -> str | None:
         """The source, where a packet of it is all that it takes; else None."""
         sources = self.sources
+        if any(o.is_event and o.key in SIGNALS for o in self.value.origins):
+            return None  # changes without a packet
         return sources[0] if len(sources) == 1 and not self.outputs else None
 
 

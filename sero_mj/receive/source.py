@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Events of every source that come without a packet, and change when none comes: 1 while packets
+# come, else 0; and 1 in a tick in which new ones were applied, else 0.
+SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
 
 
