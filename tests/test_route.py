@@ -170,7 +170,8 @@ def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
             "arm.torques",
             "udp.x",
             [
-                "no event 'x' of udp; available: receive_trigger, receiving, values0, values1, values2"
+                "no event 'x' of udp; available: receive_trigger, receiving, values0, values1, "
+                "values2"
             ],
         ),
         (
