@@ -97,7 +97,7 @@ def test_a_source_is_meant_where_a_robot_has_the_same_name() -> None:
     sources = {"leader": {"kind": "udp", "structure": "2F"}}
     assert messages({"lwr.torques": "leader.values0 * 2"}, sources=sources) == []
     assert messages({"lwr.torques": "leader.torques * 2"}, sources=sources) == [
-        "no event 'torques' of leader; available: values0"
+        "no event 'torques' of leader; available: receive_trigger, receiving, values0"
     ]
 
 
