@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from textwrap import fill
 
 from .arguments import Commands, add_command, read_scene_or_model
 
@@ -39,8 +40,9 @@ def run(options: argparse.Namespace) -> int:
             events = ", ".join(
                 f"{event} ({' x '.join(map(str, shape))})" for event, shape in source.events.items()
             )
-            where = f"{source.host}:{source.udpport}"  # type: ignore[attr-defined]
-            print(f"  source  {name}: UDP {where}, {layout.size} bytes: {events}")
+            where = source.about  # type: ignore[attr-defined]
+            text = f"{name}: {where}, {layout.size} bytes: {events}"
+            print(fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12))
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():

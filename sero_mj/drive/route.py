@@ -18,6 +18,7 @@ from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
 from ..assemble.named_frames import WORLD
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem, did_you_mean, nearest
+from ..receive.fri import FriReceiver
 from ..receive.kinds import make_source
 from ..receive.source import Source
 
@@ -243,7 +244,10 @@ def _allow_blanks(wiring: Wiring) -> None:
         for route in wiring.routes:
             if route.source == name:
                 kinds.setdefault(route.event, set()).add(route.to.kind)
-        source.allow_nan([event for event, led in kinds.items() if led <= set(BLANKABLE)])
+        blank = {event for event, led in kinds.items() if led <= set(BLANKABLE)}
+        if isinstance(source, FriReceiver):  # the user has not chosen what else it sends
+            blank |= source.events.keys() - kinds.keys()
+        source.allow_nan(blank)
 
 
 def _levels(scene: Scene, wiring: Wiring) -> list[list[str]]:

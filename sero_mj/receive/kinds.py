@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import DeclarationError, Problem, nearest
+from .fri import FriReceiver
 from .source import Source
 from .udp import UdpReceiver
 
-KINDS: dict[str, type[UdpReceiver]] = {"udp": UdpReceiver}
+KINDS: dict[str, type[UdpReceiver]] = {"udp": UdpReceiver, "fri": FriReceiver}
 
 
 def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
