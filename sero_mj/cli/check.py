@@ -7,6 +7,7 @@ from textwrap import fill
 
 from .arguments import Commands, add_command, read_scene_or_model
 
+_TIED = "\0"  # a space at which no line is broken
 _EPILOG = """\
 Reads and compiles the scene and opens nothing. Prints every problem at once, with file and line,
 and exits with 2; else prints what the scene holds.
@@ -38,11 +39,16 @@ def run(options: argparse.Namespace) -> int:
         layout = getattr(source, "layout", None)
         if layout is not None:
             events = ", ".join(
-                f"{event} ({' x '.join(map(str, shape))})" for event, shape in source.events.items()
+                f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)
+                for event, shape in source.events.items()
             )
             where = source.about  # type: ignore[attr-defined]
             text = f"{name}: {where}, {layout.size} bytes: {events}"
-            print(fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12))
+            print(
+                fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12).replace(
+                    _TIED, " "
+                )
+            )
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():
