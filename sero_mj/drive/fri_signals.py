@@ -13,12 +13,12 @@ from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..receive.fri import ALL_DRIVES
 from .motion import SineMotion
-from .play import LEAD
 
 Array = NDArray[np.float64]
 
+_LEAD = 0.3  # s; much, so that the commanded position is seen beside the measured one
 _FORCE = 40.0  # N; as when somebody leans on the tool
-_MOMENT = 6.0  # Nm
+_MOMENT = 4.0  # Nm
 _ROOM_TEMPERATURE, _WARM_UP = 28.0, 14.0  # C
 _JOINT_IMPEDANCE = 3
 
@@ -42,15 +42,14 @@ class FriSignals:
         self._world = World(Scene(robots=[robot], floor=False))
         self._data = self._world.make_data()
         self._world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        self._site = mujoco.mj_name2id(
-            self._world.model, mujoco.mjtObj.mjOBJ_SITE, f"{robot.name}/flange"
-        )
+        frames = self._world.frames
+        self._site = int(frames.site[frames.names.index(f"{robot.name}/flange")])
 
     def at(self, t: float) -> Mapping[str, Array]:
         """Returns event name to value at time t (s)."""
         model, data = self._world.model, self._data
         position, velocity, acceleration = self._motion.at(t)
-        commanded = self._motion.at(t + LEAD)[0]
+        commanded = self._motion.at(t + _LEAD)[0]
         data.qpos[:], data.qvel[:], data.qacc[:] = position, 0.0, 0.0
         mujoco.mj_inverse(model, data)
         gravity = data.qfrc_inverse.copy()
@@ -85,6 +84,5 @@ class FriSignals:
 
     def _temperatures(self, t: float) -> Array:
         """Drives warm up within minutes, those near the base more."""
-        warmth = 1.0 - 0.6 * np.exp(-t / 300.0)
-        warmest: Array = np.linspace(1.0, 0.6, 7) * _WARM_UP
-        return _ROOM_TEMPERATURE + warmth * warmest
+        warmth = 1.0 - 0.6 * float(np.exp(-t / 300.0))
+        return np.asarray(_ROOM_TEMPERATURE + _WARM_UP * warmth * np.linspace(1.0, 0.6, 7))
