@@ -42,7 +42,8 @@ def _complaints(name: str, state: Any) -> list[str]:
 
 def _controller_complaints(name: str, state: Any, answers: bool) -> list[str]:
     """What a robot's controller says is not good, now or when it was last heard of."""
-    if state.quality < 0 or fri.is_good(state.state, state.quality):
+    # Where nothing was received yet, all is 0, which here would mean something.
+    if not state.received or state.quality < 0 or fri.is_good(state.state, state.quality):
         return []
     quality = fri.QUALITIES.get(int(state.quality), f"{state.quality:.0f}")
     of_robot = fri.STATES.get(int(state.state), f"{state.state:.0f}")
