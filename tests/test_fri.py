@@ -16,6 +16,7 @@ from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.errors import DeclarationError, UnknownName
 from sero_mj.receive.fri import FriLayout, FriReceiver
 from sero_mj.receive.kinds import make_source
+from sero_mj.receive.order import SequenceTracker
 
 
 @pytest.fixture
@@ -140,6 +141,14 @@ def test_what_is_withheld_is_lost_and_what_comes_twice_is_applied_once(
         assert packets is not None
         assert packets.values["send_counter"].ravel().tolist() == numbers
         assert (receiver.counters.lost, receiver.counters.duplicates) == (3, 1)
+
+
+@pytest.mark.parametrize("batch", [[5, 5, 7], [5, 7, 6, 8], [5, 7, 7, 8]])
+def test_a_batch_that_ends_where_a_whole_one_would_is_looked_at(batch: list[int]) -> None:
+    tracker = SequenceTracker(65_536)
+    tracker.place(4, 0.0)
+    assert tracker.is_plain(list(range(5, batch[-1] + 1)))
+    assert not tracker.is_plain(batch)
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,6 @@ def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
     from ..drive.play import MotionPackets
     from ..drive.send import send
-    from ..receive.fri import FriReceiver
     from ..receive.structure import Structure
 
     rate = 1000.0 if options.rate is None else options.rate
@@ -66,10 +65,11 @@ def run(options: argparse.Namespace) -> int:
         scene.routes[f"{robot.name}.joint_angles"] = "udp.values0"
         if len(structure.upper().split("F")) > 2:
             scene.routes[f"{robot.name}.torques"] = "udp.values1"
-    packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
-    if isinstance(packets.source, FriReceiver):
-        return send_fri.send(options, scene, packets.source)
+    controller = send_fri.source_of(scene, options.source)
+    if controller is not None:
+        return send_fri.send(options, scene, controller)
     send_fri.refuse_options(options)
+    packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
     to_port = options.port or packets.source.udpport
     if not to_port:
         raise UsageError(f"source '{packets.source.name}' of the scene has no port; give --port")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
+from ..errors import DeclarationError, UsageError
 from .arguments import not_negative, positive
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..receive.udp import UdpReceiver
+    from ..receive.fri import FriReceiver
 
 _OPTIONS = ("cycle", "loss", "quality", "seed")
 _CYCLE = 0.005  # s; as in many a laboratory, and no burden for one core
@@ -43,7 +43,25 @@ def refuse_options(options: argparse.Namespace) -> None:
             raise UsageError(f'--{name} is for a scene whose source is of kind = "fri"')
 
 
-def send(options: argparse.Namespace, scene: Scene, source: UdpReceiver) -> int:
+def source_of(scene: Scene, name: str | None) -> FriReceiver | None:
+    """The source of that name, or the scene's only one, if it is of this kind.
+
+    Raises:
+        DeclarationError: the scene's sources or routes are wrong.
+    """
+    from ..drive.route import wire
+    from ..receive.fri import FriReceiver
+
+    wiring = wire(scene)
+    if wiring.problems:
+        raise DeclarationError(scene.located(wiring.problems))
+    if name is None and len(wiring.sources) == 1:
+        name = next(iter(wiring.sources))
+    source = wiring.sources.get(name or "")
+    return source if isinstance(source, FriReceiver) else None
+
+
+def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
     """Sends as the controller of the robot that the source moves; returns 0.
 
     Raises:
@@ -60,15 +78,16 @@ def send(options: argparse.Namespace, scene: Scene, source: UdpReceiver) -> int:
     if (options.seed or 0) < 0:
         raise UsageError(f"--seed {options.seed}: expected 0 or a number above")
     cycle = _CYCLE if options.rate is None else 1.0 / options.rate
-    answered = getattr(source, "answer", False)
     controller = FriController(
         scene.robots[_robot(scene, source.name)],
         cycle=cycle if options.cycle is None else options.cycle / 1e3,
-        quality=options.quality or (None if answered else "ok"),
+        quality=options.quality or (None if source.answer else "ok"),
         amplitude=options.amplitude,
         faults=Faults(loss=options.loss or 0.0, seed=options.seed or 0),
     )
     to_port = options.port or source.udpport
+    if not to_port:
+        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
     print(
         f"sending FRI 1.0 measurements (916 bytes) to {options.host}:{to_port} "
         f"every {controller.cycle * 1e3:g} ms; Ctrl-C stops",

@@ -33,7 +33,7 @@ class Faults:
         seed: of the random numbers.
         withheld: how many were withheld so far.
         doubled: how many were sent twice.
-        swapped: how many were sent late.
+        swapped: how many were sent after the one that follows.
     """
 
     loss: float = 0.0
@@ -52,19 +52,23 @@ class Faults:
     def pass_on(self, packet: bytes) -> list[bytes]:
         """Returns what comes out when a packet goes in."""
         chance = self._random.random(3)  # always three, so that one share does not change another
-        held, self._held = self._held, None
-        after = [] if held is None else [held]
+        after = self.flush()
         if chance[0] < self.loss:
             self.withheld += 1
             return after
-        if held is None and chance[1] < self.swaps:
-            self.swapped += 1
+        if not after and chance[1] < self.swaps:
             self._held = packet
             return []
+        self.swapped += len(after)
         if chance[2] < self.duplicates:
             self.doubled += 1
             return [packet, packet, *after]
         return [packet, *after]
+
+    def flush(self) -> list[bytes]:
+        """Returns the packet that waits for the one that follows, if one does."""
+        held, self._held = self._held, None
+        return [] if held is None else [held]
 
 
 class FriController:
@@ -191,12 +195,13 @@ class FriController:
                     packets = self.faults.pass_on(self.measure(count * self.cycle, due))
                     self._listen(sock, due)  # what came while the packet was made
                     late.append(wait_until(due))
+                    count += 1
+                    packets += self.faults.flush() if count == total else []
                     for packet in packets:
                         try:
                             sock.sendto(packet, address)
                         except OSError:  # the network is away: a controller goes on
                             refused += 1
-                    count += 1
                     del late[:-100_000]
                 self._listen(sock, time.perf_counter() + self.cycle)
             except KeyboardInterrupt:
