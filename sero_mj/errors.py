@@ -4,7 +4,10 @@
     ├── DeclarationError      a robot, scene or source is declared wrongly (lists every problem)
     ├── UnknownName           a name that is not among those available
     ├── StructureError        a packet structure string that cannot be parsed
+    ├── RouteError            an expression in a route that cannot be parsed or has no meaning
     ├── SourceError           a source that cannot be opened (a port in use, say)
+    ├── RecordingError        a recording that cannot be written on, or read
+    ├── CsvError              a table of comma-separated values that cannot be read or written
     ├── RenderError           no picture can be made (no GL, no room for the file)
     └── UsageError            a command line that asks for something impossible
 
@@ -110,10 +113,29 @@ class StructureError(SeroError, ValueError):
         self.structure = structure
         self.position = position
         self.reason = reason
-        found = f"'{structure[position]}'" if position < len(structure) else "the end"
-        super().__init__(
-            f"structure '{structure}', character {position + 1}: found {found}, {reason}"
-        )
+        super().__init__(f"structure {_pointing(structure, position, 1)}, {reason}")
+
+
+class RouteError(SeroError, ValueError):
+    """An expression in a route that cannot be parsed or has no meaning.
+
+    Attributes:
+        text: the whole expression.
+        position: index of the first wrong character.
+        reason: what was expected there.
+    """
+
+    def __init__(self, text: str, position: int, reason: str, length: int = 1) -> None:
+        self.text = text
+        self.position = position
+        self.reason = reason
+        super().__init__(f"{_pointing(text, position, length)}, {reason}")
+
+
+def _pointing(text: str, position: int, length: int) -> str:
+    """Names the characters of a text at which something is wrong."""
+    found = f"'{text[position : position + length]}'" if position < len(text) else "the end"
+    return f"'{text}', character {position + 1}: found {found}"
 
 
 class SourceError(SeroError, OSError):
@@ -128,6 +150,41 @@ class SourceError(SeroError, OSError):
         self.source = source
         self.reason = reason
         super().__init__(f"source '{source}': {reason}")
+
+
+class RecordingError(SeroError, OSError):
+    """A recording that cannot be written on, or read.
+
+    Attributes:
+        path: the file.
+        reason: what stood in the way, what is kept, and what would help.
+    """
+
+    def __init__(self, path: object, reason: str) -> None:
+        self.path = str(path)
+        self.reason = reason
+        super().__init__(f"{path}: {reason}")
+
+
+class CsvError(SeroError, ValueError):
+    """A table of comma-separated values that cannot be read or written.
+
+    Attributes:
+        path: the file.
+        reason: what was found and what would be right.
+        line: its line, from 1, where one is at fault.
+        column: the name of its column, where one is at fault.
+    """
+
+    def __init__(
+        self, path: object, reason: str, *, line: int | None = None, column: str | None = None
+    ) -> None:
+        self.path = str(path)
+        self.reason = reason
+        self.line = line
+        self.column = column
+        place = str(path) if line is None else f"{path}:{line}"
+        super().__init__(": ".join(part for part in (place, column, reason) if part))
 
 
 class RenderError(SeroError, RuntimeError):

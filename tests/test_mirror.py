@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import socket
@@ -199,8 +200,6 @@ def test_bad_packets_keep_the_last_good_pose_and_are_counted(sender: Send) -> No
 def test_the_age_of_a_packet_is_the_time_since_it_arrived() -> None:
     packet = Packet({}, arrival=100.0, number=1)
     assert age(packet, 100.25) == 0.25
-    assert age(packet) == pytest.approx(time.monotonic() - 100.0, abs=1.0)
-    assert age(None) == math.inf
     assert age(None, 3.0) == math.inf
 
 
@@ -330,8 +329,10 @@ def test_memory_does_not_grow(sender: Send) -> None:
         tracemalloc.start()
         try:
             run(100)
+            gc.collect()  # also lets go of the tuples that Python keeps for the next ones
             before, _ = tracemalloc.get_traced_memory()
             run(1500)
+            gc.collect()
             after, _ = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()

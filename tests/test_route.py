@@ -17,12 +17,14 @@ from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.drive.mirror import Mirror, load_scene
-from sero_mj.drive.route import Route, wire
+from sero_mj.drive.route import wire
 from sero_mj.drive.router import Router
 from sero_mj.errors import DeclarationError
-from sero_mj.receive.kinds import make_source
+from sero_mj.receive.kinds import KINDS, make_source
 from sero_mj.receive.source import Packet
 from sero_mj.receive.udp import UdpReceiver
+
+ANY = " or ".join(map(repr, KINDS))
 
 INPUTS = ("joint_angles", *VALUE_INPUTS)
 ROBOT = """\
@@ -43,9 +45,8 @@ def arm(name: str = "arm", n: int = 2) -> SerialRobot:
 
 
 def scene_of(routes: dict[str, str], sources: dict[str, Any] | None = None) -> Scene:
-    return Scene(
-        robots=[arm()], sources={"udp": UDP} if sources is None else sources, routes=routes
-    )
+    sources = {"udp": UDP} if sources is None else sources
+    return Scene(robots=[arm()], sources=sources, routes=routes)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -74,12 +75,12 @@ def test_a_source_is_made_from_its_table() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({}, "kind: is required; expected 'udp' or 'fri'"),
-        ({"kind": "shm"}, "kind: found 'shm'; expected 'udp' or 'fri'"),
-        ({"kind": "upd"}, "kind: found 'upd'; expected 'udp' or 'fri'; did you mean 'udp'?"),
-        ({"kind": 5}, "kind: found 5; expected 'udp' or 'fri'"),
-        ({"kind": ["udp"]}, "kind: found ['udp']; expected 'udp' or 'fri'"),
-        ({"kind": {"udp": 1}}, "kind: found {'udp': 1}; expected 'udp' or 'fri'"),
+        ({}, f"kind: is required; expected {ANY}"),
+        ({"kind": "tcp"}, f"kind: found 'tcp'; expected {ANY}"),
+        ({"kind": "upd"}, f"kind: found 'upd'; expected {ANY}; did you mean 'udp'?"),
+        ({"kind": 5}, f"kind: found 5; expected {ANY}"),
+        ({"kind": ["udp"]}, f"kind: found ['udp']; expected {ANY}"),
+        ({"kind": {"udp": 1}}, f"kind: found {{'udp': 1}}; expected {ANY}"),
     ],
 )
 def test_another_kind_of_source_is_refused(table: dict[str, Any], message: str) -> None:
@@ -133,10 +134,11 @@ def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
     scene = scene_of({"arm.joint_angles": "udp.values0", "arm.torques": "udp.values1"})
     wiring, inputs = wire(scene), list_inputs(scene)
     assert wiring.problems == []
-    assert wiring.routes == [
-        Route(inputs["arm.joint_angles"], "udp", "values0"),
-        Route(inputs["arm.torques"], "udp", "values1"),
+    assert [(route.to, route.value.whole, route.text) for route in wiring.routes] == [
+        (inputs["arm.joint_angles"], ("udp", "values0", True), "udp.values0"),
+        (inputs["arm.torques"], ("udp", "values1", True), "udp.values1"),
     ]
+    assert [route.direct for route in wiring.routes] == ["udp", "udp"]
     assert wiring.routes[1].to.target == "arm.torques"
     assert list(wiring.sources) == ["udp"]
 
@@ -167,7 +169,10 @@ def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
         (
             "arm.torques",
             "udp.x",
-            ["no event 'x' of udp; available: values0, values1, values2"],
+            [
+                "no event 'x' of udp; available: receive_trigger, receiving, values0, values1, "
+                "values2"
+            ],
         ),
         (
             "arm.torques",
@@ -206,12 +211,13 @@ def test_a_router_writes_its_input_and_nothing_else(key: str) -> None:
     scene = Scene(
         robots=[arm("left", 3), arm("right", 3)],
         sources={"udp": {"kind": "udp", "structure": "3F"}},
+        routes={f"right.{key}": "udp.values0"},
         floor=False,
     )
     world = World(scene)
     data, untouched = world.make_data(), world.make_data()
     values = np.array([0.1, -0.2, 0.3])
-    router = Router(world, [Route(world.inputs[f"right.{key}"], "udp", "values0")])
+    router = Router(world, wire(scene).routes)
     router.apply(Packet({"values0": values}, 0.0, 1), data)
     flag = world.flags[f"right.{key}"]
     assert data.userdata[flag] == 1.0
@@ -239,8 +245,7 @@ def test_one_packet_drives_several_robots() -> None:
         floor=False,
     )
     world, wiring = World(scene), wire(scene)
-    data = world.make_data()
-    numbers = np.linspace(-1, 1, 28)
+    data, numbers = world.make_data(), np.linspace(-1, 1, 28)
     values = wiring.sources["udp"].layout.decode(struct.pack("<28d", *numbers))
     Router(world, wiring.routes).apply(Packet(values, 0.0, 1), data)
     assert (data.qpos[world.robots["left"].qpos] == numbers[:7]).all()
@@ -253,8 +258,7 @@ def test_one_event_leads_to_several_inputs() -> None:
     scene = scene_of(dict.fromkeys((f"arm.{key}" for key in INPUTS), "udp.values0"))
     world, wiring = World(scene), wire(scene)
     assert [route.to.key for route in wiring.routes] == list(INPUTS)
-    data = world.make_data()
-    values = np.array([0.5, -0.5])
+    data, values = world.make_data(), np.array([0.5, -0.5])
     Router(world, wiring.routes).apply(Packet({"values0": values}, 0.0, 1), data)
     assert (data.qpos == values).all()
     for key in VALUE_INPUTS:
@@ -332,8 +336,7 @@ def test_an_input_that_is_set_is_no_longer_routed_to(tmp_path: Path) -> None:
     assert len(load_scene(file).routes) == 2
     scene = load_scene(file, {"arm.joint_angles": [0.5, -0.5], "arm.show_axes": True})
     assert scene.routes == {"arm.torques": "udp.values1"}
-    assert scene.robots["arm"].joint_angles is not None
-    assert scene.robots["arm"].joint_angles.tolist() == [0.5, -0.5]
+    assert scene.robots["arm"].home.tolist() == [0.5, -0.5]
     assert scene.robots["arm"].show_axes
 
 

@@ -150,7 +150,7 @@ def test_files_are_looked_for_beside_the_scene_unless_a_model_brings_them(read, 
     assert folders == [str(tmp_path / folder) for folder in wanted]
 
 
-EVENT = 'expected an event such as "udp.values0"'
+EVENT = 'expected an event such as "udp.values0", or numbers'
 WRONG = {
     "robots = 5\nobjects = [1]\ncameras = 'a'\nview = 3\nroutes = 1\nsources = 2\nlights = 4": [
         "s.toml:1: robots: found 5; expected a table [robots]",
@@ -171,10 +171,10 @@ WRONG = {
         "s.toml:2: robots.arm: found 5; expected a table [robots.arm]",
         "s.toml:4: objects.box: found 'x'; expected a table [objects.box]",
     ],
-    '[routes]\nlwr.torques = "udp.values0"\nx = 3': [
+    '[routes]\nlwr.torques = "udp.values0"\nx = true': [
         "s.toml:2: routes.lwr: found {'torques': 'udp.values0'}; "
         f"{EVENT}; put quotes about the whole name",
-        f"s.toml:3: routes.x: found 3; {EVENT}",
+        f"s.toml:3: routes.x: found True; {EVENT}",
     ],
     "[robots.arm]\n\nmodel = 5": ["s.toml:3: robots.arm.model: found 5; expected a robot's name"],
     "[robots.arm]\n\nmodel = 'lrw'": [

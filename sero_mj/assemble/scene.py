@@ -14,6 +14,7 @@ from .named_frames import WORLD, NamedFrame, list_frames
 from .objects import Object
 from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
+from .route_text import names_in, origin_text
 from .scene_toggles import SceneToggles
 from .toml_file import key_lines, located
 
@@ -24,7 +25,8 @@ class Scene:
     Args:
         robots: by name.
         sources: by name; a table with `kind` and its fields, or a source object.
-        routes: input (`lwr.joint_angles`) to event (`udp.values0`).
+        routes: input (`lwr.joint_angles`) to what it gets: an event (`udp.values0`), an
+            expression (`udp.values0[0:7] * deg`), or numbers; kept as text.
         doubles: transparent doubles of the robots.
         arrows: Cartesian vectors, shown by smart arrows.
         frames: frames that are received.
@@ -40,7 +42,7 @@ class Scene:
             (`robots.lwr`).
 
     Raises:
-        DeclarationError: two robots have one name.
+        DeclarationError: two robots have one name, or a route is neither text nor numbers.
     """
 
     def __init__(
@@ -48,7 +50,7 @@ class Scene:
         *,
         robots: list[SerialRobot] | None = None,
         sources: Mapping[str, Any] | None = None,
-        routes: Mapping[str, str] | None = None,
+        routes: Mapping[str, Any] | None = None,
         doubles: list[Double] | None = None,
         arrows: list[SmartArrow] | None = None,
         frames: list[ReceivedFrame] | None = None,
@@ -73,7 +75,7 @@ class Scene:
         self.arrows = {arrow.name: arrow for arrow in arrows or []}
         self.frames = {frame.name: frame for frame in frames or []}
         self.sources = dict(sources or {})
-        self.routes = dict(routes or {})
+        self.routes = _texts(routes or {})
         self.objects = list(objects or [])
         self.cameras = dict(cameras or {})
         self.lights = dict(lights or {})
@@ -105,10 +107,22 @@ class Scene:
         return robot
 
     def sources_of(self, *targets: str) -> set[str]:
-        """Names of the sources from which routes lead to these targets; all of them by default."""
-        origins = [self.routes[target] for target in targets or self.routes]
-        names = {origin.removeprefix("not ").strip().partition(".")[0] for origin in origins}
-        return names & set(self.sources)
+        """Names of the sources on which these targets depend; those of all routes by default.
+
+        What depends on another robot's output (`leader.torques`) depends on that one's sources.
+        """
+        found: set[str] = set()
+        todo = list(targets or self.routes)
+        seen = set(todo)
+        while todo:
+            for name in names_in(self.routes[todo.pop()]):
+                source, dot, _ = name.partition(".")
+                if dot and source in self.sources:
+                    found.add(source)
+                elif name in self.routes and name not in seen:
+                    seen.add(name)
+                    todo.append(name)
+        return found
 
     def named_frames(self) -> dict[str, NamedFrame]:
         """All frames that arrows, received frames and routes can refer to, by name."""
@@ -221,3 +235,14 @@ class Scene:
         if f"{section}.{name}.{key.partition('.')[0]}" in lines:
             return problem
         return located(Problem(key, problem.message), model, key_lines(model))
+
+
+def _texts(routes: Mapping[str, Any]) -> dict[str, str]:
+    """Routes with every origin as text."""
+    texts = {}
+    for target, origin in routes.items():
+        try:
+            texts[target] = origin_text(origin)
+        except ValueError as error:
+            raise DeclarationError([Problem(f"routes.{target}", str(error))]) from None
+    return texts

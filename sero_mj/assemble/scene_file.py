@@ -15,6 +15,7 @@ from .double import Double
 from .looks import Camera, Light, View
 from .objects import Object, set_directory
 from .robot import SerialRobot, build_robot
+from .route_text import origin_text
 from .scene import Scene
 from .scene_toggles import SceneToggles
 from .toml_file import read_toml
@@ -58,7 +59,7 @@ class _Reader:
     def scene(self) -> Scene:
         sections: dict[str, Callable[[], Any]] = {
             "robots": lambda: list(self._each("robots", self._robot).values()),
-            "sources": lambda: self._each("sources", lambda name, table: table),
+            "sources": lambda: self._each("sources", self._source),
             "routes": self._routes,
             "doubles": lambda: list(self._each("doubles", self._named(Double)).values()),
             "arrows": lambda: list(self._each("arrows", self._named(SmartArrow)).values()),
@@ -157,15 +158,11 @@ class _Reader:
 
     def _routes(self) -> dict[str, str]:
         routes = {}
-        for target, event in self._table("routes").items():
-            if isinstance(event, str):
-                routes[target] = event
-            else:
-                hint = "; put quotes about the whole name" if isinstance(event, dict) else ""
-                self.wrong(
-                    f"routes.{target}",
-                    f'found {event!r}; expected an event such as "udp.values0"{hint}',
-                )
+        for target, origin in self._table("routes").items():
+            try:
+                routes[target] = origin_text(origin)
+            except ValueError as error:
+                self.wrong(f"routes.{target}", str(error))
         return routes
 
     def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
@@ -188,6 +185,11 @@ class _Reader:
         except (DeclarationError, UnknownName) as error:
             raise DeclarationError([Problem("model", str(error))]) from None
         return build_robot(fields, path)
+
+    def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
+        """The table as it stands, but for a file, which is found beside the scene."""
+        file = table.get("file")
+        return {**table, "file": str(self.path.parent / file)} if isinstance(file, str) else table
 
     def _named(self, kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
         """Builds what has a field for its name."""

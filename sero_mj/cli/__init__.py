@@ -10,7 +10,7 @@ import sys
 from .. import __version__
 from ..errors import DeclarationError, SeroError
 from ..show.gl import choose_backend
-from . import check, demo, doctor, export, fk, listing, render, send
+from . import check, demo, doctor, export, export_csv, fk, listing, record, render, send, status
 from .arguments import OneLineParser, join_negative_values
 
 _DESCRIPTION = """\
@@ -67,6 +67,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (render, send, fk, check, export, listing, doctor, demo):
+    for module in (
+        render,
+        send,
+        status,
+        record,
+        export_csv,
+        fk,
+        check,
+        export,
+        listing,
+        doctor,
+        demo,
+    ):
         module.add_to(commands)
     return parser

@@ -161,6 +161,33 @@ def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
     return load_scene(path, overrides(settings or []))
 
 
+def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
+    """Lets a recording play every source of a scene that it has.
+
+    Args:
+        scene: is changed.
+        file: the recording.
+        start: where to begin, s since the recording began; at its first packet when None.
+
+    Raises:
+        RecordingError: it cannot be read.
+        UsageError: it has none of the scene's sources.
+    """
+    from ..receive.recording import Recording
+
+    with Recording(file) as recording:
+        recorded = list(recording.sources)
+    both = [name for name in scene.sources if name in recorded]
+    if not both:
+        found = ", ".join(recorded) or "no source"
+        expected = ", ".join(scene.sources) or "none: it has no sources"
+        raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
+    for name in both:
+        scene.sources[name] = {"kind": "replay", "file": str(file), "source": name}
+        if start is not None:
+            scene.sources[name]["start"] = start
+
+
 def read_model(name: str, settings: dict[str, Any] | None = None) -> SerialRobot:
     """Returns the robot that `name` means, with fields set over its file's."""
     from ..assemble.robot import SerialRobot

@@ -36,19 +36,14 @@ def run(options: argparse.Namespace) -> int:
         look = "meshes" if robot.filenames else "shapes grown from its DH table"
         print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}")
     for name, source in wire(scene).sources.items():
-        layout = getattr(source, "layout", None)
-        if layout is not None:
-            events = ", ".join(
-                f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)
-                for event, shape in source.events.items()
-            )
-            where = source.about  # type: ignore[attr-defined]
-            text = f"{name}: {where}, {layout.size} bytes: {events}"
-            print(
-                fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12).replace(
-                    _TIED, " "
-                )
-            )
+        events = ", ".join(
+            f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)
+            for event, shape in source.events.items()
+        )
+        about = getattr(source, "about", type(source).__name__)
+        text = f"{name}: {about}, {source.size} bytes: {events}"
+        lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
+        print(lines.replace(_TIED, " "))
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():

@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, not_negative, positive, read_scene_or_model, size
+from .arguments import (
+    Commands,
+    add_command,
+    not_negative,
+    positive,
+    read_scene_or_model,
+    replay_instead,
+    size,
+)
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -21,6 +29,7 @@ examples:
   sero-mj render lwr -o pose.png --set lwr.joint_angles=0,0.5,0,-1.5,0,1,0 \\
       --set lwr.torques=10,-80,5,30,0,-2,1 --set lwr.show_arrows=true
   sero-mj render lwr_udp -o top.png --camera 90,-80,2.5 --size 640x480
+  sero-mj render lwr_udp -o run.mp4 --replay run.mcap --duration 10
   sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
 
 --set takes any field of a robot (sero-mj list --fields shows them), as TOML. An input that is set
@@ -68,6 +77,15 @@ def add_to(commands: Commands) -> None:
         "double, hover or touch (as with a finger); may be repeated",
     )
     parser.add_argument(
+        "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
+    )
+    parser.add_argument(
+        "--start",
+        type=not_negative,
+        metavar="S",
+        help="where in the recording to begin (default: its first packet)",
+    )
+    parser.add_argument(
         "--wait",
         type=not_negative,
         default=2.0,
@@ -101,6 +119,10 @@ def run(options: argparse.Namespace) -> int:
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.capture").setLevel(logging.INFO)
     scene = read_scene_or_model(options.scene, options.settings)
+    if options.replay is not None:
+        replay_instead(scene, options.replay, options.start)
+    elif options.start is not None:
+        raise UsageError("--start is for recordings; give --replay REC.mcap as well")
     if is_film:
         silent = film_with_progress(
             scene,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Set
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,15 @@ from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
 from ..receive.fri import FriLayout
-from ..receive.source import Packet, Source, age
+from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
 from .follow import follow
 from .place import Placer
-from .route import Route, wire
+from .route import wire
 from .router import Router
+from .wiring import Route
 
+Array = NDArray[np.float64]
+Listener = Callable[[str, Packets], None]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -56,7 +60,7 @@ class Mirror:
     Attributes:
         world: the compiled scene.
         data: its state.
-        routes: the routes from sources in force.
+        routes: the routes of numbers in force.
         sources: those that a route leads from.
 
     Raises:
@@ -70,13 +74,18 @@ class Mirror:
         self.world = World(scene)
         self.data = self.world.make_data()
         self.routes: list[Route] = wiring.routes
-        used = {route.source for route in self.routes}
+        used = {name for route in self.routes for name in route.sources}
         self.sources = {name: wiring.sources[name] for name in wiring.sources if name in used}
         self._routers = {
-            name: Router(self.world, [r for r in self.routes if r.source == name]) for name in used
+            name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
         }
         self._placer = Placer(self.world, wiring)
-        self._applied: dict[str, int] = {}
+        self._latest: dict[str, Packet] = {}
+        self._again: set[str] = set()  # whose latest packet is to be applied once more
+        self._listeners: list[Listener] = []
+        self._news = threading.Event()
+        for source in self.sources.values():
+            source.on_receive(self._news.set)
         self._started = time.monotonic()
 
     def open(self) -> None:
@@ -85,7 +94,9 @@ class Mirror:
         Raises:
             SourceError: a source cannot be opened.
         """
-        self._applied.clear()
+        self._latest.clear()
+        self._again.clear()
+        self._news.clear()
         try:
             for source in self.sources.values():
                 source.open()
@@ -106,6 +117,11 @@ class Mirror:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
+    @property
+    def is_live(self) -> bool:
+        """Whether a source follows the real time, so that what shows it must as well."""
+        return any(source.is_live for source in self.sources.values())
+
     def wait(self, timeout: float) -> list[str]:
         """Waits until every source has sent a good packet, up to `timeout` s in all.
 
@@ -119,10 +135,24 @@ class Mirror:
             if not source.wait(max(deadline - time.monotonic(), 0.0))
         ]
 
+    def wait_next(self, timeout: float) -> bool:
+        """Waits up to `timeout` s for packets that came since it last returned; did any come?"""
+        came = self._news.wait(timeout)
+        self._news.clear()
+        return came
+
+    def listen(self, listener: Listener) -> None:
+        """Calls `listener(source, packets)` in `advance` with all packets that are applied.
+
+        Where a source has `only_latest_packet = false` these are all good ones, in order. A packet
+        sets everything that its source is routed to, so `data` shows the last of them.
+        """
+        self._listeners.append(listener)
+
     def reset(self) -> None:
         """Resets the data to the declared pose; the next `advance` applies the latest packets."""
         self.world.reset(self.data)
-        self._applied.clear()
+        self._again.update(self._latest)
 
     def advance(self, now: float | None = None) -> bool:
         """Applies the latest packet of every source and moves the frames.
@@ -133,17 +163,21 @@ class Mirror:
         Returns:
             whether a new packet was applied.
         """
-        clock = time.monotonic()
         data = self.data
-        data.time = clock - self._started if now is None else now
-        fresh = False
+        data.time = time.monotonic() - self._started if now is None else now
+        fresh = set()
         for name, source in self.sources.items():
-            packet = source.latest()
-            if packet is not None and self._applied.get(name) != packet.number:
+            source.advance_to(data.time)
+            packets = source.take()
+            if packets is not None:
+                self._latest[name] = packets.last
+                for listener in self._listeners:
+                    listener(name, packets)
+            packet = self._latest.get(name)
+            if packet is not None and (packets is not None or name in self._again):
                 self._routers[name].apply(packet, data)
-                self._applied[name] = packet.number
-                fresh = True
-            counters = source.counters
+                fresh.add(name)
+            counters, clock = source.counters, source.now()
             data.userdata[self.world.slots[f"sources.{name}"]] = (
                 counters.received,
                 counters.malformed,
@@ -157,8 +191,22 @@ class Mirror:
                 counters.wrong_constant,
                 *_state_and_quality(source, packet),
             )
-        self._placer.place(data)
-        return fresh
+        self._again.clear()
+        self._placer.place(data, self._values(fresh))
+        return bool(fresh)
+
+    def _values(self, fresh: Set[str]) -> dict[str, dict[str, Array]]:
+        """The latest values of every source, and whether it receives."""
+        values: dict[str, dict[str, Array]] = {}
+        for name, source in self.sources.items():
+            packet = self._latest.get(name)
+            receiving = age(packet, source.now()) < QUIET_AFTER
+            values[name] = {
+                "receiving": np.array([float(receiving)]),
+                "receive_trigger": np.array([float(name in fresh)]),
+                **({} if packet is None else packet.values),
+            }
+        return values
 
     def state(self) -> NDArray[np.float64]:
         """Returns a copy of everything that a picture of this moment needs."""

@@ -1,4 +1,4 @@
-"""Puts everything where it belongs: bases on other robots' frames, doubles, received frames."""
+"""Puts everything where it belongs: followers, bases on other robots' frames, doubles, frames."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from ..assemble.world import World
 from ..errors import DeclarationError
 from .doubles import pose_doubles
 from .follow import follow
-from .route import FrameRoute, Wiring, wire
+from .route import wire
+from .router import LateRouter, Packets
+from .wiring import FrameRoute, Wiring
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,7 @@ class Placer:
         if wiring.problems:
             raise DeclarationError(world.scene.located(wiring.problems))
         self._world = world
+        self._late = LateRouter(world, wiring.later)
         self._levels = wiring.levels
         placing = [route for route in wiring.frame_routes if route.to.key != "flange_check"]
         self._routes = {route.to.name: route for route in placing}
@@ -40,8 +43,16 @@ class Placer:
         later = {name for level in self._levels for name in level}
         self._at_once = [name for name in world.scene.frames if name not in later]
 
-    def place(self, data: mujoco.MjData) -> None:
-        """Computes all frames from joint angles and what was received; time does not pass."""
+    def place(self, data: mujoco.MjData, packets: Packets | None = None) -> None:
+        """Computes all frames from joint angles and what was received; time does not pass.
+
+        Before, robots get what other robots' outputs lead to them.
+
+        Args:
+            data: the world's state.
+            packets: the latest values by source and event, for routes that need several.
+        """
+        self._late.apply(data, packets or {})
         for name in self._at_once:
             self._place_received(data, name)
         pose_doubles(self._world, data)

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.frames import frame, rotation_about
-from ..assemble.inputs import Input
+from ..assemble.inputs import Input, list_inputs
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, UsageError, did_you_mean
 from ..receive.structure import Structure
 from ..receive.udp import UdpReceiver
+from .backwards import Backwards
 from .motion import InverseDynamics, SineMotion
 from .route import wire
+from .wiring import Route
 
 Array = NDArray[np.float64]
 LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
@@ -74,23 +76,50 @@ class MotionPackets:
                 column_major=self.source.column_major,
             )
         )
-        self._inputs = {
-            route.event: route.to
-            for route in wiring.routes
-            if route.source == source and route.event in self.structure.events
-        }
-        if not self._inputs:
+        routes = _connected(wiring.routes, source, self.structure.events)
+        if not routes:
             raise UsageError(f"no route leads from '{source}': there is nothing to send")
-        for event, item in self._inputs.items():
-            found = math.prod(self.structure.events[event])
-            if found != item.count:
-                raise UsageError(
-                    f"structure '{self.structure.text}': {event} has {found} values; "
-                    f"{item.target} takes {item.meaning}"
-                )
+        for route in routes:
+            self._check_size(route)
         self._scene = scene
-        played = {self._robot_of(item) for item in self._inputs.values()} - {None}
+        self._inputs = list_inputs(scene)
+        self._routes = {route.to.target: route for route in wiring.routes}
+        # Of routes that ask for different things of one event the first ones get them.
+        routes.sort(key=lambda route: _importance(scene, route.to))
+        self._wanted = [(route.to, route.negated) for route in routes]
+        self._backwards = None if all(r.value.whole for r in routes) else Backwards(routes)
+        self._plain: dict[str, str] = {}  # event to the input that gets all of it
+        for route in routes:
+            if route.value.whole is not None:
+                self._plain.setdefault(route.value.whole.key, route.to.target)
+        played = {self._robot_of(item) for item in self._asked(routes)} - {None}
         self._robots = {name: _Player(scene.robots[name], amplitude) for name in played if name}
+
+    def _check_size(self, route: Route) -> None:
+        """Whether the structure has all the numbers that a route takes."""
+        for term in route.value.terms:
+            if term.origin.name != self.source.name or not term.origin.is_event:
+                continue
+            found = math.prod(self.structure.events[term.origin.key])
+            missing = int(term.take.max()) >= found
+            if missing or (route.value.whole is not None and found != route.to.count):
+                wanted = f"takes {route.to.meaning}" if route.value.whole else f"is {route.text}"
+                raise UsageError(
+                    f"structure '{self.structure.text}': {term.origin.key} has {found} values; "
+                    f"{route.to.target} {wanted}"
+                )
+
+    def _asked(self, routes: Sequence[Route]) -> list[Input]:
+        """The inputs of routes, and those that they read of robots, doubles and arrows."""
+        todo = [route.to.target for route in routes]
+        todo += [output for route in routes for output in route.outputs]
+        seen: dict[str, Input] = {}
+        while todo:
+            target = todo.pop()
+            if target not in seen:
+                seen[target] = self._inputs[target]
+                todo += self._routes[target].outputs if target in self._routes else []
+        return list(seen.values())
 
     def _robot_of(self, item: Input) -> str | None:
         """The robot whose motion decides what an input gets."""
@@ -102,11 +131,44 @@ class MotionPackets:
     def at(self, t: float) -> bytes:
         """Returns the packet of time t (s)."""
         now = {name: player.signals(t) for name, player in self._robots.items()}
-        values = {event: self._value(item, now, t) for event, item in self._inputs.items()}
+        wanted = {}
+        for item, negated in self._wanted:
+            value = self._value(item, now, t)
+            wanted[item.target] = 1.0 - value if negated else value
+        if self._backwards is None:
+            values = {event: wanted[target] for event, target in self._plain.items()}
+        else:
+            numbers = self._backwards.solve(
+                {target: np.ravel(value) for target, value in wanted.items()},
+                lambda origin: self._output(str(origin), now, t),
+            )
+            values = {
+                origin.key: numbers(origin, math.prod(self.structure.events[origin.key]))
+                for origin in self._backwards.origins
+                if origin.name == self.source.name
+            }
         shapes = self.structure.events
-        return self.structure.encode(
-            {event: np.reshape(value, shapes[event]) for event, value in values.items()}
-        )
+        values = {event: np.reshape(value, shapes[event]) for event, value in values.items()}
+        for event in self.structure.matrices:
+            # What nothing leads from has to be a frame, or the packet is malformed.
+            frames = values.setdefault(event, np.zeros(shapes[event]))
+            values[event] = np.where(frames.any(axis=(1, 2), keepdims=True), frames, np.eye(4))
+        return self.structure.encode(values)
+
+    def _output(self, target: str, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
+        """What can be read of a robot, a double or an arrow at time t."""
+        item, route = self._inputs[target], self._routes.get(target)
+        if route is not None and route.sources:
+            return self._value(item, now, t)
+        if route is not None:
+            return route.value.evaluate(lambda origin: self._output(str(origin), now, t))
+        scene = self._scene
+        if item.key == "joint_angles" and item.name in scene.robots:
+            return scene.robots[item.name].home
+        sections: tuple[Mapping[str, object], ...] = (scene.robots, scene.doubles, scene.arrows)
+        declared = next(section[item.name] for section in sections if item.name in section)
+        value = getattr(declared, item.key, None)
+        return np.zeros(item.count) if value is None else np.asarray(value, np.float64)
 
     def _value(self, item: Input, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
         """What an input gets at time t."""
@@ -138,6 +200,36 @@ class MotionPackets:
         declared = scene.frames[item.name].frame
         start = frame(position=np.array([0.5, 0.0, 0.5])) if declared is None else declared
         return np.asarray(frame(rotation_about(2, 0.4 * t)) @ start)
+
+
+def _connected(routes: Sequence[Route], source: str, events: Collection[str]) -> list[Route]:
+    """Routes that take something from a source, or from what shares a route with it.
+
+    Those that take from the source an event that is not among `events` are left out.
+    """
+    taking = [
+        route
+        for route in routes
+        if all(
+            origin.key in events
+            for origin in route.value.origins
+            if origin.is_event and origin.name == source
+        )
+    ]
+    names = {source}
+    while True:
+        found = [route for route in taking if names & set(route.sources)]
+        more = {name for route in found for name in route.sources} | names
+        if more == names:
+            return found
+        names = more
+
+
+def _importance(scene: Scene, item: Input) -> int:
+    """What moves a robot comes first, switches come last; else the order of the routes."""
+    if item.kind == "angles":
+        return int(item.name in scene.doubles)
+    return {"pose": 2, "frame": 2, "values": 3, "vector": 4}.get(item.kind, 5)
 
 
 class _Player:

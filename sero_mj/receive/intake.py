@@ -35,9 +35,10 @@ class Intake:
         time: event that says when the packet was sent; empty for none.
         time_scale: s per unit of `time`.
         lossless: whether late packets are applied as well.
-        on_fault: called with a line about every kind of fault in a batch.
+        on_fault: called with a line about the last fault of a batch.
 
     Attributes:
+        on_fault: as above.
         counters: what came in.
         timing: rate, jitter and delay.
         nan_allowed: events in which NaN means `no data`.
@@ -60,12 +61,13 @@ class Intake:
         self._sequence, self._time = sequence, time
         self._time_scale = time_scale
         self._lossless = lossless
-        self._on_fault = on_fault
+        self.on_fault = on_fault
         self._trackers: OrderedDict[bytes, SequenceTracker | StampTracker] = OrderedDict()
         self._lost_by_forgotten = 0
         self._senders: dict[bytes, float] = {}
         # What the batch in work adds; it counts only when the good packets have been handed on.
         self._tally = Counters()
+        self._began = 0  # index of the first packet in the batch after the last restart
         self._modulus = 0
         if sequence:
             dtype = layout.event_rows(np.zeros((1, layout.size), np.uint8), sequence).dtype
@@ -115,9 +117,9 @@ class Intake:
             self._fault(fault, arrivals[last])
         if layout.matrices:
             good &= self._are_frames(rows, arrivals, good)
-        if good.any():
-            seen = arrivals[good]
-            self.timing.add(seen, None if stamps is None else stamps[good])
+        timed = np.flatnonzero(good[self._began :]) + self._began
+        if len(timed):
+            self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
         good &= in_order
         if not good.all():
             rows, arrivals = rows[good], arrivals[good]
@@ -147,7 +149,7 @@ class Intake:
             counters.last_size = tally.last_size or counters.last_size
             counters.last_fault_time = tally.last_fault_time
             counters.last_fault = tally.last_fault
-            self._on_fault(tally.last_fault)
+            self.on_fault(tally.last_fault)
 
     def _fault(self, text: str, when: float) -> None:
         tally = self._tally
@@ -185,6 +187,7 @@ class Intake:
     ) -> NDArray[np.bool_]:
         """Which packets are to be applied by their numbers or time stamps."""
         good = np.ones(len(rows), bool)
+        self._began = 0
         if not self._sequence and stamps is None:
             return good
         if self._sequence:
@@ -218,6 +221,7 @@ class Intake:
             elif place is Place.RESTARTED:
                 counters.restarts += 1
                 self.timing.restart()
+                self._began = i
         return good
 
     def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import DeclarationError, Problem, nearest
-from .fri import FriReceiver
+from .live import LIVE
+from .receiver import Receiver
+from .replay import Replay
 from .source import Source
-from .udp import UdpReceiver
 
-KINDS: dict[str, type[UdpReceiver]] = {"udp": UdpReceiver, "fri": FriReceiver}
+KINDS: dict[str, type[Receiver]] = {**LIVE, "replay": Replay}
 
 
 def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:

@@ -22,7 +22,7 @@ TYPES = {
     "f": "f4", "d": "f8", "b": "i1", "B": "u1", "h": "i2", "H": "u2",
     "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "?": "u1",
 }  # fmt: skip
-SIGNALS = ("receiving", "receive_trigger")  # events that every source has
+RESERVED = ("receiving", "receive_trigger")  # events that every source has
 _GAP = re.compile(r"[\s,]*")
 _NAME = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)\s*:\s*")
 _COUNT = re.compile(r"[0-9]+")
@@ -152,7 +152,7 @@ class _Parser:
         if self.at and self.text[self.at - 1] not in " ,\t\n\r<>!":
             raise self.wrong("expected a space or a comma before a name")
         name = found[1]
-        if _NUMBERED.fullmatch(name) or name in SIGNALS:
+        if _NUMBERED.fullmatch(name) or name in RESERVED:
             raise self.wrong(f"'{name}' has a meaning of its own; expected another name")
         self.at = found.end()
         return name

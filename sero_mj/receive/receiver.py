@@ -126,11 +126,12 @@ class Receiver(Declaration):
             self._intake = self._new_intake()
         return self._intake
 
-    def _new_intake(self) -> Intake:
+    def _new_intake(self, *, follows: bool = True) -> Intake:
+        """What checks packets; it `follows` their numbers, or judges each by itself."""
         intake = Intake(
             self.layout,
-            sequence=self.sequence,
-            time=self.time,
+            sequence=self.sequence if follows else "",
+            time=self.time if follows else "",
             time_scale=self.time_scale,
             lossless=not self.only_latest_packet,
             on_fault=self._warn,
@@ -167,12 +168,24 @@ class Receiver(Declaration):
     def receiving(self) -> bool:
         """Whether a good packet came within the last half second."""
         last = self._last
-        return last is not None and clock.monotonic() - last[1][-1] < QUIET_AFTER
+        return last is not None and self.now() - float(last[1][-1]) < QUIET_AFTER
 
     @property
     def receive_trigger(self) -> int:
         """How many good packets have come: it changes with every one."""
         return self._number
+
+    @property
+    def is_live(self) -> bool:
+        """Whether packets come when they like; those of a recording come when they are wanted."""
+        return True
+
+    def now(self) -> float:
+        """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
+        return clock.monotonic()
+
+    def advance_to(self, time: float) -> None:
+        """Goes on to a time, s, where a source does not follow the clock by itself."""
 
     def allow_nan(self, events: Collection[str]) -> None:
         """Lets NaN and infinity mean `no data` in these events, and in no others.
@@ -192,6 +205,16 @@ class Receiver(Declaration):
     def on_receive(self, callback: Callable[[], None]) -> None:
         """Calls back, on the source's thread, whenever good packets have come."""
         self._callbacks.append(callback)
+
+    def decode(self, packet: bytes) -> dict[str, Array] | None:
+        """Decodes one packet by itself; None for one that would not be applied. Counts nothing."""
+        judge = self._new_intake(follows=False)
+        judge.on_fault = lambda _: None
+        row = np.frombuffer(packet.ljust(self.size, b"\0"), np.uint8)[None, : self.size]
+        rows, _ = judge.take(row, np.array([len(packet)]), np.zeros(1))
+        if not len(rows):
+            return None
+        return {event: array[0] for event, array in judge.decode(rows).items()}
 
     def record_to(self, tap: Tap | None) -> None:
         """Hands all packets, the malformed too, to `tap` as they come; None ends that."""

@@ -101,7 +101,8 @@ def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
 def _why(error: Exception, interface: str) -> str:
     if not isinstance(error, OSError):
         return f": not an address: {error}"
-    if interface and error.errno in (errno.ENODEV, errno.EADDRNOTAVAIL, errno.ENXIO):
+    # Python's own error for an interface that is not there has no number.
+    if interface and error.errno in (None, errno.ENODEV, errno.EADDRNOTAVAIL, errno.ENXIO):
         names = ", ".join(name for _, name in socket.if_nameindex())
         return f": no network interface '{interface}'; available: {names}"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):

@@ -5,7 +5,6 @@ A source reads off the render thread. What is malformed is counted and never han
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Events of every source that come without a packet, and change when none comes: 1 while packets
+# come, else 0; and 1 in a tick in which new ones were applied, else 0.
+SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
 
 
@@ -26,7 +28,7 @@ class Packet:
     Attributes:
         values: event name to its array, float64, in the source's shapes. Finite, but for the
             events in which NaN is allowed; matrices are rigid frames.
-        arrival: when it arrived, on the clock of `time.monotonic`, s.
+        arrival: when it arrived, on the clock of `Source.now`, s.
         number: 1 for the first good packet of the source.
     """
 
@@ -41,7 +43,7 @@ class Packets:
 
     Attributes:
         values: event name to its arrays, (n, ...), float64, n >= 1.
-        arrivals: when they arrived, (n,), s, on the clock of `time.monotonic`.
+        arrivals: when they arrived, (n,), s, on the clock of `Source.now`.
         number: of the last one.
     """
 
@@ -82,7 +84,7 @@ class Counters:
         dropped: packets that the kernel threw away because its buffer was full.
         last_fault: what was wrong with the last malformed packet.
         last_size: bytes of the last packet of a wrong size.
-        last_fault_time: when the last malformed packet came, on the clock of `time.monotonic`.
+        last_fault_time: when the last malformed packet came, on the clock of `Source.now`.
     """
 
     received: int = 0
@@ -154,12 +156,20 @@ class Source(Protocol):
     def wait(self, timeout: float) -> bool:
         """Waits until a good packet has come; returns whether one has."""
 
+    @property
+    def is_live(self) -> bool:
+        """Whether packets come when they like; those of a recording come when they are wanted."""
+
+    def now(self) -> float:
+        """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
+
+    def advance_to(self, time: float) -> None:
+        """Goes on to a time, s, where the source does not follow the clock by itself."""
+
     def on_receive(self, callback: Callable[[], None]) -> None:
         """Calls back, on the source's thread, whenever good packets have come."""
 
 
-def age(packet: Packet | None, now: float | None = None) -> float:
-    """Seconds since the packet arrived; infinite when there is none."""
-    if packet is None:
-        return float("inf")
-    return (time.monotonic() if now is None else now) - packet.arrival
+def age(packet: Packet | None, now: float) -> float:
+    """Seconds since the packet arrived, `now` being `Source.now()`; infinite without one."""
+    return float("inf") if packet is None else now - packet.arrival

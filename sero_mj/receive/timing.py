@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _WEIGHT = 1.0 / 16.0  # of a new packet in a running mean, as in RFC 3550, section 6.4.1
+_PAUSE = 2.0  # s; a longer one says nothing about the rate
 _BASELINE = 10.0  # s for which the fastest packet is the measure; clocks of two machines drift
 
 
@@ -30,7 +31,7 @@ class Timing:
 
     def restart(self) -> None:
         """Forgets the sender's clock: it has begun anew."""
-        self._stamp = None
+        self._arrival = self._stamp = None
         self._fastest = [np.inf, np.inf]
 
     def add(self, arrivals: Array, stamps: Array | None = None) -> None:
@@ -40,24 +41,20 @@ class Timing:
             arrivals: when they came, (n,), n >= 1, s.
             stamps: when they were sent, by the sender's clock, (n,), s.
         """
-        before = self._arrival
+        times = _joined(self._arrival, arrivals)
         self._arrival = float(arrivals[-1])
-        if before is not None:
-            between = np.diff(arrivals, prepend=before)
-            if between[0] > 2.0:  # a pause says nothing about the rate
-                between = between[1:]
-            if stamps is not None and self._stamp is not None:
-                deviations = np.diff(arrivals, prepend=before) - np.diff(
-                    stamps, prepend=self._stamp
-                )
-            else:
-                deviations = (
-                    between - (self.interval or between.mean()) if len(between) else between
-                )
-            if self.interval == 0.0 and len(between):
-                self.interval = float(between.mean())
-            self.interval = _running(self.interval, between)
-            self.jitter = _running(self.jitter, np.abs(deviations))
+        between = np.diff(times)
+        steady = between < _PAUSE
+        between = between[steady]
+        if self.interval == 0.0 and len(between):
+            self.interval = float(between.mean())
+        deviations = between - self.interval
+        if stamps is not None:
+            sent = np.diff(_joined(self._stamp, stamps))
+            steady &= np.abs(sent) < _PAUSE
+            deviations = (np.diff(times) - sent)[steady]
+        self.interval = _running(self.interval, between)
+        self.jitter = _running(self.jitter, np.abs(deviations))
         if stamps is not None:
             self._stamp = float(stamps[-1])
             slowness = arrivals - stamps
@@ -71,6 +68,10 @@ class Timing:
     def rate(self) -> float:
         """Packets per second; 0 while unknown."""
         return 1.0 / self.interval if self.interval > 0 else 0.0
+
+
+def _joined(before: float | None, values: Array) -> Array:
+    return values if before is None else np.concatenate(([before], values))
 
 
 def _running(mean: float, values: Array) -> float:

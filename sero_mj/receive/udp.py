@@ -17,6 +17,7 @@ from .sockets import open_socket
 
 # At many packets per second it is cheaper to let some come together; the renderer shares the
 # interpreter with this thread.
+_KEPT_BYTES = 2048
 _BUSY = 8  # packets in a batch
 _GATHER = 5e-4  # s
 
@@ -113,7 +114,8 @@ class UdpReceiver(Receiver):
         sock, wake = self._socket, self._wake
         assert sock is not None and wake is not None
         # One more byte than is right: where the system does not tell, it shows what was too long.
-        datagrams = Datagrams(sock, self.layout.size + 1)
+        # A recording keeps what is wrong whole, if it is not very long.
+        datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake[0], selectors.EVENT_READ)

@@ -140,7 +140,7 @@ def _click(renderer: HeadlessRenderer, data: mujoco.MjData, clicks: Sequence[Cli
 
 def _states(mirror: Mirror, count: int, fps: float) -> Iterator[State]:
     """Yields the state at the time of every frame, taken on a thread of its own when live."""
-    if not mirror.sources:
+    if not mirror.is_live:
         for k in range(count):
             mirror.advance(k / fps)
             yield mirror.state()

@@ -1,0 +1,246 @@
+"""Measures what packets cost: rates without loss, latency from packet to MjData and to pixels.
+
+    .venv/bin/python benchmarks/streams.py [--quick]
+
+Needs a C compiler: the sender and the reference receiver are in C. All rows are of one run, on
+packets of 112 bytes over loopback. A machine that is busy otherwise gives less.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+import timeit
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sero_mj.show.gl import choose_backend
+
+choose_backend()
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
+from sero_mj.receive.structure import Structure
+
+Row = tuple[str, str, str, str, str]
+HERE = Path(__file__).parent
+STRUCTURE = "count:1F sent:1F joints:7F 5F"
+PACKET_BYTES = 112
+RATES = (20_000, 50_000, 100_000, 150_000, 200_000, 300_000, 400_000)  # packets/s
+FPS = 30
+# A receiver: opened, it has a port; `finish` waits for the end and tells how many came.
+Receiving = tuple[int, Callable[[], int]]
+
+
+def compile_c(folder: Path) -> dict[str, str]:
+    """The C programs beside this file, by name."""
+    programs = {}
+    for source in HERE.glob("*.c"):
+        programs[source.stem] = str(folder / source.stem)
+        compiler = os.environ.get("CC", "cc")
+        subprocess.run([compiler, "-O2", "-o", programs[source.stem], str(source)], check=True)
+    return programs
+
+
+def mirror_of(source: UdpReceiver) -> Mirror:
+    robot = SerialRobot.from_model("lwr", show_arrows=True)
+    routes = {"lwr.joint_angles": "udp.joints"}
+    return Mirror(Scene(robots=[robot], sources={"udp": source}, routes=routes))
+
+
+@contextmanager
+def render_loop(mirror: Mirror) -> Iterator[list[int]]:
+    """Renders 30 frames a second on a thread of its own, as a viewer would; counts them."""
+    stop, frames = threading.Event(), [0]
+
+    def run() -> None:
+        with HeadlessRenderer(mirror.world, 640, 480) as renderer:
+            pixels = np.empty((480, 640, 3), np.uint8)
+            due = time.monotonic()
+            while not stop.wait(max(due - time.monotonic(), 0.0)):
+                due = max(due + 1 / FPS, time.monotonic())
+                mirror.advance()
+                renderer.render(mirror.data, out=pixels)
+                frames[0] += 1
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    while not frames[0]:  # the GL context takes a while
+        time.sleep(0.01)
+    yield frames
+    stop.set()
+    thread.join()
+
+
+def settle(count: Callable[[], int]) -> int:
+    """Waits until no more packets come; returns how many did."""
+    before = -1
+    while (now := count()) != before:
+        before = now
+        time.sleep(0.2)
+    return now
+
+
+@contextmanager
+def our_receiver(only_latest: bool) -> Iterator[Receiving]:
+    """A mirror that renders; in the lossless mode all packets that were applied are counted."""
+    source = UdpReceiver(structure=STRUCTURE, only_latest_packet=only_latest)
+    applied = [0]
+
+    def add(_: str, packets: object) -> None:
+        applied[0] += len(packets)  # type: ignore[arg-type]
+
+    with mirror_of(source) as mirror, render_loop(mirror):
+        mirror.listen(add)
+        came = (lambda: source.counters.received) if only_latest else (lambda: applied[0])
+        yield source.port, lambda: settle(came)
+
+
+@contextmanager
+def bare_python() -> Iterator[Receiving]:
+    """The simplest loop: `recv_into`, one packet at a time, nothing else."""
+    count, stop = [0], threading.Event()
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(0.2)
+
+        def run() -> None:
+            buffer = bytearray(PACKET_BYTES)
+            while not stop.is_set():
+                try:
+                    sock.recv_into(buffer)
+                except TimeoutError:
+                    continue
+                count[0] += 1
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        yield sock.getsockname()[1], lambda: settle(lambda: count[0])
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def bare_c(program: str) -> Iterator[Receiving]:
+    """A `recvmmsg` loop in C, the most that can be had."""
+    with subprocess.Popen([program, "1"], stdout=subprocess.PIPE, text=True) as sink:
+        assert sink.stdout is not None
+        yield int(sink.stdout.readline()), lambda: int(sink.stdout.readline())  # type: ignore
+
+
+def flood(program: str, port: int, rate: int, count: int) -> float:
+    """Sends; returns the rate that was reached."""
+    command = [program, str(port), str(rate), str(count)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[1])
+
+
+def throughput(programs: dict[str, str], seconds: float) -> list[Row]:
+    """The highest rate of a ladder at which nothing is lost."""
+    contenders: dict[str, Callable[[], object]] = {
+        "recvmmsg loop in C, alone": lambda: bare_c(programs["udp_sink"]),
+        "recv_into loop in Python, alone": bare_python,
+        "UdpReceiver, latest wins, rendering": lambda: our_receiver(True),
+        "UdpReceiver, none lost, rendering": lambda: our_receiver(False),
+    }
+    rows: list[Row] = []
+    reference = 0.0
+    for name, make in contenders.items():
+        best, first_loss = 0.0, ""
+        for rate in RATES:
+            count = int(rate * seconds)
+            with make() as (port, finish):  # type: ignore[attr-defined]
+                reached = flood(programs["udp_flood"], port, rate, count)
+                came = finish()
+            if came < count:
+                first_loss = f"{1 - came / count:.1%} lost at {reached:,.0f}/s"
+                break
+            best = max(best, reached)
+        reference = reference or best
+        goal = "100,000/s" if "rendering" in name else ""
+        rows.append((name, f"{best:,.0f}/s", first_loss, f"{best / reference:.2f}", goal))
+    return rows
+
+
+def latency(programs: dict[str, str], seconds: float) -> list[Row]:
+    """From sending to MjData at 1 kHz, waiting for packets; and to pixels at 30 frames a second."""
+    source = UdpReceiver(structure=STRUCTURE)
+    to_data, to_pixels = [], []
+    with mirror_of(source) as mirror:
+        command = [programs["udp_flood"], str(source.port), "1000", str(int(1000 * seconds))]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sender:
+            while mirror.wait_next(1.0) or sender.poll() is None:
+                if mirror.advance():
+                    now = time.monotonic()
+                    to_data.append(now - float(source.latest().values["sent"][0]))  # type: ignore
+        with HeadlessRenderer(mirror.world, 640, 480) as renderer:
+            pixels = np.empty((480, 640, 3), np.uint8)
+            renderer.render(mirror.data, out=pixels)
+            with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sender:
+                due = time.monotonic()
+                while sender.poll() is None:
+                    time.sleep(max(due - time.monotonic(), 0.0))
+                    due += 1 / FPS
+                    if mirror.advance():
+                        sent = float(source.latest().values["sent"][0])  # type: ignore[union-attr]
+                        renderer.render(mirror.data, out=pixels)
+                        to_pixels.append(time.monotonic() - sent)
+    rows: list[Row] = []
+    for name, times, goal in (
+        ("UDP packet to MjData, 1 kHz", to_data, "p99 under 1 ms"),
+        ("UDP packet to pixels, 640x480, 30 fps", to_pixels, ""),
+    ):
+        p50, p99 = np.percentile(times, [50, 99]) * 1e3
+        rows.append((name, f"p50 {p50:.3f} ms", f"p99 {p99:.3f} ms", "", goal))
+    return rows
+
+
+def decoding() -> list[Row]:
+    """A packet to arrays, against `numpy.frombuffer` for the same arrays."""
+    structure = Structure("7F7F")
+    packet = np.arange(14.0).tobytes()
+    rows_of_bytes = np.frombuffer(packet * 256, np.uint8).reshape(256, PACKET_BYTES)
+
+    def bare() -> None:
+        np.frombuffer(packet, "<f8", 7)
+        np.frombuffer(packet, "<f8", 7, 56)
+
+    def best(work: Callable[[], object], number: int) -> float:
+        return min(timeit.repeat(work, number=number, repeat=7)) / number
+
+    one, ours = best(bare, 20_000), best(lambda: structure.decode(packet), 20_000)
+    many = best(lambda: structure.decode_rows(rows_of_bytes), 2_000) / 256
+    return [
+        ("decode 7F7F, one packet", f"{ours * 1e9:.0f} ns", f"frombuffer {one * 1e9:.0f} ns",
+         f"{ours / one:.2f}", "at most 2"),
+        ("decode 7F7F, of 256 at once", f"{many * 1e9:.0f} ns", f"frombuffer {one * 1e9:.0f} ns",
+         f"{many / one:.2f}", "at most 2"),
+    ]  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="1 s a measurement instead of 5")
+    options = parser.parse_args()
+    seconds = 1.0 if options.quick else 5.0
+    console = Console(width=130)
+    table = Table("what", "result", "against", "ratio", "goal", title="sero-mj streams")
+    with tempfile.TemporaryDirectory() as folder:
+        programs = compile_c(Path(folder))
+        for row in [*decoding(), *latency(programs, seconds), *throughput(programs, seconds)]:
+            table.add_row(*row)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""`sero-mj export-csv`: a recording as a table."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from ..errors import UsageError, did_you_mean
+from .arguments import Commands, add_command, not_negative
+
+_EPILOG = """\
+examples:
+  sero-mj export-csv run.mcap run.csv
+  sero-mj export-csv run.mcap run.csv --source udp --start 2 --stop 5
+
+A row for every good packet: its time in s since the recording began, then all of its numbers, to
+the last digit. With several sources, --source chooses one.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(commands, "export-csv", run, "write a recording as a table", _EPILOG)
+    parser.add_argument("recording", type=Path, metavar="REC.mcap", help="a recording")
+    parser.add_argument("output", type=Path, metavar="OUT.csv", help="where to")
+    parser.add_argument("--source", metavar="NAME", help="which source (default: the only one)")
+    parser.add_argument("--start", type=not_negative, metavar="S", help="from this time on")
+    parser.add_argument("--stop", type=not_negative, metavar="S", help="until before this time")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes; returns 0."""
+    from ..drive.export_csv import export_csv
+    from ..receive.recording import Recording
+    from ..receive.replay import Replay
+
+    with Recording(options.recording) as recording:
+        names = list(recording.sources)
+        if options.source is None and len(names) != 1:
+            found = f"has several sources: {', '.join(names)}; choose with --source"
+            raise UsageError(f"{options.recording} {found if names else 'has no source'}")
+        name = options.source or names[0]
+        if name not in names:
+            near = did_you_mean(name, names)
+            raise UsageError(f"--source: no source '{name}' in {options.recording}{near}")
+        decode = Replay(file=options.recording, source=name).decode
+        start = -math.inf if options.start is None else options.start
+        written = export_csv(
+            recording, name, options.output, decode, start=start, stop=options.stop
+        )
+        for fault in recording.faults:
+            print(f"note: {fault}")
+    left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
+    print(f"{options.output}: {written.rows} rows{left_out}")
+    return 0

@@ -1,0 +1,108 @@
+"""`sero-mj status`: what the sources of a scene receive, and what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, Any
+
+from ..errors import DeclarationError, UsageError
+from .arguments import Commands, add_command, positive, read_scene_or_model
+
+if TYPE_CHECKING:
+    from ..receive.receiver import Receiver
+
+_EPILOG = """\
+examples:
+  sero-mj status lwr_udp                    live, until Ctrl-C
+  sero-mj status lwr_udp --duration 5       for 5 s, then the result
+  sero-mj status lwr_udp --duration 5 --json
+
+Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
+Every cause for which packets are not applied is counted. Exits with 1 when a source is silent.
+"""
+
+_EVERY = 0.25  # s
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "status", run, "show what the sources of a scene receive, by cause", _EPILOG
+    )
+    parser.add_argument("scene", metavar="SCENE", help="scene: a file, or a shipped name")
+    parser.add_argument(
+        "--duration", type=positive, metavar="S", help="seconds to watch (default: until Ctrl-C)"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON at the end, nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Watches; returns 0 when every source has received something good, else 1."""
+    from ..drive.route import wire
+    from ..receive.receiver import Receiver
+    from ..receive.report import report
+
+    scene = read_scene_or_model(options.scene)
+    wiring = wire(scene)
+    if wiring.problems:
+        raise DeclarationError(scene.located(wiring.problems))
+    sources = [source for source in wiring.sources.values() if isinstance(source, Receiver)]
+    if not sources:
+        raise UsageError(f"scene '{scene.name}' has no source to watch")
+    with ExitStack() as stack:
+        for source in sources:
+            stack.enter_context(source)
+        with suppress(KeyboardInterrupt):
+            _watch(sources, options.duration, live=not options.json)
+        found = [report(source) for source in sources]
+    if options.json:
+        print(json.dumps(found, indent=2))
+    elif not sys.stdout.isatty():
+        _print(found)
+    return 0 if all(entry["good"] for entry in found) else 1
+
+
+def _watch(sources: list[Receiver], duration: float | None, *, live: bool) -> None:
+    """Waits, and shows the table where somebody can see it change."""
+    from rich.live import Live
+
+    from ..receive.report import report
+
+    end = time.monotonic() + (float("inf") if duration is None else duration)
+    if not (live and sys.stdout.isatty()):
+        while (left := end - time.monotonic()) > 0:
+            time.sleep(min(left, _EVERY))
+        return
+    with Live(refresh_per_second=1 / _EVERY) as screen:
+        while (left := end - time.monotonic()) > 0:
+            time.sleep(min(left, _EVERY))
+            screen.update(_table([report(source) for source in sources]))
+
+
+def _table(found: list[dict[str, Any]]) -> Any:
+    from rich.table import Table
+
+    from ..receive.report import describe
+
+    table = Table("source", "", "", "")
+    for entry in found:
+        title = f"{entry['source']}\n{entry['about']}"
+        for row in describe(entry):
+            style = "" if row[0] in ("state", "received", "blanked") else "bold red"
+            table.add_row(title, *row, style=style)
+            title = ""
+        table.add_section()
+    return table
+
+
+def _print(found: list[dict[str, Any]]) -> None:
+    from ..receive.report import describe
+
+    for entry in found:
+        print(f"{entry['source']}: {entry['about']}")
+        for what, count, why in describe(entry):
+            print(f"  {what:15} {count:>10}  {why}")

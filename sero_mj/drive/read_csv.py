@@ -1,0 +1,123 @@
+"""Reads a table of comma-separated values, to be sent as packets."""
+
+from __future__ import annotations
+
+import csv
+import math
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import CsvError
+from .export_csv import TIME
+
+Array = NDArray[np.float64]
+
+
+def read_csv(path: Path | str, *, rate: float | None = None) -> tuple[Array, dict[str, Array]]:
+    """Reads a table of numbers.
+
+    The first line may name the columns; without names they are `1`, `2`, ... A column called `time`
+    says when each row is due. Empty lines are passed over.
+
+    Args:
+        path: the file.
+        rate: rows per s, instead of a column `time`, which is left out then.
+
+    Returns:
+        When each row is due, s, (n,), never decreasing; and name to column, (n,). NaN and infinity
+        are read as such.
+
+    Raises:
+        CsvError: the file, with line and column, what was found, and what would be right.
+        ValueError: a rate that is not above 0.
+    """
+    if rate is not None and not 0.0 < rate < math.inf:
+        raise ValueError(f"rate: found {rate}; expected rows per s, above 0")
+    path = Path(path)
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            names, numbers = _read_rows(path, csv.reader(file), timed=rate is None)
+    except UnicodeDecodeError as error:
+        raise CsvError(path, f"is no text in UTF-8: {error.reason}") from error
+    except OSError as error:
+        raise CsvError(path, f"cannot be read: {error.strerror}") from error
+    columns = dict(zip(names, numbers.T, strict=True))
+    times = columns.pop(TIME, None)
+    if rate is not None:
+        return np.arange(len(numbers)) / rate, columns
+    if times is None:
+        shown = ", ".join(names[:20])
+        reason = f"found the columns {shown}; expected one called {TIME}, in s, or a rate"
+        raise CsvError(path, reason)
+    return times, columns
+
+
+def _read_rows(path: Path, reader: Iterator[list[str]], *, timed: bool) -> tuple[list[str], Array]:
+    """Returns the names of the columns, and the numbers, a row for each row."""
+    names: list[str] = []
+    numbers = array("d")
+    earlier = -math.inf
+    for line, cells in _filled_rows(path, reader):
+        if not names:
+            names, is_header = _names_of(path, line, cells)
+            if is_header:
+                continue
+        if len(cells) != len(names):
+            reason = f"found {len(cells)} values; expected {len(names)}, one for each column"
+            raise CsvError(path, reason, line=line)
+        for name, cell in zip(names, cells, strict=True):
+            value = _number(cell)
+            if value is None:
+                raise CsvError(path, _no_number(cell), line=line, column=name)
+            if name == TIME and timed:
+                if not (math.isfinite(value) and value >= earlier):
+                    after = f" after {earlier!r}" if math.isfinite(earlier) else ""
+                    reason = f"found {cell.strip()}{after}; expected s that never decrease"
+                    raise CsvError(path, reason, line=line, column=name)
+                earlier = value
+            numbers.append(value)
+    if not numbers:
+        raise CsvError(path, "has no row of numbers")
+    return names, np.array(numbers).reshape(-1, len(names))
+
+
+def _filled_rows(path: Path, reader: Iterator[list[str]]) -> Iterator[tuple[int, list[str]]]:
+    """Line and cells of every row that is not empty."""
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield getattr(reader, "line_num", 0), cells
+    except csv.Error as error:
+        line = getattr(reader, "line_num", None)
+        raise CsvError(path, f"is no table: {error}", line=line) from error
+
+
+def _names_of(path: Path, line: int, cells: list[str]) -> tuple[list[str], bool]:
+    """The names of the columns, and whether it is the first row that has them."""
+    if all(_number(cell) is not None for cell in cells):
+        return [str(i) for i in range(1, len(cells) + 1)], False
+    names = [cell.strip() for cell in cells]
+    for i, name in enumerate(names):
+        if not name:
+            raise CsvError(path, f"column {i + 1} has no name", line=line)
+        if name in names[:i]:
+            raise CsvError(path, "there are two columns of this name", line=line, column=name)
+    if len(names) == 1 and ";" in names[0]:
+        raise CsvError(path, "found semicolons; expected commas between values", line=line)
+    return names, True
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def _no_number(cell: str) -> str:
+    found = f"'{cell.strip()}'" if cell.strip() else "nothing"
+    return f"found {found}; expected a number, or nan"

@@ -1,0 +1,109 @@
+"""Units in routes: their size in SI, and which of them an input takes.
+
+A dimension is four exponents: of m, kg, s and rad. Angles have one of their own, so that degrees
+are never taken for millimetres. All zero means a plain number, which fits anything.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.inputs import Input
+from ..assemble.robot import SerialRobot
+from ..assemble.scene import Scene
+
+Exponents = NDArray[np.int64]
+Dimension = tuple[int, int, int, int]
+
+NONE: Dimension = (0, 0, 0, 0)
+_LENGTH: Dimension = (1, 0, 0, 0)
+_MASS: Dimension = (0, 1, 0, 0)
+_TIME: Dimension = (0, 0, 1, 0)
+_ANGLE: Dimension = (0, 0, 0, 1)
+_FORCE: Dimension = (1, 1, -2, 0)
+_TORQUE: Dimension = (2, 1, -2, 0)
+_SPEED: Dimension = (1, 0, -1, 0)
+_TURN: Dimension = (0, 0, -1, 1)
+
+# Name to its size in SI units and its dimension.
+UNITS: dict[str, tuple[float, Dimension]] = {
+    "rad": (1.0, _ANGLE),
+    "mrad": (1e-3, _ANGLE),
+    "deg": (np.pi / 180.0, _ANGLE),
+    "rpm": (np.pi / 30.0, _TURN),
+    "m": (1.0, _LENGTH),
+    "cm": (1e-2, _LENGTH),
+    "mm": (1e-3, _LENGTH),
+    "N": (1.0, _FORCE),
+    "kN": (1e3, _FORCE),
+    "mN": (1e-3, _FORCE),
+    "Nm": (1.0, _TORQUE),
+    "kNm": (1e3, _TORQUE),
+    "mNm": (1e-3, _TORQUE),
+    "Nmm": (1e-3, _TORQUE),
+    "kg": (1.0, _MASS),
+    "g": (1e-3, _MASS),
+    "s": (1.0, _TIME),
+    "ms": (1e-3, _TIME),
+    "us": (1e-6, _TIME),
+}
+_NAMES: dict[Dimension, str] = {
+    NONE: "a plain number",
+    _LENGTH: "a length (m)",
+    _MASS: "a mass (kg)",
+    _TIME: "a time (s)",
+    _ANGLE: "an angle (rad)",
+    _FORCE: "a force (N)",
+    _TORQUE: "a torque (Nm)",
+    _SPEED: "a velocity (m/s)",
+    _TURN: "an angular velocity (rad/s)",
+    (1, 0, -2, 0): "an acceleration (m/s2)",
+    (0, 0, -2, 1): "an angular acceleration (rad/s2)",
+}
+_ARROWS: dict[str, Dimension] = {
+    "force": _FORCE,
+    "torque": _TORQUE,
+    "velocity": _SPEED,
+    "angular_velocity": _TURN,
+}
+# Of a per-joint input, where the joint turns and where it slides.
+_JOINTS: dict[str, tuple[Dimension, Dimension]] = {
+    "joint_angles": (_ANGLE, _LENGTH),
+    "torques": (_TORQUE, _FORCE),
+    "commanded_torques": (_TORQUE, _FORCE),
+    "joint_accelerations": ((0, 0, -2, 1), (1, 0, -2, 0)),
+}
+
+
+def describe(dimension: Exponents) -> str:
+    """Says in words what four exponents mean: `an angle (rad)`, `m2 kg s-3`."""
+    exponents = [int(exponent) for exponent in dimension]
+    known = _NAMES.get((exponents[0], exponents[1], exponents[2], exponents[3]))
+    if known is not None:
+        return known
+    units = zip(("m", "kg", "s", "rad"), exponents, strict=True)
+    return " ".join(f"{unit}{'' if e == 1 else e}" for unit, e in units if e)
+
+
+def dimension_of(scene: Scene, item: Input) -> Exponents:
+    """What the numbers of an input are, (count, 4); zero for what takes any unit.
+
+    A robot's output has the dimension of the input of that name. An arrow with a `unit` of its
+    own shows what it gets, so it takes any.
+    """
+    dimensions = np.zeros((item.count, 4), np.int64)
+    if item.kind == "vector":
+        arrow = scene.arrows[item.name]
+        dimensions[:] = _ARROWS[arrow.kind] if arrow.unit is None else NONE
+    elif item.kind in ("angles", "values") and item.key in _JOINTS:
+        turning, sliding = _JOINTS[item.key]
+        revolute = robot_of(scene, item).dh.revolute
+        dimensions[revolute], dimensions[~revolute] = turning, sliding
+    return dimensions
+
+
+def robot_of(scene: Scene, item: Input) -> SerialRobot:
+    """The robot of a per-joint input; a double's is the one it doubles."""
+    double = scene.doubles.get(item.name)
+    return scene.robots[item.name if double is None else double.of]

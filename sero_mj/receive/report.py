@@ -1,0 +1,74 @@
+"""What a source has received so far, by cause, for people and for programs."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+from .receiver import Receiver
+from .source import Counters, age
+
+# What each counter means to somebody who looks for a fault; in the order in which to look.
+MEANINGS = {
+    "lost": "numbers that never came",
+    "late": "after one with a higher number",
+    "duplicates": "with a number that was there",
+    "restarts": "the sender began anew",
+    "wrong_size": "not as long as the structure says",
+    "wrong_constant": "another number where the structure demands one",
+    "not_finite": "NaN or infinity where something would move",
+    "not_frames": "a matrix that is no frame",
+    "foreign": "from others than the sender that is named",
+    "torn": "reads given up because the writer was in between",
+    "blanked": "with values that are no data",
+    "dropped": "thrown away by the kernel, its buffer was full",
+}
+
+
+def report(source: Receiver) -> dict[str, Any]:
+    """Everything that is known about what came in.
+
+    Returns:
+        every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s
+        since the last good packet, None before the first), `jitter` and `delay` (s, None where
+        the packets have no time stamp), `good`.
+    """
+    counters, timing = source.counters, source.timing
+    since = age(source.latest(), source.now())
+    return {
+        "source": source.name,
+        "about": source.about,
+        "receiving": source.receiving,
+        "good": source.receive_trigger,
+        "rate": timing.rate if source.receiving else 0.0,
+        "age": since if since < float("inf") else None,
+        "jitter": timing.jitter,
+        "delay": timing.delay if source.time else None,
+        "malformed": counters.malformed,
+        **{field.name: getattr(counters, field.name) for field in fields(Counters)},
+    }
+
+
+def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows of a table: what, how many, and what that means; causes that did not occur are left out.
+
+    Args:
+        found: what `report` returned.
+    """
+    rows = []
+    if found["age"] is None:
+        rows.append(("state", "silent", "no good packet yet"))
+    elif found["receiving"]:
+        delay = found["delay"]
+        slow = f", {delay * 1e3:.2f} ms behind the fastest" if delay is not None else ""
+        jitter = f"jitter {found['jitter'] * 1e3:.3f} ms{slow}"
+        rows.append(("state", f"{found['rate']:.1f}/s", jitter))
+    else:
+        rows.append(("state", "quiet", f"no good packet for {found['age']:.1f} s"))
+    rows.append(("received", str(found["received"]), f"{found['good']} of them applied"))
+    rows += [(name, str(found[name]), why) for name, why in MEANINGS.items() if found[name]]
+    if found["senders"] > 1:
+        rows.append(("senders", str(found["senders"]), "at once; sender = ... chooses one"))
+    if found["last_fault"]:
+        rows.append(("last fault", "", found["last_fault"]))
+    return rows

@@ -1,0 +1,48 @@
+"""Recordings to be tested with."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from shutil import copy
+
+from sero_mj.receive.recording_writer import RecordingWriter
+
+EVENTS = {"values0": (2,), "vectors0": (1, 3), "matrices0": (1, 4, 4)}
+DECLARED = {"port": 32000, "structure": "2F1V1M", "double": True}
+
+
+def begin(path: Path, *names: str, chunk_bytes: int = 1 << 20) -> RecordingWriter:
+    writer = RecordingWriter(
+        path, about={"scene": "two arms"}, overwrite=True, chunk_bytes=chunk_bytes
+    )
+    for name in names:
+        writer.add_source(name, kind="udp", declared=DECLARED, events=EVENTS, size=168)
+    return writer
+
+
+def record(
+    path: Path, packets: Sequence[bytes], *, chunk_bytes: int = 1 << 20, close: bool = True
+) -> list[tuple[float, bytes]]:
+    """Records packets 0.1 s apart; returns what `packets` should give."""
+    live = path.with_suffix(".live")
+    writer = begin(live, "arm", chunk_bytes=chunk_bytes)
+    start = writer.clock.monotonic_ns
+    for i, packet in enumerate(packets):
+        writer.write_raw("arm", packet, (start + i * 100_000_000) / 1e9)
+    writer.flush()
+    if not close:  # as its process would leave it when it is killed
+        copy(live, path)
+    writer.close()
+    if close:
+        live.rename(path)
+    log_times = [
+        writer.clock.log_time((start + i * 100_000_000) / 1e9) for i in range(len(packets))
+    ]
+    times = [(log_time - writer.clock.epoch_ns) / 1e9 for log_time in log_times]
+    return list(zip(times, packets, strict=True))
+
+
+def numbered(count: int) -> list[bytes]:
+    return [struct.pack("<I", i) * 8 for i in range(count)]

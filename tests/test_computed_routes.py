@@ -1,0 +1,222 @@
+"""Routes that compute: with one packet, with several, and with outputs of other robots."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from polling import until
+from route_scenes import arm, scene_of
+
+from sero_mj.assemble.double import Double
+from sero_mj.assemble.frames import frame_from
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.staleness import NO_DATA_YET, Staleness
+from sero_mj.drive.mirror import Mirror
+from sero_mj.drive.place import Placer
+from sero_mj.drive.route import wire
+from sero_mj.drive.router import Router
+from sero_mj.receive.source import Packet
+from sero_mj.receive.udp import UdpReceiver
+
+Array = NDArray[np.float64]
+
+
+class Fed:
+    """A world that gets packets by hand."""
+
+    def __init__(self, routes: Mapping[str, Any], **fields: Any) -> None:
+        scene = scene_of(routes, **fields)
+        self.world, self.wiring = World(scene), wire(scene)
+        assert self.wiring.problems == []
+        self.data = self.world.make_data()
+        self._placer = Placer(self.world, self.wiring)
+        self._latest: dict[str, Mapping[str, Array]] = {}
+
+    def feed(self, source: str, **values: Any) -> None:
+        events = {name: np.zeros(s) for name, s in self.wiring.sources[source].events.items()}
+        packet = {**events, **{name: np.asarray(v, float) for name, v in values.items()}}
+        routes = [route for route in self.wiring.routes if route.direct == source]
+        Router(self.world, routes).apply(Packet(packet, 0.0, 1), self.data)
+        self._latest[source] = packet
+        self.place()
+
+    def place(self) -> None:
+        self._placer.place(self.data, self._latest)
+
+    def __getitem__(self, target: str) -> list[float]:
+        robot = self.world.robots.get(target.removesuffix(".joint_angles"))
+        if robot is not None:
+            return self.data.qpos[robot.qpos].tolist()
+        return self.data.userdata[self.world.slots[target]].tolist()
+
+    def has(self, target: str) -> bool:
+        return bool(self.data.userdata[self.world.flags[target]])
+
+
+def test_a_packet_is_computed_with() -> None:
+    fed = Fed({
+        "lwr.joint_angles": "udp.values0[::-1] * deg",
+        "lwr.torques": "udp.values0 - udp.values1",
+        "goal.joint_angles": "[udp.values2[2], 0.5]",
+        "lwr.show_arrows": "not udp.values2[0]",
+        "lwr.billboard_values": [7, 8],
+        "leader.joint_angles": "10 * deg",
+    })  # fmt: skip
+    fed.feed("udp", values0=[30.0, -90.0], values1=[1.0, 2.0], values2=[1.0, 5.0, 0.25])
+    np.testing.assert_allclose(fed["lwr.joint_angles"], np.deg2rad([-90, 30]), rtol=1e-15)
+    assert fed["lwr.torques"] == [29.0, -92.0]
+    assert fed["goal.joint_angles"] == [0.25, 0.5]
+    assert fed["lwr.show_arrows"] == [0.0]
+    assert fed["lwr.billboard_values"] == [7.0, 8.0]
+    np.testing.assert_allclose(fed["leader.joint_angles"], np.deg2rad([10, 10]), rtol=1e-15)
+    targets = [route.to.target for route in fed.wiring.routes]
+    assert all(fed.has(target) for target in targets)
+
+
+def test_one_of_several_matrices_places_a_base() -> None:
+    fed = Fed({"lwr.base_frame": "udp.matrices0[1]"})
+    T = frame_from({"xyz": [0.1, 0.2, 0.3], "rpy": [0.3, -0.2, 1.0]}, np.asarray)
+    fed.feed("udp", matrices0=[np.eye(4), T])
+    np.testing.assert_allclose(fed.world.frame(fed.data, "lwr/base"), T, atol=1e-12)
+
+
+def test_two_sources_are_computed_with_when_both_have_sent() -> None:
+    fed = Fed({"lwr.torques": "udp.values0 - other.values0"})
+    fed.feed("udp", values0=[5.0, 6.0])
+    assert not fed.has("lwr.torques")
+    fed.feed("other", values0=[1.0, 2.0])
+    assert (fed.has("lwr.torques"), fed["lwr.torques"]) == (True, [4.0, 4.0])
+    fed.feed("udp", values0=[0.0, 0.0])
+    assert fed["lwr.torques"] == [-1.0, -2.0]
+
+
+def test_robots_follow_robots_in_one_tick_whatever_the_order() -> None:
+    fed = Fed({
+        "mixed.billboard_values": "goal.joint_angles - lwr.joint_angles",
+        "goal.joint_angles": "lwr.joint_angles + leader.joint_angles",
+        "lwr.joint_angles": "leader.joint_angles * 0.5",
+        "lwr.billboard_values": "lwr.commanded_torques - lwr.torques",
+        "lwr.commanded_torques": "udp.values1",
+        "lwr.torques": "udp.values0",
+        "push.vector": "[lwr.torques / m, 0]",
+    })  # fmt: skip
+    fed.place()
+    assert fed["lwr.joint_angles"] == [0.15, -0.2]
+    np.testing.assert_allclose(fed["goal.joint_angles"], [0.45, -0.6], rtol=1e-15)
+    np.testing.assert_allclose(fed["mixed.billboard_values"], [0.3, -0.4], rtol=1e-15)
+    # Nothing has come, so there is nothing to compute with.
+    assert not fed.has("lwr.billboard_values") and not fed.has("push.vector")
+    fed.feed("udp", values0=[1.0, 2.0], values1=[1.5, 1.0])
+    assert fed["lwr.billboard_values"] == [0.5, -1.0]
+    assert fed["push.vector"] == [1.0, 2.0, 0.0]
+    fed.world.set_input(fed.data, "leader.joint_angles", [1.0, 1.0])
+    fed.place()
+    assert fed["lwr.joint_angles"] == [0.5, 0.5]
+    flange = fed.world.fwd_kin_base_to_flange(fed.data, "lwr")
+    robot = fed.world.scene.robots["lwr"]
+    np.testing.assert_allclose(flange, robot.fwd_kin_base_to_flange(np.array([0.5, 0.5])))
+
+
+def test_a_double_that_is_nowhere_leads_nobody() -> None:
+    fed = Fed({"lwr.joint_angles": "goal.joint_angles", "goal.joint_angles": "udp.values0"})
+    fed.place()
+    assert fed["lwr.joint_angles"] == [0.0, 0.0] and not fed.has("lwr.joint_angles")
+    fed.feed("udp", values0=[0.5, 0.25])
+    assert fed["lwr.joint_angles"] == [0.5, 0.25]
+    doubles = [Double(name="goal", of="lwr", joint_angles=[0.1, 0.2])]
+    declared = Fed({"lwr.joint_angles": "goal.joint_angles"}, doubles=doubles)
+    declared.place()
+    assert declared["lwr.joint_angles"] == [0.1, 0.2]
+
+
+def test_nan_goes_where_it_moves_nothing_not_even_in_the_end() -> None:
+    def allowed(routes: dict[str, str]) -> set[str]:
+        asked: list[set[str]] = []
+        source = UdpReceiver(name="udp", structure="2F2F")
+        scene = scene_of(routes, sources={"udp": source})
+        object.__setattr__(source, "allow_nan", lambda events: asked.append(set(events)))
+        assert wire(scene).problems == []
+        return asked[-1]
+
+    assert allowed({"lwr.torques": "udp.values0 * 2 - udp.values1"}) == {"values0", "values1"}
+    routes = {"lwr.torques": "udp.values0 * 2", "lwr.joint_angles": "udp.values0 + udp.values1"}
+    assert allowed(routes) == set()
+    routes = {
+        "lwr.billboard_values": "udp.values0",
+        "leader.billboard_values": "lwr.billboard_values * 2",
+        "mixed.joint_angles": "leader.billboard_values",
+        "mixed.torques": "udp.values1",
+    }
+    assert allowed(routes) == {"values1"}
+
+
+def test_nan_blanks_the_number_that_is_computed_from_it() -> None:
+    fed = Fed({"lwr.torques": "udp.values0 * 2 - udp.values1", "leader.torques": "2 * lwr.torques"})
+    fed.feed("udp", values0=[math.nan, 2.0], values1=[1.0, 1.0])
+    np.testing.assert_equal(fed["lwr.torques"], [math.nan, 3.0])
+    np.testing.assert_equal(fed["leader.torques"], [math.nan, 6.0])
+
+
+def test_what_overflows_blanks_and_moves_nothing() -> None:
+    fed = Fed({"lwr.torques": "udp.values0 * 1e10", "lwr.joint_angles": "udp.values0 * 1e10"})
+    fed.feed("udp", values0=[1.0, 2e-10])
+    fed.feed("udp", values0=[1e300, 1.0])
+    np.testing.assert_equal(fed["lwr.torques"], [math.nan, 1e10])
+    assert fed["lwr.joint_angles"] == [1e10, 2.0]
+
+
+def test_what_follows_is_as_stale_as_what_it_follows() -> None:
+    scene = scene_of({
+        "leader.joint_angles": "udp.values0",
+        "lwr.torques": "other.values0 - udp.values1",
+        "lwr.joint_angles": "leader.joint_angles * 0.5",
+        "crane.billboard_values": "lwr.torques * (1 / Nm)",
+        "mixed.torques": [1, 2],
+    })  # fmt: skip
+    assert scene.sources_of("lwr.joint_angles") == {"udp"}
+    assert scene.sources_of("lwr.torques") == {"udp", "other"}
+    assert scene.sources_of("crane.billboard_values") == {"udp", "other"}
+    assert scene.sources_of("mixed.torques") == set()
+    assert scene.sources_of() == {"udp", "other"}
+    scene.routes["lwr.torques"] = "crane.billboard_values"  # a circle is told elsewhere
+    assert scene.sources_of("lwr.torques") == set()
+
+
+def test_a_mirror_computes_with_the_packets_of_two_sources() -> None:
+    robots = [arm("lwr"), arm("leader"), arm("free")]
+    routes = {
+        "leader.joint_angles": "udp.values0 * deg",
+        "lwr.joint_angles": "leader.joint_angles[::-1]",
+        "lwr.torques": "other.values0 - udp.values1",
+    }
+    sources = {name: {"kind": "udp", "structure": "2F2F"} for name in ("udp", "other")}
+    scene = Scene(robots=robots, sources=sources, routes=routes, floor=False)
+    with Mirror(scene) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        staleness, world, data = Staleness(mirror.world), mirror.world, mirror.data
+
+        def send(name: str, *values: float) -> None:
+            source = mirror.sources[name]
+            assert isinstance(source, UdpReceiver)
+            sock.sendto(struct.pack("<4d", *values), ("127.0.0.1", source.port))
+            assert until(mirror.advance)
+
+        mirror.advance()
+        assert staleness.find(data) == {"lwr": NO_DATA_YET, "leader": NO_DATA_YET}
+        send("udp", 90.0, -45.0, 1.0, 2.0)
+        np.testing.assert_allclose(data.qpos[world.robots["lwr"].qpos], np.deg2rad([-45, 90]))
+        assert staleness.find(data) == {"lwr": NO_DATA_YET}
+        assert data.userdata[world.flags["lwr.torques"]] == 0.0
+        send("other", 5.0, 5.0, 0.0, 0.0)
+        assert data.userdata[world.slots["lwr.torques"]].tolist() == [4.0, 3.0]
+        assert staleness.find(data) == {}
+        mirror.reset()
+        assert data.userdata[world.flags["lwr.torques"]] == 0.0
+        assert mirror.advance()
+        assert data.userdata[world.slots["lwr.torques"]].tolist() == [4.0, 3.0]

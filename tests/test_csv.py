@@ -1,0 +1,161 @@
+"""Tables: a recording's packets in full precision, and reading tables back."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sero_mj.drive.export_csv import Exported, column_names, export_csv
+from sero_mj.drive.read_csv import read_csv
+from sero_mj.errors import CsvError, UnknownName
+from sero_mj.receive.recording import Recording
+from sero_mj.receive.recording_writer import RecordingWriter
+from sero_mj.receive.structure import Structure
+
+LAYOUT = Structure("2F1V1M")
+
+
+def record(path: Path, packets: list[bytes]) -> Path:
+    with RecordingWriter(path, about={}, overwrite=True) as writer:
+        writer.add_source("arm", kind="udp", declared={}, events=LAYOUT.events, size=LAYOUT.size)
+        for i, packet in enumerate(packets):
+            writer.write_raw("arm", packet, writer.clock.monotonic_ns / 1e9 + i / 8)
+    return path
+
+
+def packet(*values: float) -> bytes:
+    frame = np.arange(16.0).reshape(4, 4)
+    return LAYOUT.encode({"values0": values, "vectors0": [1.0, 2.0, 3.0], "matrices0": frame})
+
+
+def test_columns_are_named_by_event_and_place() -> None:
+    assert column_names({"values0": (2,), "vectors0": (1, 3)}) == [
+        "values0[0]",
+        "values0[1]",
+        "vectors0[0][0]",
+        "vectors0[0][1]",
+        "vectors0[0][2]",
+    ]
+    assert column_names(LAYOUT.events)[-1] == "matrices0[0][3][3]"
+
+
+def test_a_packet_is_a_row_and_a_malformed_one_is_counted(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [packet(0.1, math.nan), b"short", packet(1e-300, -2.0)])
+    with Recording(path) as recording:
+        exported = export_csv(recording, "arm", tmp_path / "a.csv", LAYOUT.decode)
+    assert exported == Exported(rows=2, malformed=1)
+    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == ",".join(["time", *column_names(LAYOUT.events)])
+    # Matrices come column by column, but a column's name is that of the number itself.
+    numbers = ",".join(repr(float(i)) for i in range(16))
+    assert lines[1].partition(",")[2] == f"0.1,nan,1.0,2.0,3.0,{numbers}"
+    assert lines[2].partition(",")[2] == f"1e-300,-2.0,1.0,2.0,3.0,{numbers}"
+    assert len(lines) == 3
+    assert float(lines[2].partition(",")[0]) == pytest.approx(0.25, abs=1e-6)
+    assert [file.name for file in tmp_path.iterdir() if "csv" in file.name] == ["a.csv"]
+
+
+def test_a_part_of_a_recording(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [packet(float(i), 0.0) for i in range(20)])
+    with Recording(path) as recording:
+        export_csv(recording, "arm", tmp_path / "a.csv", LAYOUT.decode, start=0.99, stop=1.49)
+    _, columns = read_csv(tmp_path / "a.csv")
+    assert columns["values0[0]"].tolist() == [8.0, 9.0, 10.0, 11.0]
+
+
+@settings(max_examples=25, deadline=None)
+@given(rows=st.lists(st.tuples(st.floats(), st.floats()), min_size=1, max_size=20))
+def test_numbers_are_read_back_as_they_were(
+    tmp_path_factory: pytest.TempPathFactory, rows: list[tuple[float, float]]
+) -> None:
+    folder = tmp_path_factory.mktemp("csv")
+    path = record(folder / "a.mcap", [packet(*row) for row in rows])
+    with Recording(path) as recording:
+        export_csv(recording, "arm", folder / "a.csv", LAYOUT.decode)
+        expected = [t for t, _ in recording.packets("arm")]
+    times, columns = read_csv(folder / "a.csv")
+    assert times.tolist() == expected
+    assert list(columns) == column_names(LAYOUT.events)
+    np.testing.assert_array_equal(columns["values0[0]"], [row[0] for row in rows])
+    np.testing.assert_array_equal(columns["values0[1]"], [row[1] for row in rows])
+
+
+def test_what_cannot_be_exported_is_told_and_leaves_no_half_file(tmp_path: Path) -> None:
+    def broken(data: bytes) -> None:
+        raise ZeroDivisionError
+
+    (tmp_path / "a.csv").write_text("before")
+    with Recording(record(tmp_path / "a.mcap", [packet(1.0, 2.0)] * 3)) as recording:
+        with pytest.raises(CsvError, match=r"no.a\.csv: cannot be written: No such file or dir"):
+            export_csv(recording, "arm", tmp_path / "no" / "a.csv", LAYOUT.decode)
+        with pytest.raises(UnknownName, match="no source 'leg'"):
+            export_csv(recording, "leg", tmp_path / "a.csv", LAYOUT.decode)
+        with pytest.raises(ZeroDivisionError):
+            export_csv(recording, "arm", tmp_path / "a.csv", broken)
+    assert (tmp_path / "a.csv").read_text() == "before"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "a.mcap"]
+
+
+def read(tmp_path: Path, text: str, rate: float | None = None) -> tuple[list[float], dict]:
+    path = tmp_path / "t.csv"
+    path.write_text(text, encoding="utf-8")
+    times, columns = read_csv(path, rate=rate)
+    return times.tolist(), {name: column.tolist() for name, column in columns.items()}
+
+
+def test_a_table_with_times_or_a_rate(tmp_path: Path) -> None:
+    table = "\ufefftime, a ,b\n0.0,1,nan\n\n0.5,-2e3,inf\n"
+    times, columns = read(tmp_path, table)
+    assert times == [0.0, 0.5]
+    assert list(columns) == ["a", "b"]
+    assert columns["a"] == [1.0, -2000.0]
+    assert math.isnan(columns["b"][0]) and columns["b"][1] == math.inf
+    assert read(tmp_path, table, rate=4.0)[0] == [0.0, 0.25]
+    assert read(tmp_path, "1,2\r\n3,4\r\n", rate=10.0) == (
+        [0.0, 0.1],
+        {"1": [1.0, 3.0], "2": [2.0, 4.0]},
+    )
+    assert read(tmp_path, "time\n5\n2\n", rate=1.0) == ([0.0, 1.0], {})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "has no row of numbers"),
+        ("time,a\n", "has no row of numbers"),
+        ("a,b\n1,2\n", "found the columns a, b; expected one called time, in s, or a rate"),
+        ("1,2\n3,4\n", "found the columns 1, 2; expected one called time, in s, or a rate"),
+        ("time,a\n0,1\n1\n", "3: found 1 values; expected 2, one for each column"),
+        ("time,a\n0,1\n\n1,x\n", "4: a: found 'x'; expected a number, or nan"),
+        ("time,a\n0, \n", "2: a: found nothing; expected a number, or nan"),
+        ("time,a\n1,1\n0.5,1\n", "3: time: found 0.5 after 1.0; expected s that never decrease"),
+        ("time,a\nnan,1\n", "2: time: found nan; expected s that never decrease"),
+        ("time,,b\n0,1,2\n", "1: column 2 has no name"),
+        ("time,a,a\n0,1,2\n", "1: a: there are two columns of this name"),
+        ("time;a\n0;1\n", "1: found semicolons; expected commas between values"),
+        ('time,a\n0,"1\x00\n', "2: a: found '1\x00'; expected a number"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_told_with_line_and_column(
+    tmp_path: Path, text: str, expected: str
+) -> None:
+    with pytest.raises(CsvError) as caught:
+        read(tmp_path, text)
+    separator = "" if expected[1] == ":" else " "
+    assert str(caught.value).startswith(f"{tmp_path / 't.csv'}:{separator}{expected}")
+
+
+def test_what_is_no_table_is_told(tmp_path: Path) -> None:
+    with pytest.raises(CsvError, match=r"n\.csv: cannot be read: No such file or directory"):
+        read_csv(tmp_path / "n.csv")
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(CsvError, match=r"b\.csv: is no text in UTF-8"):
+        read_csv(tmp_path / "b.csv")
+    for rate in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="expected rows per s, above 0"):
+            read_csv(tmp_path / "b.csv", rate=rate)

@@ -1,0 +1,293 @@
+"""Expressions in routes: what they compute, against Python and numpy; what is wrong is told."""
+
+from __future__ import annotations
+
+import ast
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+
+from sero_mj.drive.affine import Affine, Origin
+from sero_mj.drive.expression import Value, constant, evaluate, numbers_of
+from sero_mj.drive.syntax import parse
+from sero_mj.drive.units import UNITS
+from sero_mj.errors import RouteError
+
+Array = NDArray[np.float64]
+EVENTS = {
+    "udp.values0": (4,),
+    "udp.values1": (1,),
+    "my-udp.values0": (4,),
+    "udp.vectors0": (2, 3),
+    "udp.matrices0": (2, 4, 4),
+}
+ORIGINS = {name: Origin(*name.split("."), True) for name in EVENTS}
+NAMES: dict[str, Value] = {
+    **{name: numbers_of(ORIGINS[name], shape, None) for name, shape in EVENTS.items()},
+    **{name: constant(*unit) for name, unit in UNITS.items()},
+}
+DATA = {
+    name: np.random.default_rng(k).uniform(-3, 3, shape)
+    for k, (name, shape) in enumerate(EVENTS.items())
+}
+
+
+def value_of(text: str) -> Value:
+    return evaluate(parse(text)[1], text, NAMES)
+
+
+def computed(text: str, data: dict[str, Array] = DATA) -> Array:
+    """By our own parser, as it runs with every packet; flat."""
+    value = value_of(text)
+    affine: Affine = value.compile(value.offset.size)
+    by_origin = {origin: data[name].ravel() for name, origin in ORIGINS.items()}
+    with np.errstate(over="ignore", invalid="ignore"):
+        return affine.evaluate(by_origin.__getitem__)
+
+
+class Numpy(ast.NodeTransformer):
+    """Lists are put one after the other; several numbers in brackets pick several rows."""
+
+    def visit_List(self, node: ast.List) -> ast.AST:
+        self.generic_visit(node)
+        return ast.Call(ast.Name("join", ast.Load()), [node], [])
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        node.value = self.visit(node.value)
+        if isinstance(node.slice, ast.Tuple):
+            node.slice = ast.List(node.slice.elts, ast.Load())
+        return node
+
+
+def by_python(text: str, data: dict[str, Array] = DATA) -> Array:
+    """By Python's own parser and numpy; flat."""
+    tree = Numpy().visit(ast.parse(text.replace("my-udp", "my_udp").strip(), mode="eval"))
+    spaces: dict[str, dict[str, Array]] = {}
+    for name, array in data.items():
+        source, event = name.replace("-", "_").split(".")
+        spaces.setdefault(source, {})[event] = array
+    names = {source: SimpleNamespace(**events) for source, events in spaces.items()}
+    names |= {name: unit[0] for name, unit in UNITS.items()}
+    names["join"] = lambda parts: np.concatenate([np.ravel(part) for part in parts])
+    code = compile(ast.fix_missing_locations(tree), "route", "eval")
+    with np.errstate(all="ignore"):
+        return np.ravel(np.asarray(eval(code, {"__builtins__": {}}, names), np.float64))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "udp.values0",
+        " udp.values0 ",
+        "udp.values0[1:3]",
+        "udp.values0[:-1]",
+        "udp.values0[::-1]",
+        "udp.values0[3:0:-2]",
+        "udp.values0[2,0,0,-1]",
+        "udp.values0[2,]",
+        "udp.values0[ -1 ]",
+        "udp.vectors0[1]",
+        "udp.vectors0[1][2]",
+        "udp.vectors0[1,0]",
+        "udp.vectors0[::-1][0][1:]",
+        "udp.vectors0 - [1, 2, 3]",
+        "-udp.values0",
+        "- - + -udp.values0",
+        "2 - -udp.values0",
+        "0.001 * udp.values0",
+        "1e-3*udp.values0",
+        "udp.values0 * deg",
+        "udp.values0 * mm / s",
+        "udp.values0 / 2 / 4",
+        "udp.values0 - my-udp.values0 - 1",
+        "udp.values0 - (my-udp.values0 - 1)",
+        "2 + 3 * udp.values0 * 4 - 5",
+        "udp.values0 + [0, 0, 0.1, 0]",
+        "[1, -1, 1, -1] * udp.values0",
+        "udp.values0 / [1, 2, 3, 4]",
+        "[udp.values0[0:2], my-udp.values0[2:4]]",
+        "[udp.values0[3], 2 * udp.values0[0], 7, -.5]",
+        "[udp.vectors0, udp.values0, udp.values0[0]]",
+        "[[1, 2], [3, udp.values1]]",
+        "(udp.values0 + my-udp.values0)[1:3] * 2",
+        "udp.values0 - udp.values0[1]",
+        "udp.values0 + udp.values1",
+        "udp.values1 * [1, 2, 3]",
+        "[1, 2, 3][1]",
+        "90 * deg",
+        "0 * udp.values0",
+        "udp.values0 - udp.values0",
+        "3 * kN * m / (2 * Nm)",
+    ],
+)
+def test_an_expression_means_what_it_means_to_numpy(text: str) -> None:
+    np.testing.assert_allclose(computed(text), by_python(text), rtol=1e-13, atol=1e-13)
+
+
+NUMBERS = st.sampled_from(["2", "0.5", "-3", "1e-3", "0", "7.25", "deg", "mm", "(1 - 3)"])
+FACTORS = st.sampled_from(["2", "0.5", "-3", "deg", "[1, -1, 2, 4]", "(2 * cm)", "0"])
+DIVISORS = st.sampled_from(["2", "-4", "[1, 2, -4, 8]", "(1 / 3)"])
+PICKS = st.sampled_from(["[::-1]", "[3,2,0,1]", "[0,0,-1,2]", "[:]", "[0:4]"])
+FOURS = st.recursive(
+    st.sampled_from(["udp.values0", "my-udp.values0", "[1, 2, 3, 4]", "[0, udp.vectors0[1]]"]),
+    lambda four: st.one_of(
+        st.tuples(four, st.sampled_from([" + ", " - "]), four).map("({0[0]}{0[1]}{0[2]})".format),
+        st.tuples(FACTORS, four).map("{0[0]} * {0[1]}".format),
+        st.tuples(four, FACTORS).map("({0[0]}) * {0[1]}".format),
+        st.tuples(four, DIVISORS).map("({0[0]}) / {0[1]}".format),
+        st.tuples(four, PICKS).map("({0[0]}){0[1]}".format),
+        st.tuples(four, four).map("[({0[0]})[2:], ({0[1]})[:2]]".format),
+        st.tuples(four, four).map("({0[0]}) + ({0[1]})[1]".format),
+        four.map("-({})".format),
+    ),
+    max_leaves=8,
+)
+ENTRIES = st.one_of(st.floats(-1e3, 1e3, allow_subnormal=False), st.just(np.nan))
+
+
+@settings(deadline=None, max_examples=200)
+@given(FOURS, arrays(np.float64, 4, elements=ENTRIES), arrays(np.float64, 4, elements=ENTRIES))
+def test_any_expression_means_what_it_means_to_numpy(text: str, one: Array, two: Array) -> None:
+    data = {**DATA, "udp.values0": one, "my-udp.values0": two}
+    plain = text.replace("deg", "0.0174532925199433").replace("mm", "0.001").replace("cm", "0.01")
+    expected = by_python(text, data)
+    # Sums may cancel: what rounding leaves is small beside the largest number on the way.
+    size = 1e3 * 4.0 ** text.count("*") * 2.0 ** text.count("+")
+    np.testing.assert_allclose(computed(plain, data), expected, rtol=1e-9, atol=1e-13 * size)
+
+
+WORDS = ["udp.values0", "my-udp.values0", "udp.vectors0", "udp.matrices0", "deg", "mm", "not"]
+WORDS += [*"+-*/()[],:", "0", "1", "2", "1.5", "1e308", "$", " ", " "]
+
+
+@settings(deadline=None)
+@given(st.lists(st.sampled_from(WORDS), max_size=14).map(" ".join))
+def test_any_words_have_a_meaning_or_are_refused(text: str) -> None:
+    try:
+        value = value_of(text)
+    except RouteError as error:
+        assert 0 <= error.position <= len(text)
+        assert error.text == text
+    else:
+        assert np.isfinite(value.offset).all()
+        value.compile(value.offset.size)
+
+
+@pytest.mark.parametrize(
+    "text", ["udp.values0", "udp.values0[0:4]", "[udp.values0]", "1 * udp.values0"]
+)
+def test_what_changes_nothing_is_a_copy(text: str) -> None:
+    assert value_of(text).compile(4).whole == ORIGINS["udp.values0"]
+
+
+@pytest.mark.parametrize("text", ["udp.values0[::-1]", "udp.values0[0:3]", "-udp.values0"])
+def test_what_changes_something_is_none(text: str) -> None:
+    value = value_of(text)
+    assert value.compile(value.offset.size).whole is None
+
+
+def test_pieces_of_one_event_are_one_term() -> None:
+    affine = value_of("[udp.values0[3], 0, -udp.values0[1], udp.values0[0], 1]").compile(5)
+    (term,) = affine.terms
+    assert term.take.tolist() == [3, 1, 0]
+    assert term.times is not None and term.times.tolist() == [1.0, -1.0, 1.0]
+    assert affine.offset.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_what_comes_bit_for_bit_stays_so() -> None:
+    bits = np.array([-0.0, 5e-324, 0.1, np.nan])
+    found = computed("udp.values0[3,2,1,0]", {**DATA, "udp.values0": bits})
+    assert found.tobytes() == bits[::-1].tobytes()
+
+
+def test_infinity_minus_infinity_is_quiet() -> None:
+    huge = {**DATA, "udp.values0": np.full(4, 1e300)}
+    assert np.isnan(computed("udp.values0 * 1e10 - udp.values0 * 1e10", huge)).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "character 1: found the end, expected an event such as udp.values0, a number, ( or ["),
+        ("udp.values0 +", "character 14: found the end, expected an event such as"),
+        ("udp.values0 * )", "character 15: found ')', expected an event such as"),
+        ("udp.values0 )", "character 13: found ')', expected +, -, * or / between spaces, or the"),
+        ("90 deg", "character 4: found 'deg', expected +, -, * or / between spaces before it"),
+        ("(udp.values0", "character 13: found the end, expected +, -, * or / between spaces, or )"),
+        ("[1, 2", "character 6: found the end, expected , or ]"),
+        ("[1, 2)", "character 6: found ')', expected , or ]"),
+        ("[]", "character 2: found ']', expected an event such as"),
+        ("1 $ 2", "character 3: found '$', expected +, -, * or / between spaces, or the end"),
+        ("not not 1", "character 5: found 'not', expected an event such as udp.values0, a number, "
+         "( or [; 'not' only stands in front of all"),
+        ("1e999", "character 1: found '1e999', expected a smaller number"),
+        ("1e308 * 1e308", "character 1: found '1e308 * 1e308', expected finite numbers"),
+        ("(" * 41 + "1", "character 41: found '(', expected at most 40 brackets within each other"),
+        ("udp.values0[4]", "character 13: found '4', expected 0 to 3, or -1 to -4 from the end: "
+         "udp.values0 has 4 values"),
+        ("udp.values0[0,-5]", "character 15: found '-5', expected 0 to 3, or"),
+        ("udp.values0[0:5]", "character 15: found '5', expected 0 to 4, or -1 to -4 from the end"),
+        ("udp.vectors0[2]", "character 14: found '2', expected 0 to 1, or -1 to -2 from the end: "
+         "udp.vectors0 has 2 rows"),
+        ("udp.vectors0[0][3]", "character 17: found '3', expected 0 to 2, or"),
+        ("udp.values0[2:2]", "character 12: found '[', expected a slice with something in it"),
+        ("udp.values0[::0]", "character 15: found '0', expected a step other than 0"),
+        ("udp.values0[]", "character 13: found ']', expected a whole number or a slice such as"),
+        ("udp.values0[1.5]", "character 13: found '1.5', expected a whole number"),
+        ("udp.values0[0;2]", "character 14: found ';', expected : , or ]"),
+        ("udp.values0[0,x]", "character 15: found 'x', expected a whole number"),
+        ("udp.values0[0][0]", "character 15: found '[', expected none: udp.values0[0] is a single"),
+        ("udp.values0 + [1, 2]", "character 13: found '+', expected as many on both sides; there "
+         "are 4 values and 2 values"),
+        ("udp.values0 - udp.vectors0", "there are 4 values and 2 x 3 values"),
+        ("udp.values0 * my-udp.values0", "character 13: found '*', expected a constant on one "
+         "side: a route adds multiples of what is received"),
+        ("2 / udp.values0", "character 3: found '/', expected a constant behind it"),
+        ("udp.values0 / [1, 0, 1, 1]", "character 13: found '/', expected no 0 behind it"),
+        ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected one unit on both sides; "
+         "there are an angle (rad) and a length (m)"),
+        ("[1 * deg, 2 * mm] - [1 * deg, 2 * N]", "there are a length (m) and a force (N)"),
+        ("udp.matrices0 * 2", "character 15: found '*', expected no frames beside it: these only"),
+        ("-udp.matrices0", "character 1: found '-', expected no frames beside it"),
+        ("[udp.matrices0]", "character 1: found '[', expected no frames beside it"),
+        ("udp.matrices0[0][1]", "character 17: found '[', expected none: udp.matrices0[0] is a "
+         "frame and goes whole"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_pointed_at(text: str, message: str) -> None:
+    with pytest.raises(RouteError) as caught:
+        value_of(text)
+    assert str(caught.value).startswith(f"'{text}', character ")
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension"),
+    [
+        ("udp.values0", (0, 0, 0, 0)),
+        ("udp.values0 * deg", (0, 0, 0, 1)),
+        ("2 * udp.values0 / s * mm", (1, 0, -1, 0)),
+        ("udp.values0 + 3 * deg", (0, 0, 0, 1)),
+        ("3 * deg - udp.values0", (0, 0, 0, 1)),
+        ("udp.values0 * N * m", (2, 1, -2, 0)),
+        ("udp.values0 * Nm", (2, 1, -2, 0)),
+        ("udp.values0 * deg * (5 * Nm / rad)", (2, 1, -2, 0)),
+        ("(udp.values0 * deg) / deg", (0, 0, 0, 0)),
+        ("-(udp.values0 * kg)[1:]", (0, 1, 0, 0)),
+        ("rpm", (0, 0, -1, 1)),
+    ],
+)
+def test_units_are_multiplied(text: str, dimension: tuple[int, ...]) -> None:
+    value = value_of(text)
+    assert (value.dimensions == dimension).all()
+    assert value.dimensions.shape == (*value.shape, 4)
+
+
+def test_every_entry_has_its_own_unit() -> None:
+    value = value_of("[udp.values0[0] * deg, 3 * mm, 1] * [1, N, 2]")
+    assert value.dimensions.tolist() == [[0, 0, 0, 1], [2, 1, -2, 0], [0, 0, 0, 0]]

@@ -1,0 +1,76 @@
+"""What a mirror hands to the user's own code, and how one waits for it."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+
+import pytest
+from polling import until
+
+from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
+from sero_mj.receive.source import Packets
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_all_packets_that_are_applied_are_handed_on(lwr: SerialRobot, lossless: bool) -> None:
+    source = UdpReceiver(structure="7F", only_latest_packet=not lossless)
+    scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
+    heard: list[tuple[str, Packets]] = []
+    with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        mirror.listen(lambda name, packets: heard.append((name, packets)))
+        assert not mirror.wait_next(0.0)
+        for k in range(5):
+            sock.sendto(struct.pack("<7d", *[k / 10] * 7), ("127.0.0.1", source.port))
+        assert until(lambda: source.counters.received == 5)
+        assert mirror.wait_next(1.0)
+        assert mirror.advance()
+        assert not mirror.advance()
+        ((name, packets),) = heard
+        assert name == "udp"
+        first = packets.values["values0"][:, 0].tolist()
+        assert first == ([0.0, 0.1, 0.2, 0.3, 0.4] if lossless else [0.4])
+        assert mirror.data.qpos.tolist() == [0.4] * 7
+        mirror.reset()
+        assert mirror.data.qpos.tolist() == lwr.home.tolist()
+        assert mirror.advance()  # what was last, once more; but nothing new came
+        assert mirror.data.qpos.tolist() == [0.4] * 7
+        assert len(heard) == 1
+
+
+def test_waiting_ends_when_a_packet_comes(lwr: SerialRobot) -> None:
+    source = UdpReceiver(structure="7F")
+    scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
+    with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        came: list[bool] = []
+        waiting = threading.Thread(target=lambda: came.append(mirror.wait_next(20.0)))
+        waiting.start()
+        sock.sendto(bytes(56), ("127.0.0.1", source.port))
+        waiting.join(10.0)
+        assert came == [True]
+        assert not mirror.wait_next(0.0)  # only what came since
+
+
+def test_a_switch_follows_whether_packets_come(lwr: SerialRobot) -> None:
+    source = UdpReceiver(structure="7F")
+    routes = {
+        "lwr.joint_angles": "udp.values0",
+        "lwr.show_axes": "udp.receiving",
+        "toggles.legend": "not udp.receiving",
+        "lwr.show_billboards": "udp.receive_trigger",
+    }
+    scene = Scene(robots=[lwr], sources={"udp": source}, routes=routes)
+    targets = ("lwr.show_axes", "toggles.legend", "lwr.show_billboards")
+
+    def switches() -> list[float]:
+        mirror.advance()
+        return [float(mirror.data.userdata[mirror.world.slots[target]][0]) for target in targets]
+
+    with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        assert switches() == [0.0, 1.0, 0.0]
+        sock.sendto(bytes(56), ("127.0.0.1", source.port))
+        assert source.wait(5.0)
+        assert switches() == [1.0, 0.0, 1.0]
+        assert switches() == [1.0, 0.0, 0.0]  # it receives, but nothing new came
+        assert until(lambda: switches() == [0.0, 1.0, 0.0], seconds=2.0)

@@ -1,0 +1,297 @@
+"""The recorder: packets off several threads, bounded memory, a killed process, a full disk."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from polling import until
+
+from sero_mj.drive.record import Recorder
+from sero_mj.errors import RecordingError, UnknownName
+from sero_mj.receive.recording import Recording
+from sero_mj.receive.structure import Structure
+
+LAYOUT = Structure("2F1V")
+
+
+def packet(i: int) -> bytes:
+    return LAYOUT.encode({"values0": [i, i / 3], "vectors0": [[i, math.nan, -i]]})
+
+
+def begin(path: Path, *names: str, decode: Any = LAYOUT.decode, **more: Any) -> Recorder:
+    recorder = Recorder(path, about={"scene": "s"}, **more)
+    for name in names or ("arm",):
+        recorder.add_source(
+            name,
+            kind="udp",
+            declared={"structure": LAYOUT.text},
+            events=LAYOUT.events,
+            size=LAYOUT.size,
+            decode=decode,
+        )
+    return recorder
+
+
+def packets_in(path: Path, name: str = "arm") -> list[bytes]:
+    with Recording(path) as recording:
+        assert recording.faults == []
+        return [data for _, data in recording.packets(name)]
+
+
+def signals_in(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    with open(path, "rb") as file:
+        for _, _, message in make_reader(file).iter_messages(topics="/arm/signals"):
+            yield message.sequence, json.loads(message.data)
+
+
+@pytest.fixture
+def held() -> Iterator[threading.Event]:
+    """While it is not set, the recorder's thread stands still in its decoder."""
+    event = threading.Event()
+    yield event
+    event.set()
+
+
+def held_decoder(event: threading.Event, entered: threading.Event) -> Any:
+    def decode(data: bytes) -> None:
+        entered.set()
+        event.wait()
+
+    return decode
+
+
+def test_packets_of_several_threads_are_all_there_in_their_order(tmp_path: Path) -> None:
+    path, names = tmp_path / "a.mcap", ("one", "two", "three")
+
+    def send(name: str) -> None:
+        for i in range(0, 500, 5):
+            now = time.monotonic()
+            assert recorder.take(name, [packet(i + k) for k in range(5)], [now] * 5)
+
+    with begin(path, *names) as recorder:
+        recorder.attach("scene.toml", "application/toml", b"x")
+        threads = [threading.Thread(target=send, args=[name]) for name in names]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    for name in names:
+        assert packets_in(path, name) == [packet(i) for i in range(500)]
+    statistics = recorder.statistics
+    assert (statistics.packets, statistics.bytes) == (1500, 1500 * LAYOUT.size)
+    assert statistics.not_recorded == dict.fromkeys(names, 0)
+    assert statistics.file_size == path.stat().st_size
+    assert 0.0 < statistics.seconds < 60.0
+    assert recorder.error is None
+
+
+def test_rows_are_copied_and_as_long_as_they_say(tmp_path: Path) -> None:
+    rows = np.arange(40, dtype=np.uint8).reshape(4, 10)
+    lengths = np.array([10, 3, 0, 99])
+    with begin(tmp_path / "a.mcap") as recorder:
+        recorder.take("arm", rows[:4], np.full(4, time.monotonic()), lengths)
+        rows[:] = 255
+        recorder.take("arm", rows[:1], [time.monotonic()])
+        recorder.take("arm", rows[:0], [])
+    assert packets_in(tmp_path / "a.mcap") == [
+        bytes(range(10)),
+        bytes([10, 11, 12]),
+        b"",
+        bytes(range(30, 40)),
+        b"\xff" * 10,
+    ]
+
+
+def test_what_packets_mean_is_there_for_the_good_ones(tmp_path: Path) -> None:
+    now = time.monotonic()
+    with begin(tmp_path / "a.mcap") as recorder:
+        recorder.take("arm", [packet(3), b"short", packet(6)], [now, now, now])
+    assert list(signals_in(tmp_path / "a.mcap")) == [
+        (0, {"values0": [3.0, 1.0], "vectors0": [{"x": 3.0, "y": None, "z": -3.0}]}),
+        (2, {"values0": [6.0, 2.0], "vectors0": [{"x": 6.0, "y": None, "z": -6.0}]}),
+    ]
+    assert recorder.statistics.signals == 2
+    assert len(packets_in(tmp_path / "a.mcap")) == 3
+
+
+@pytest.mark.parametrize(("rate", "batch"), [(1000.0, 1), (1000.0, 40), (100.0, 1), (50.0, 20)])
+def test_signals_are_thinned_to_their_rate_and_packets_are_not(
+    tmp_path: Path, rate: float, batch: int
+) -> None:
+    now = time.monotonic()
+    with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
+        for i in range(0, 2000, batch):  # two seconds at 1 kHz, which come in batches
+            recorder.take("arm", [packet(i)] * batch, [now + i / 1000] * batch)
+    statistics = recorder.statistics
+    assert statistics.packets == 2000
+    assert 0.9 * 2.0 * rate <= statistics.signals <= 2.1 * rate + 1
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(0.0, 0), (math.inf, 200)])
+def test_no_signals_or_all_of_them(tmp_path: Path, rate: float, expected: int) -> None:
+    with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
+        recorder.take("arm", [packet(0)] * 200, [time.monotonic()] * 200)
+    assert recorder.statistics.signals == expected
+
+
+def test_a_full_queue_counts_and_tells_what_it_does_not_take(
+    tmp_path: Path, held: threading.Event
+) -> None:
+    entered = threading.Event()
+    recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered), queue_bytes=20_000)
+    try:
+        recorder.take("arm", [b"first"], [time.monotonic()])
+        assert entered.wait(5.0)
+        taken = [recorder.take("arm", [bytes(1000)] * 2, [time.monotonic()] * 2) for _ in range(50)]
+        assert taken == [True] * sum(taken) + [False] * (50 - sum(taken))
+        assert 7 <= sum(taken) <= 10  # 20 kB, in batches of two times 1,064 bytes
+        lost = 2 * (50 - sum(taken))
+        assert recorder.statistics.not_recorded == {"arm": lost}
+    finally:
+        held.set()
+        recorder.close()
+    assert recorder.statistics.packets == 1 + 2 * sum(taken)
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert recording.lost == {"arm": lost}
+        assert recording.faults == [f"{lost} packets of source 'arm' could not be kept"]
+    assert not recorder.take("arm", [b"late"], [time.monotonic()])
+    assert recorder.statistics.not_recorded == {"arm": lost + 1}
+
+
+def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event) -> None:
+    entered = threading.Event()
+    recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered))
+    recorder.take("arm", [b"first"], [time.monotonic()])
+    assert entered.wait(5.0)
+    # It would wait for ever if it did: the thread that writes stands still.
+    assert recorder.take("arm", [b"second"], [time.monotonic()])
+    assert recorder.statistics.packets == 1
+    held.set()
+    recorder.close()
+    assert packets_in(tmp_path / "a.mcap") == [b"first", b"second"]
+
+
+def test_wrong_use_is_told(tmp_path: Path) -> None:
+    with begin(tmp_path / "a.mcap") as recorder:
+        with pytest.raises(UnknownName, match=r"no source 'arn'; did you mean 'arm'\?"):
+            recorder.take("arn", [b""], [0.0])
+        with pytest.raises(ValueError, match="found 2 arrivals and no lengths for 1 packets"):
+            recorder.take("arm", [b""], [0.0, 1.0])
+    with pytest.raises(RecordingError, match="exists already"):
+        begin(tmp_path / "a.mcap")
+
+
+def test_an_error_of_the_decoder_ends_the_recording_and_is_raised(tmp_path: Path) -> None:
+    def decode(data: bytes) -> None:
+        if data == b"bad":
+            raise ZeroDivisionError("in the decoder")
+
+    recorder = begin(tmp_path / "a.mcap", decode=decode)
+    now = time.monotonic()
+    recorder.take("arm", [b"good", b"bad", b"after"], [now, now, now])
+    assert until(lambda: recorder.error is not None)
+    assert not recorder.take("arm", [b"late"], [now])
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError, match="in the decoder"):
+            recorder.close()
+    assert recorder.statistics.not_recorded == {"arm": 2}
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert [data for _, data in recording.packets("arm")] == [b"good", b"bad"]
+
+
+CHILD = """
+import sys, time
+from pathlib import Path
+from test_recorder import begin, packet, Recording, until
+path = Path(sys.argv[1])
+recorder = begin(path)
+taken = time.monotonic()
+recorder.take("arm", [packet(i) for i in range(1000)], [taken] * 1000)
+def count():
+    with Recording(path) as recording:
+        return recording.sources["arm"].count if recording.sources else 0
+assert until(lambda: count() == 1000, 20.0)
+print(time.monotonic() - taken, flush=True)
+while True:
+    recorder.take("arm", [packet(i) for i in range(100)], [time.monotonic()] * 100)
+    time.sleep(0.001)
+"""
+
+
+def test_a_killed_process_leaves_a_file_that_all_can_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(path)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parent,
+    )
+    with child:
+        assert child.stdout is not None
+        line = child.stdout.readline()
+        child.kill()
+    assert child.returncode == -signal.SIGKILL
+    # 0.4 s until it is written, and what a busy machine adds.
+    assert 0.3 < float(line) < 5.0
+    expected = [packet(i) for i in range(1000)]
+    with Recording(path) as recording:
+        found = [data for _, data in recording.packets("arm")]
+        assert found[:1000] == expected
+        (fault,) = recording.faults
+    if "cut off" in fault:
+        return  # it was killed in the midst of a write: then there is half a chunk at the end
+    with open(path, "rb") as file:
+        messages = make_reader(file, validate_crcs=True).iter_messages("/arm/raw")
+        assert [message.data for _, _, message in messages] == found
+
+
+FULL = """
+import resource, sys, time
+from pathlib import Path
+from test_recorder import begin, packet, until
+recorder = begin(Path(sys.argv[1]))
+hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))  # Python ignores SIGXFSZ
+while recorder.error is None:
+    recorder.take("arm", [packet(i) for i in range(100)], [time.monotonic()] * 100)
+try:
+    recorder.close()
+except OSError as error:
+    print(error is recorder.error, type(error).__name__, error)
+assert not recorder.take("arm", [packet(0)], [time.monotonic()])
+assert recorder.statistics.not_recorded["arm"] > 0
+assert recorder.statistics.file_size == Path(sys.argv[1]).stat().st_size
+"""
+
+
+def test_a_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(path)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=Path(__file__).parent,
+    )
+    assert done.returncode == 0, done.stderr
+    start = f"True RecordingError {path}: the file has reached the largest size that the system"
+    assert done.stdout.startswith(start)
+    assert path.stat().st_size <= 100_000
+    with open(path, "rb") as file:
+        found = list(make_reader(file, validate_crcs=True).iter_messages())
+    assert f" {len(found)} messages over " in done.stdout or "nothing is kept" in done.stdout
+    with Recording(path) as recording:
+        assert recording.sources["arm"].size == LAYOUT.size

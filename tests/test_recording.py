@@ -1,0 +1,193 @@
+"""A recording: what goes in comes out, for us and for the mcap library."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from recordings import DECLARED, EVENTS, begin, record
+
+from sero_mj.errors import UnknownName
+from sero_mj.receive.recording import Recording
+from sero_mj.receive.recording_format import Clock
+from sero_mj.receive.recording_writer import RecordingWriter
+
+
+def test_what_goes_in_comes_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = begin(path, "arm", "hand")
+    writer.attach("scene.toml", "application/toml", b"[robots.arm]\n")
+    start = writer.clock.monotonic_ns / 1e9
+    writer.write_raw("arm", b"one", start + 0.25)
+    writer.write_raw("hand", b"", start + 0.3)
+    writer.write_raw("arm", b"two", start + 0.5)
+    writer.close()
+    writer.close()
+    with Recording(path) as recording:
+        assert recording.faults == []
+        assert recording.about == {"scene": "two arms"}
+        assert recording.attachments == ("scene.toml",)
+        assert recording.read_attachment("scene.toml") == b"[robots.arm]\n"
+        assert abs(recording.start.timestamp() - time.time()) < 60.0
+        assert recording.duration == pytest.approx(0.5, abs=1e-6)
+        arm = recording.sources["arm"]
+        assert (arm.name, arm.kind, arm.declared, arm.events) == ("arm", "udp", DECLARED, EVENTS)
+        assert (arm.size, arm.count) == (168, 2)
+        assert (arm.first, arm.last) == pytest.approx((0.25, 0.5), abs=1e-6)
+        assert [data for _, data in recording.packets("arm")] == [b"one", b"two"]
+        assert [data for _, data in recording.packets("hand")] == [b""]
+        with pytest.raises(UnknownName, match=r"no source 'arn'; did you mean 'arm'\?"):
+            next(recording.packets("arn"))
+        with pytest.raises(UnknownName, match=r"no file in the recording 'robot\.toml'"):
+            recording.read_attachment("robot.toml")
+
+
+def test_a_source_without_packets_is_there(tmp_path: Path) -> None:
+    record(tmp_path / "a.mcap", [])
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert recording.sources["arm"].count == 0
+        assert math.isnan(recording.sources["arm"].first)
+        assert recording.duration == 0.0
+        assert list(recording.packets("arm")) == []
+        assert recording.last_before("arm", 1.0) is None
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    packets=st.lists(
+        st.tuples(st.sampled_from(["a", "b"]), st.binary(max_size=60), st.floats(-5.0, 1e5)),
+        max_size=60,
+    ),
+    chunk_bytes=st.sampled_from([1, 200, 1 << 20]),
+)
+def test_any_packets_at_any_times_come_out_as_they_came(
+    tmp_path_factory: pytest.TempPathFactory,
+    packets: list[tuple[str, bytes, float]],
+    chunk_bytes: int,
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "a.mcap"
+    writer = begin(path, "a", "b", chunk_bytes=chunk_bytes)
+    start = writer.clock.monotonic_ns / 1e9
+    for name, packet, t in packets:
+        writer.write_raw(name, packet, start + t)
+    writer.close()
+    with Recording(path) as recording:
+        check_packets(recording, packets)
+
+
+def check_packets(recording: Recording, packets: list[tuple[str, bytes, float]]) -> None:
+    for name in ("a", "b"):
+        came = [(packet, t) for source, packet, t in packets if source == name]
+        found = list(recording.packets(name))
+        assert [packet for _, packet in found] == [packet for packet, _ in came]
+        assert [t for t, _ in found] == pytest.approx([t for _, t in came], abs=1e-6)
+        assert recording.sources[name].count == len(came)
+        times = [t for t, _ in found]
+        for at in [*times, -10.0, 1e6]:
+            newest = max((t for t in times if t <= at), default=None)
+            expected = None if newest is None else [f for f in found if f[0] == newest][-1]
+            assert recording.last_before(name, at) == expected
+            assert list(recording.packets(name, at)) == [f for f in found if f[0] >= at]
+            assert list(recording.packets(name, stop=at)) == [f for f in found if f[0] < at]
+
+
+def test_times_are_exact_to_the_nanosecond() -> None:
+    clock = Clock(epoch_ns=1_700_000_000_123_456_789, monotonic_ns=5_000_000_001)
+    assert clock.log_time(5.000000001) == clock.epoch_ns
+    assert clock.log_time(5.000000002) == clock.epoch_ns + 1
+    assert Clock.from_metadata(clock.to_metadata()) == clock
+    for arrival in (math.nan, math.inf):
+        with pytest.raises(ValueError, match=r"expected seconds on time\.monotonic"):
+            clock.log_time(arrival)
+    with pytest.raises(ValueError, match="before 1970"):
+        clock.log_time(-1e10)
+
+
+def test_the_mcap_library_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = begin(path, "arm", chunk_bytes=2000)
+    start = writer.clock.monotonic_ns / 1e9
+    frame = np.eye(4)
+    frame[:3, 3] = 1.0, 2.0, 3.0
+    values = {
+        "values0": np.array([0.1, math.nan]),
+        "vectors0": np.array([[1.0, -2.0, math.inf]]),
+        "matrices0": frame[None],
+    }
+    for i in range(100):
+        writer.write_raw("arm", b"%d" % i, start + i)
+        writer.write_signals("arm", values, start + i)
+    writer.attach("scene.toml", "application/toml", b"x")
+    writer.close()
+    with open(path, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None and summary.statistics is not None
+        assert summary.statistics.message_count == 200
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 3
+        assert sorted(c.topic for c in summary.channels.values()) == ["/arm/raw", "/arm/signals"]
+        assert [m.name for m in reader.iter_metadata()] == ["sero-mj", "about"]
+        assert [a.data for a in reader.iter_attachments()] == [b"x"]
+        raw = [message for _, _, message in reader.iter_messages(topics="/arm/raw")]
+        assert [message.data for message in raw] == [b"%d" % i for i in range(100)]
+        assert [message.sequence for message in raw] == list(range(100))
+        assert raw[0].log_time == raw[0].publish_time == writer.clock.epoch_ns
+        schema, channel, message = next(iter(reader.iter_messages(topics="/arm/signals")))
+    assert schema is not None and schema.encoding == "jsonschema"
+    assert channel.message_encoding == "json"
+    assert json.loads(message.data) == {
+        "values0": [0.1, None],
+        "vectors0": [{"x": 1.0, "y": -2.0, "z": None}],
+        "matrices0": [
+            {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+        ],
+    }
+    properties = json.loads(schema.data)["properties"]
+    assert list(properties) == list(EVENTS)
+    assert properties["values0"] == {"type": "array", "items": {"type": "number"}}
+    # Foxglove refuses arrays of arrays.
+    assert all(p["items"]["type"] in ("number", "object") for p in properties.values())
+
+
+def test_a_chunk_is_due_after_less_than_half_a_second(tmp_path: Path) -> None:
+    with begin(tmp_path / "a.mcap", "arm") as writer:
+        assert writer.flush_if_old() == math.inf
+        writer.write_raw("arm", b"x", time.monotonic())
+        assert 0.0 < writer.flush_if_old() <= 0.4
+    with RecordingWriter(tmp_path / "b.mcap", about={}, flush_after=0.0) as hasty:
+        hasty.add_source("arm", kind="udp", declared={}, events={}, size=1)
+        hasty.write_raw("arm", b"x", time.monotonic())
+        assert hasty.flush_if_old() == math.inf
+        with Recording(tmp_path / "b.mcap") as recording:  # while it is written
+            assert recording.sources["arm"].count == 1
+
+
+def test_starting_late_in_a_long_recording_reads_little_of_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    packets = [np.random.default_rng(i).bytes(500) for i in range(4000)]
+    expected = record(path, packets, chunk_bytes=10_000)
+    read: list[int] = []
+    with Recording(path) as recording:
+        file = recording._file
+
+        class Counting:
+            def seek(self, at: int) -> int:
+                return file.seek(at)
+
+            def read(self, count: int) -> bytes:
+                read.append(count)
+                return file.read(count)
+
+        recording._file = Counting()  # type: ignore[assignment]
+        late = expected[3900][0]
+        assert next(recording.packets("arm", late)) == expected[3900]
+        assert recording.last_before("arm", late + 0.01) == expected[3900]
+        recording._file = file
+    assert 0 < sum(read) < path.stat().st_size / 50

@@ -1,0 +1,219 @@
+"""A recording that is cut off, damaged, or of another program, and a disk that is full."""
+
+from __future__ import annotations
+
+import random
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from recordings import begin, numbered, record
+
+from sero_mj.errors import RecordingError, UnknownName
+from sero_mj.receive.recording import Recording
+from sero_mj.receive.recording_writer import RecordingWriter
+
+
+def test_what_is_not_closed_is_a_whole_file_without_an_index(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    expected = record(path, numbered(50), chunk_bytes=400, close=False)
+    with Recording(path) as recording:
+        assert list(recording.packets("arm")) == expected
+        assert recording.sources["arm"].count == 50
+        assert len(recording.faults) == 1 and "was not closed" in recording.faults[0]
+    with open(path, "rb") as file:
+        assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == 50
+    with open(path, "rb") as file:
+        assert len(list(NonSeekingReader(file).iter_messages())) == 50
+
+
+def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
+    path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
+    expected = record(path, numbered(12), chunk_bytes=150)
+    whole = path.read_bytes()
+    found_sizes = set()
+    for size in range(len(whole)):
+        cut.write_bytes(whole[:size])
+        try:
+            with Recording(cut) as recording:
+                assert recording.faults
+                found = list(recording.packets("arm")) if recording.sources else []
+                assert not recording.sources or recording.sources["arm"].count == len(found)
+        except RecordingError as error:
+            assert str(cut) in str(error)
+            continue
+        assert found == expected[: len(found)]
+        found_sizes.add(len(found))
+    assert len(found_sizes) > 2 and max(found_sizes) == 12
+    # What the library says of a file without its end: everything up to there, then an error.
+    cut.write_bytes(whole[: len(whole) // 2])
+    kinds = []
+    with open(cut, "rb") as file, pytest.raises((McapError, struct.error, ValueError)):
+        for found_record in StreamReader(file).records:
+            kinds.append(type(found_record).__name__)
+    assert "Message" in kinds
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    flips=st.lists(st.tuples(st.floats(0.0, 0.999999), st.integers(1, 255)), min_size=1, max_size=4)
+)
+def test_damage_anywhere_is_told_and_never_invents_a_packet(
+    tmp_path_factory: pytest.TempPathFactory, flips: list[tuple[float, int]]
+) -> None:
+    folder = tmp_path_factory.mktemp("damaged")
+    expected = record(folder / "a.mcap", numbered(12), chunk_bytes=150)
+    whole = bytearray((folder / "a.mcap").read_bytes())
+    for share, flip in flips:
+        whole[int(share * len(whole))] ^= flip
+    (folder / "a.mcap").write_bytes(whole)
+    try:
+        recording = Recording(folder / "a.mcap")
+    except RecordingError:
+        return
+    packets = {packet for _, packet in expected}
+    with recording:
+        for name in recording.sources:
+            assert {packet for _, packet in recording.packets(name)} <= packets
+            recording.last_before(name, 0.5)
+
+
+def test_a_damaged_chunk_loses_only_itself(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    expected = record(path, numbered(60), chunk_bytes=400)
+    with open(path, "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[2]
+    data = bytearray(path.read_bytes())
+    data[chunk.chunk_start_offset + chunk.chunk_length - 20] ^= 0xFF
+    path.write_bytes(data)
+    with Recording(path) as recording:
+        assert recording.faults == []
+        found = list(recording.packets("arm"))
+        lost = [packet for packet in expected if packet not in found]
+        assert found == [packet for packet in expected if packet not in lost]
+        assert 0 < len(lost) < 10
+        list(recording.packets("arm"))
+        (fault,) = recording.faults
+        assert f"the chunk at byte {chunk.chunk_start_offset} is damaged" in fault
+        assert f"from {lost[0][0]:.3f} s to {lost[-1][0]:.3f} s is left out" in fault
+        before = expected[expected.index(lost[0]) - 1]
+        assert recording.last_before("arm", lost[0][0]) == before
+
+
+def foreign(path: Path) -> None:
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/camera/image", "ros1", 0)
+        writer.add_message(channel, 1, b"x", 1)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "is empty; expected a file that sero-mj record wrote"),
+        (b"time,a\n0,1\n", r"is no MCAP file: found b'time,a\\n0' at its beginning; expected"),
+        (b"\x89MCAP0\r\n", "is cut off or damaged at byte 8 .*; expected a file that"),
+    ],
+)
+def test_what_is_no_recording_is_told(tmp_path: Path, content: bytes, expected: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=f"^{path}: {expected}"):
+        Recording(path)
+
+
+def test_a_file_of_another_program_is_told(tmp_path: Path) -> None:
+    foreign(tmp_path / "a.mcap")
+    with pytest.raises(RecordingError, match=r"another program: found the topics /camera/image;"):
+        Recording(tmp_path / "a.mcap")
+    with pytest.raises(RecordingError, match=r"b\.mcap: cannot be read: No such file"):
+        Recording(tmp_path / "b.mcap")
+
+
+def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingError, match=r"a\.mcap: exists already; choose another name"):
+        RecordingWriter(path, about={})
+    assert path.read_bytes() == b"precious"
+    with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
+        RecordingWriter(tmp_path / "no" / "a.mcap", about={})
+    with begin(path, "arm") as writer:
+        with pytest.raises(ValueError, match="source 'arm' is in the recording already"):
+            writer.add_source("arm", kind="udp", declared={}, events={}, size=0)
+        with pytest.raises(UnknownName, match="no source 'leg'"):
+            writer.write_raw("leg", b"", 0.0)
+        with pytest.raises(TypeError, match="not JSON serializable"):
+            writer.add_source("leg", kind="udp", declared={"a": object()}, events={}, size=0)
+
+
+FILL = """
+import random, resource, sys
+from recordings import begin
+from sero_mj.errors import RecordingError
+hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+packets = [random.Random(i).randbytes(100) for i in range(1000)]
+for limit in map(int, sys.argv[3:]):
+    writer = begin(f"{sys.argv[1]}/{limit}.mcap", "arm", chunk_bytes=int(sys.argv[2]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))  # Python ignores SIGXFSZ
+    told = []
+    for i, packet in enumerate(packets):
+        try:
+            writer.write_raw("arm", packet, i / 10)
+        except RecordingError as error:
+            told.append(str(error))
+    writer.close()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    print(len(set(told)), writer.size, told[0])
+"""
+
+
+# A chunk that is larger than the index makes room for it; a smaller one is worth more than that.
+@pytest.mark.parametrize(("chunk_bytes", "always_indexed"), [(4000, True), (200, False)])
+def test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read(
+    tmp_path: Path, chunk_bytes: int, always_indexed: bool
+) -> None:
+    limits = range(12000, 22000, 307)
+    done = subprocess.run(
+        [sys.executable, "-c", FILL, str(tmp_path), str(chunk_bytes), *map(str, limits)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+        cwd=Path(__file__).parent,
+    )
+    indexed = []
+    for limit, line in zip(limits, done.stdout.splitlines(), strict=True):
+        path = tmp_path / f"{limit}.mcap"
+        assert limit - 2 * chunk_bytes - 1000 < path.stat().st_size <= limit
+        with open(path, "rb") as file:
+            messages = list(make_reader(file, validate_crcs=True).iter_messages())
+        packets = [random.Random(i).randbytes(100) for i in range(len(messages))]
+        assert [message.data for _, _, message in messages] == packets != []
+        with Recording(path) as recording:
+            assert [packet for _, packet in recording.packets("arm")] == packets
+            indexed.append(not recording.faults)
+        assert line.startswith(
+            f"1 {path.stat().st_size} {path}: the file has reached the largest size that the "
+            f"system allows; the recording ends here, {len(messages)} messages over "
+        )
+    assert all(indexed) == always_indexed
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_disk_that_was_full_before_is_told() -> None:
+    expected = "/dev/full: no space left on the disk; the recording ends here, nothing is kept"
+    with pytest.raises(RecordingError, match=expected):
+        RecordingWriter("/dev/full", about={}, overwrite=True)

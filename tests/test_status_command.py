@@ -1,0 +1,146 @@
+"""`sero-mj status`: what sources receive, by cause, in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sero_mj.cli import main
+from sero_mj.receive.report import describe, report
+from sero_mj.receive.udp import UdpReceiver
+
+SCENE = """
+[robots.arm]
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.2], [0, 0.3, 0, 0]]
+
+[sources.udp]
+kind = "udp"
+port = {port}
+structure = "number:1I 1H=7 2F 1M"
+sequence = "number"
+
+[routes]
+"arm.joint_angles" = "udp.values0"
+"""
+
+
+def packet(number: int, identity: int = 7, value: float = 0.0, corner: float = 1.0) -> bytes:
+    matrix = np.diag([corner, 1, 1, 1]).ravel()
+    return struct.pack("<IH18d", number, identity, value, 0.0, *matrix)
+
+
+def free_port() -> int:
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Callable[[], tuple[Path, int]]:
+    def write() -> tuple[Path, int]:
+        port = free_port()
+        file = tmp_path / "scene.toml"
+        file.write_text(SCENE.format(port=port))
+        return file, port
+
+    return write
+
+
+def watch(file: Path, *options: str) -> tuple[int, str]:
+    command = [sys.executable, "-m", "sero_mj", "status", str(file), "--duration", "2", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout
+
+
+def while_sending(port: int, work: Callable[[], tuple[int, str]]) -> tuple[int, str]:
+    """Sends good and bad packets again and again until the work is done."""
+    stop = threading.Event()
+
+    def send() -> None:
+        number = 0
+        with socket.socket(type=socket.SOCK_DGRAM) as sock:
+            while not stop.wait(0.01):
+                for data in (
+                    packet(number), packet(number), packet(number + 1, identity=8), b"short",
+                    packet(number + 2, value=float("nan")), packet(number + 3, corner=2.0),
+                ):  # fmt: skip
+                    sock.sendto(data, ("127.0.0.1", port))
+                number += 6  # one is passed over, and the one with the wrong identity is not seen
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        return work()
+    finally:
+        stop.set()
+        sender.join()
+
+
+def test_every_cause_is_told_with_its_number(scene: Callable[[], tuple[Path, int]]) -> None:
+    file, port = scene()
+    status, text = while_sending(port, lambda: watch(file))
+    assert status == 0
+    lines = text.splitlines()
+    assert lines[0] == f"udp: UDP 127.0.0.1:{port}"
+    told = {line[2:17].strip(): line[17:].split() for line in lines[1:]}
+    assert list(told) == [
+        "state", "received", "lost", "duplicates", "wrong_size", "wrong_constant", "not_finite",
+        "not_frames", "last fault",
+    ]  # fmt: skip
+    assert told["state"][0].endswith("/s")
+    rounds = int(told["wrong_size"][0])
+    assert rounds > 10
+    for cause in ("duplicates", "wrong_constant", "not_finite", "not_frames"):
+        assert abs(int(told[cause][0]) - rounds) <= 1, cause
+    assert abs(int(told["lost"][0]) - 3 * rounds) <= 6
+
+
+def test_json_has_the_same(scene: Callable[[], tuple[Path, int]]) -> None:
+    file, port = scene()
+    status, text = while_sending(port, lambda: watch(file, "--json"))
+    (found,) = json.loads(text)
+    assert status == 0
+    assert found["receiving"] is True
+    causes = ("wrong_size", "wrong_constant", "not_finite", "not_frames")
+    assert found["malformed"] == sum(found[cause] for cause in causes)
+    assert found["received"] == found["good"] + found["malformed"] + found["duplicates"]
+
+
+def test_a_silent_source_makes_it_fail(
+    scene: Callable[[], tuple[Path, int]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, _ = scene()
+    with pytest.raises(SystemExit) as caught:
+        main(["status", str(file), "--duration", "0.05"])
+    assert caught.value.code == 1
+    text = " ".join(capsys.readouterr().out.split())
+    assert "state silent no good packet yet received 0 0 of them applied" in text
+
+
+def test_a_scene_without_sources_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["status", "lwr"])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err == "sero-mj: scene 'lwr' has no source to watch\n"
+
+
+def test_a_source_that_has_gone_quiet_is_told() -> None:
+    with UdpReceiver(structure="t:1F", time="t") as receiver:
+        with socket.socket(type=socket.SOCK_DGRAM) as sock:
+            sock.sendto(struct.pack("<d", 1.0), ("127.0.0.1", receiver.port))
+        assert receiver.wait(5.0)
+        found = report(receiver)
+        assert describe(found)[0][1].endswith("/s")
+        assert "0.00 ms behind the fastest" in describe(found)[0][2]
+        quiet = {**found, "receiving": False, "age": 3.21}
+        assert describe(quiet)[0] == ("state", "quiet", "no good packet for 3.2 s")

@@ -1,0 +1,236 @@
+"""`UdpReceiver` where no packet may be lost, and where packets are numbered and stamped."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from polling import until
+
+from sero_mj.errors import DeclarationError
+from sero_mj.receive import receiver as receiver_module
+from sero_mj.receive.udp import UdpReceiver
+
+LINUX = sys.platform == "linux"
+NUMBERED = "number:1H 1F"
+# Another process that sends COUNT numbered packets, as fast as the reader can take them.
+FLOOD = """
+import socket, struct, sys, time
+port, count = map(int, sys.argv[1:])
+sock = socket.socket(type=socket.SOCK_DGRAM)
+for k in range(count):
+    sock.sendto(struct.pack("<Id", k, k / 1000), ("127.0.0.1", port))
+    if k % 50 == 0:
+        time.sleep(5e-4)
+"""
+
+Send = Callable[..., None]
+
+
+@pytest.fixture
+def send() -> Iterator[Send]:
+    """Sends numbered packets whose value is their number."""
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+
+        def numbered(receiver: UdpReceiver, *numbers: int) -> None:
+            for number in numbers:
+                packet = struct.pack("<Hd", number % 65536, number)
+                sock.sendto(packet, ("127.0.0.1", receiver.port))
+
+        yield numbered
+
+
+def numbers_of(receiver: UdpReceiver) -> list[float]:
+    packets = receiver.take()
+    return [] if packets is None else packets.values["values0"][:, 0].tolist()
+
+
+def settled(receiver: UdpReceiver, received: int) -> bool:
+    return until(lambda: receiver.counters.received == received)
+
+
+@pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
+def test_every_packet_is_handed_on_in_order_and_none_is_lost() -> None:
+    count = 30_000
+    receiver = UdpReceiver(
+        structure="number:1I time:1F", only_latest_packet=False, sequence="number", time="time"
+    )
+    taken: list[np.ndarray] = []
+
+    def take_all() -> bool:
+        packets = receiver.take()
+        if packets is not None:
+            assert len(packets) == len(packets.values["number"])
+            assert (np.diff(packets.arrivals) >= 0).all()
+            taken.append(packets.values["number"][:, 0])
+        return sum(map(len, taken)) + receiver.counters.dropped >= count
+
+    with receiver:
+        command = [sys.executable, "-c", FLOOD, str(receiver.port), str(count)]
+        with subprocess.Popen(command) as robot:
+            assert until(take_all, seconds=60.0)
+        assert robot.returncode == 0
+        got = np.concatenate(taken)
+        assert (np.diff(got) > 0).all()
+        assert len(got) == count - receiver.counters.dropped
+        assert receiver.counters.dropped == 0  # with the buffer that it asks for
+        assert receiver.counters.superseded == receiver.counters.lost == 0
+        assert receiver.receive_trigger == count
+
+
+def test_taking_twice_gives_nothing_twice(send: Send) -> None:
+    for lossless, expected in ((True, [1.0, 2.0, 3.0]), (False, [3.0])):
+        with UdpReceiver(structure=NUMBERED, only_latest_packet=not lossless) as receiver:
+            assert receiver.take() is None
+            send(receiver, 1, 2, 3)
+            assert settled(receiver, 3)
+            assert receiver.latest().values["values0"].tolist() == [3.0]  # looking takes nothing
+            assert numbers_of(receiver) == expected
+            assert receiver.take() is None
+            assert receiver.counters.superseded == (0 if lossless else 2)
+            send(receiver, 4)
+            assert settled(receiver, 4)
+            packets = receiver.take()
+            assert packets is not None
+            assert (packets.number, packets.last.number) == (4, 4)
+            assert packets.last.values["values0"].tolist() == [4.0]
+
+
+def test_a_reader_that_does_not_take_holds_the_kernel_up_and_nothing_is_thrown_away(
+    send: Send, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(receiver_module, "QUEUE_BYTES", 100)  # ten packets
+    with UdpReceiver(structure=NUMBERED, only_latest_packet=False) as receiver:
+        got: list[float] = []
+        for k in range(0, 300, 10):
+            send(receiver, *range(k, k + 10))
+            assert until(lambda k=k: receiver.counters.received > min(k, 10))
+        assert until(lambda: bool(got.extend(numbers_of(receiver)) or len(got) == 300))
+        assert got == list(range(300))
+
+
+def test_closing_does_not_wait_for_a_reader_that_does_not_take(
+    send: Send, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(receiver_module, "QUEUE_BYTES", 0)
+    receiver = UdpReceiver(structure=NUMBERED, only_latest_packet=False)
+    receiver.open()
+    send(receiver, 1)
+    assert receiver.wait(5.0)
+    send(receiver, 2)
+    (closing := threading.Thread(target=receiver.close, daemon=True)).start()
+    closing.join(5.0)
+    assert not closing.is_alive()
+
+
+@pytest.mark.parametrize("start", [5, 65_530])  # the second wraps on the way
+def test_loss_late_ones_and_duplicates_are_told_by_number(send: Send, start: int) -> None:
+    with UdpReceiver(structure=NUMBERED, sequence="number", only_latest_packet=False) as receiver:
+        offsets = [0, 1, 2, 5, 6, 4, 6, 7, 20]
+        send(receiver, *(start + offset for offset in offsets))
+        assert settled(receiver, len(offsets))
+        counters = receiver.counters
+        assert (counters.lost, counters.late, counters.duplicates) == (1 + 12, 1, 1)
+        assert counters.restarts == 0
+        # Nothing that the kernel delivered is lost, but what was there already is not new.
+        assert numbers_of(receiver) == [start + k for k in (0, 1, 2, 5, 6, 4, 7, 20)]
+
+
+def test_the_latest_is_the_highest_number_not_the_last_arrival(send: Send) -> None:
+    with UdpReceiver(structure=NUMBERED, sequence="number") as receiver:
+        send(receiver, 1, 2, 5, 4, 3)
+        assert settled(receiver, 5)
+        assert numbers_of(receiver) == [5.0]
+        assert receiver.counters.late == 2
+
+
+@pytest.mark.parametrize("numbers", [(1000, 1001, 0, 1, 2), (10, 11, 0, 1, 2, 3, 4, 5)])
+def test_a_sender_that_begins_anew_is_taken_up_again(send: Send, numbers: tuple[int, ...]) -> None:
+    with UdpReceiver(structure=NUMBERED, sequence="number") as receiver:
+        send(receiver, *numbers)
+        assert settled(receiver, len(numbers))
+        assert receiver.counters.restarts == 1
+        assert numbers_of(receiver) == [numbers[-1]]
+
+
+def test_time_stamps_give_delay_and_jitter_and_tell_a_restart() -> None:
+    receiver = UdpReceiver(structure="t:1Q", time="t", time_scale=1e-6)
+    with receiver, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        for stamp in (10_000_000, 10_000_000, 9_990_000, 10_001_000, 5, 1005):
+            sock.sendto(struct.pack("<Q", stamp), ("127.0.0.1", receiver.port))
+        assert settled(receiver, 6)
+        counters = receiver.counters
+        assert (counters.late, counters.restarts, counters.duplicates) == (1, 1, 0)
+        assert receiver.timing.jitter > 0
+        assert receiver.timing.rate > 0
+        assert receiver.latest().values["t"].tolist() == [1005.0]
+
+
+def test_receiving_says_whether_packets_come(send: Send) -> None:
+    called = threading.Event()
+    with UdpReceiver(structure=NUMBERED) as receiver:
+        receiver.on_receive(called.set)
+        assert not receiver.receiving
+        assert receiver.receive_trigger == 0
+        send(receiver, 1)
+        assert called.wait(5.0)
+        assert receiver.receiving
+        assert receiver.receive_trigger == 1
+        assert until(lambda: not receiver.receiving, seconds=2.0)
+        assert time.monotonic() - receiver.latest().arrival > 0.5
+
+
+@pytest.mark.parametrize(
+    ("level", "expected"),
+    [
+        (0, []),
+        (1, ["a packet is not applied: 1 bytes; expected 10"]),
+        (2, ["listening on", "a packet is not applied: 1 bytes", "3 packets lost"]),
+        (3, ["listening on", "a packet is not applied: 1 bytes", "1 good packets",
+             "3 packets lost", "1 good packets"]),
+    ],
+)  # fmt: skip
+def test_the_debug_level_says_how_much_is_logged(
+    send: Send, caplog: pytest.LogCaptureFixture, level: int, expected: list[str]
+) -> None:
+    caplog.set_level(logging.INFO)
+    with UdpReceiver(structure=NUMBERED, sequence="number", debug_level=level) as receiver:
+        with socket.socket(type=socket.SOCK_DGRAM) as sock:
+            for k in range(3):  # a flood is told once
+                sock.sendto(b"x", ("127.0.0.1", receiver.port))
+                assert settled(receiver, k + 1)
+        send(receiver, 1)
+        assert settled(receiver, 4)
+        send(receiver, 5)
+        assert settled(receiver, 5)
+    told = [text for text in caplog.messages if "0 good" not in text]
+    assert len(told) == len(expected), told
+    for text, part in zip(told, expected, strict=True):
+        assert text.startswith("source 'udp': ") and part in text
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"sequence": "numbr"}, "sequence: no event 'numbr' in the structure; did you mean 'nu"),
+        ({"sequence": "joints"}, "sequence: 'joints' has 7 numbers; expected one, as in joints:1I"),
+        ({"time": "values7"}, "time: no event 'values7' in the structure; available: joints, nu"),
+        ({"alignment": 3}, "alignment: found 3; expected 1, 2, 4 or 8"),
+        ({"scale": 0}, "scale: found 0; expected greater than 0"),
+        ({"debug_level": 4}, "debug_level: found 4; expected less than or equal to 3"),
+        ({"time_scale": -1}, "time_scale: found -1; expected greater than 0"),
+        ({"only_latest": True}, "only_latest: unknown key; did you mean 'only_latest_packet'?"),
+    ],
+)
+def test_what_is_declared_wrongly_is_told(fields: dict[str, object], message: str) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        UdpReceiver(structure="number:1I joints:7F", **fields)
+    assert str(caught.value).startswith(message)

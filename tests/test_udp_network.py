@@ -1,0 +1,181 @@
+"""`UdpReceiver` on networks: groups, IPv6, senders by name; and reading without recvmmsg."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+from polling import until
+
+from sero_mj.errors import DeclarationError, SourceError
+from sero_mj.receive import datagrams
+from sero_mj.receive.datagrams import Datagrams, pack_address, unpack_address
+from sero_mj.receive.udp import UdpReceiver
+
+GROUP, GROUP6 = "239.255.73.1", "ff02::7357"
+
+
+def packet(value: float) -> bytes:
+    return struct.pack("<d", value)
+
+
+def values_of(receiver: UdpReceiver) -> list[float]:
+    return receiver.latest().values["values0"].tolist()
+
+
+@pytest.fixture
+def two() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """Two senders on loopback."""
+    with ExitStack() as stack:
+        socks = [stack.enter_context(socket.socket(type=socket.SOCK_DGRAM)) for _ in range(2)]
+        for sock in socks:
+            sock.bind(("127.0.0.1", 0))
+        yield socks[0], socks[1]
+
+
+def test_only_the_sender_that_is_named_is_heard(two: tuple[socket.socket, socket.socket]) -> None:
+    friend, stranger = two
+    name = f"127.0.0.1:{friend.getsockname()[1]}"
+    with UdpReceiver(structure="1F", sender=name) as receiver:
+        there = ("127.0.0.1", receiver.port)
+        for k in range(5):
+            stranger.sendto(packet(-k), there)
+            friend.sendto(packet(k), there)
+        stranger.sendto(b"nonsense", there)
+        assert until(lambda: receiver.counters.received == 11)
+        counters = receiver.counters
+        assert (counters.foreign, counters.malformed, counters.senders) == (6, 0, 1)
+        assert values_of(receiver) == [4.0]
+        assert receiver.receive_trigger == 5
+
+
+def test_a_sender_is_named_without_its_port_and_several_are_too(
+    two: tuple[socket.socket, socket.socket],
+) -> None:
+    for sender, foreign in ((["127.0.0.1"], 0), (["192.0.2.1"], 2), (["::1", "192.0.2.1"], 2)):
+        with UdpReceiver(structure="1F", sender=sender) as receiver:
+            for sock in two:
+                sock.sendto(packet(1.0), ("127.0.0.1", receiver.port))
+            assert until(lambda receiver=receiver: receiver.counters.received == 2)
+            assert receiver.counters.foreign == foreign
+
+
+def test_ten_senders_at_once_are_counted_and_each_is_followed() -> None:
+    receiver = UdpReceiver(structure="n:1H 1F", sequence="n", only_latest_packet=False)
+    with ExitStack() as stack:
+        stack.enter_context(receiver)
+        socks = [stack.enter_context(socket.socket(type=socket.SOCK_DGRAM)) for _ in range(10)]
+        for k in range(50):
+            for i, sock in enumerate(socks):
+                if (k, i) != (20, 3):  # one that is lost
+                    sock.sendto(struct.pack("<Hd", 1000 * i + k, i), ("127.0.0.1", receiver.port))
+        assert until(lambda: receiver.counters.received == 499)
+        counters = receiver.counters
+        assert (counters.senders, counters.lost) == (10, 1)
+        assert (counters.late, counters.duplicates, counters.restarts) == (0, 0, 0)
+        assert len(receiver.take() or ()) == 499
+
+
+@pytest.mark.parametrize("sender", ["192.168.0", "somebody", "127.0.0.1:x", "127.0.0.1:70000", ""])
+def test_a_sender_that_is_no_address_is_told(sender: str) -> None:
+    UdpReceiver(structure="1F", sender="[::1]:7")
+    with pytest.raises(DeclarationError) as caught:
+        UdpReceiver(structure="1F", sender=sender)
+    assert str(caught.value) == (
+        f"sender: found {sender!r}; expected an address such as 192.168.0.7, 192.168.0.7:1234 or "
+        "[fe80::1]:1234"
+    )
+
+
+def test_a_group_is_joined_and_two_can_listen() -> None:
+    with ExitStack() as stack:
+        first = stack.enter_context(UdpReceiver(structure="1F", host=GROUP, interface="127.0.0.1"))
+        second = UdpReceiver(structure="1F", host=GROUP, interface="127.0.0.1", udpport=first.port)
+        stack.enter_context(second)
+        sock = stack.enter_context(socket.socket(type=socket.SOCK_DGRAM))
+        loopback = socket.inet_aton("127.0.0.1")
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+        sock.sendto(packet(2.5), (GROUP, first.port))
+        for receiver in (first, second):
+            assert receiver.wait(5.0)
+            assert values_of(receiver) == [2.5]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the loopback interface is called lo")
+def test_a_group_is_joined_by_the_name_of_the_interface_over_ipv6_too() -> None:
+    with ExitStack() as stack:
+        sock = stack.enter_context(socket.socket(socket.AF_INET6, socket.SOCK_DGRAM))
+        index = socket.if_nametoindex("lo")
+        sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_IF, index)
+        receiver = UdpReceiver(structure="1F", host=GROUP6, interface="lo")
+        try:
+            stack.enter_context(receiver)
+            sock.sendto(packet(3.5), (GROUP6, receiver.port))
+        except OSError as error:
+            pytest.skip(f"no IPv6 groups on loopback here: {error}")
+        assert receiver.wait(5.0)
+        assert values_of(receiver) == [3.5]
+    with UdpReceiver(structure="1F", host=GROUP, interface="lo") as receiver:
+        assert receiver.port
+
+
+def test_an_interface_that_is_not_there_is_told_with_those_that_are() -> None:
+    receiver = UdpReceiver(structure="1F", host=GROUP, interface="eth77", udpport=32_123)
+    with pytest.raises(SourceError) as caught:
+        receiver.open()
+    text = str(caught.value)
+    assert f"UDP port 32123 on {GROUP}: no network interface 'eth77'; available: " in text
+    assert all(name in text for _, name in socket.if_nameindex())
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "192.168.77.200", "::1", "fe80::1234:5"])
+def test_addresses_are_packed_as_the_kernel_has_them(host: str) -> None:
+    packed = pack_address(host, 54_321)
+    assert len(packed) == 28
+    assert unpack_address(packed) == (host, 54_321)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_both_ways_of_reading_give_the_same(
+    two: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch, at_once: bool
+) -> None:
+    sent = [b"", b"ab", bytes(range(10)), bytes(65_507), b"z"]
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        reader = Datagrams(sock, 8)
+        if not at_once:
+            monkeypatch.setattr(reader, "_recvmmsg", None)
+        elif reader._recvmmsg is None:
+            pytest.skip("no recvmmsg here")
+        assert reader.receive() is None
+        for data in sent:
+            two[0].sendto(data, sock.getsockname())
+        batch = reader.receive()
+        assert batch is not None
+        assert len(batch) == len(sent)
+        for i, data in enumerate(sent):
+            kept = min(len(data), 8)
+            assert batch.rows[i, :kept].tobytes() == data[:kept]
+            length = int(batch.lengths[i])
+            assert length == len(data) if at_once or len(data) <= 8 else length > 8
+            assert unpack_address(batch.senders[i].tobytes()) == two[0].getsockname()
+        assert (batch.arrivals[1:] >= batch.arrivals[:-1]).all()
+
+
+def test_more_than_a_batch_comes_in_several() -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**21)
+        sock.bind(("127.0.0.1", 0))
+        reader = Datagrams(sock, 8)
+        with socket.socket(type=socket.SOCK_DGRAM) as sender:
+            for k in range(datagrams.BATCH + 3):
+                sender.sendto(packet(k), sock.getsockname())
+        lengths = []
+        while (batch := reader.receive()) is not None:
+            lengths.append(len(batch))
+        assert sum(lengths) == datagrams.BATCH + 3
+        assert max(lengths) <= datagrams.BATCH
