@@ -19,6 +19,7 @@ from sero_mj.decor.status import Status
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.receive.fri import COMMAND, FriReceiver, no_command
+from sero_mj.receive.recording_writer import RecordingWriter
 from sero_mj.receive.structure import Structure
 
 
@@ -152,3 +153,24 @@ def corner(mirror: Mirror) -> list[str]:
     """What the panel in the upper left corner says."""
     panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
     return [] if panels is None else [text.decode() for text in panels.texts[0]]
+
+
+def test_a_recording_of_fri_is_decoded_as_fri(tmp_path: Path) -> None:
+    packets = [
+        measurement(65_535, quality=1, tcp_moment=[3, 2, 1], commanded_before_fri=0.1),
+        measurement(0, quality=1, tcp_moment=[3, 2, 1], commanded_before_fri=math.nan),
+    ]
+    events = {name: tuple(shape) for name, shape in FriReceiver().events.items()}
+    with RecordingWriter(tmp_path / "run.mcap", about={}) as writer:
+        writer.add_source("fri", kind="fri", declared={}, events=events, size=916)
+        for k, packet in enumerate(packets):
+            writer.write_raw("fri", packet, writer.clock.monotonic_ns / 1e9 + 0.01 * k)
+    scene = load_scene("lwr_fri")
+    scene.sources["fri"] = {"kind": "replay", "file": str(tmp_path / "run.mcap")}
+    with Mirror(scene) as mirror:
+        mirror.advance(0.5)
+        assert mirror.sources["fri"].counters.not_finite == 1  # it would move the double
+        assert corner(mirror)[-1] == "fri: quality bad, state monitor"
+        slots, data = mirror.world.slots, mirror.data.userdata
+        assert data[slots["moment.vector"]].tolist() == [1, 2, 3]
+        assert data[slots["commanded.joint_angles"]] == pytest.approx([0.1] * 7)
