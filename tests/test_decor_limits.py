@@ -141,7 +141,7 @@ def test_the_scale_is_stated_beside_two_quantities():
 
 def test_a_hidden_double_does_not_say_that_it_is_stale():
     def never(world, data):
-        data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1, 0, 0, 56, -1, 0)
+        data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1, 0, 0, 56, -1, 0, 0, -1, -1)
 
     scene = Scene(
         robots=[lwr()],

@@ -38,7 +38,7 @@ def two_arms(**fields) -> World:
 
 def with_age(world: World, age: float) -> mujoco.MjData:
     data = world.make_data()
-    data.userdata[world.slots["sources.udp"]] = (5, 0, 0, age, 0, 0, 56, -1, 0)
+    data.userdata[world.slots["sources.udp"]] = (5, 0, 0, age, 0, 0, 56, -1, 0, 0, -1, -1)
     return data
 
 
@@ -185,7 +185,7 @@ def drawn_with(world: World, **ages: float):
     data = world.make_data()
     for name in world.scene.sources:
         slot = world.slots[f"sources.{name}"]
-        data.userdata[slot] = (5, 0, 0, ages.get(name, 0.1), 0, 0, 216, -1, 0)
+        data.userdata[slot] = (5, 0, 0, ages.get(name, 0.1), 0, 0, 216, -1, 0, 0, -1, -1)
     Placer(world).place(data)
     return Decor(world).draw(data, toggles_of(world), view_at(distance=4))
 

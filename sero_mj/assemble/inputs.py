@@ -22,6 +22,9 @@ SOURCE_FIELDS = (
     "size",  # bytes of a right one
     "fault_age",  # s since the last malformed packet, -1 when there was none
     "not_frames",  # of the malformed
+    "wrong_constant",  # of the malformed
+    "state",  # of a robot's controller and of the link to it, numbers as FRI has them; -1 for
+    "quality",  # sources that have none, and before the first packet
 )
 # What a packet may switch; any value above 0.5 is on. `arrow_quantity` is an index.
 OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from textwrap import fill
 
 from .arguments import Commands, add_command, read_scene_or_model
 
+_TIED = "\0"  # a space at which no line is broken
 _EPILOG = """\
 Reads and compiles the scene and opens nothing. Prints every problem at once, with file and line,
 and exits with 2; else prints what the scene holds.
@@ -35,10 +37,13 @@ def run(options: argparse.Namespace) -> int:
         print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}")
     for name, source in wire(scene).sources.items():
         events = ", ".join(
-            f"{event} ({' x '.join(map(str, shape))})" for event, shape in source.events.items()
+            f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)
+            for event, shape in source.events.items()
         )
         about = getattr(source, "about", type(source).__name__)
-        print(f"  source  {name}: {about}, {source.size} bytes: {events}")
+        text = f"{name}: {about}, {source.size} bytes: {events}"
+        lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
+        print(lines.replace(_TIED, " "))
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():

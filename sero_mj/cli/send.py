@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 
 from ..errors import UsageError
+from . import send_fri
 from .arguments import Commands, add_command, not_negative, port, positive, read_scene_or_model
 
 _EPILOG = """\
 examples:
   sero-mj send lwr_udp                        what the scene lwr_udp expects, at 1 kHz
   sero-mj send lwr_udp --rate 200 --duration 10
+  sero-mj send lwr_fri --cycle 2 --loss 0.01  as the controller of a real LWR
   sero-mj send lwr --structure 7F7F --port 32000
   sero-mj send my_scene.toml --host 192.168.0.7
 
@@ -31,7 +33,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--source", metavar="NAME", help="which UDP source of the scene to feed")
     parser.add_argument("--structure", metavar="S", help="packet layout instead of the scene's")
     parser.add_argument(
-        "--rate", type=positive, default=1000.0, metavar="HZ", help="packets/s (default 1000)"
+        "--rate", type=positive, metavar="HZ", help="packets/s (default 1000; FRI: 200)"
     )
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="seconds to send (default: until Ctrl-C)"
@@ -41,6 +43,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--amplitude", type=not_negative, default=1.0, metavar="A", help="0 still to 1 (default)"
     )
+    send_fri.add_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -49,8 +52,9 @@ def run(options: argparse.Namespace) -> int:
     from ..drive.send import send
     from ..receive.structure import Structure
 
-    if options.rate > FASTEST:
-        raise UsageError(f"--rate {options.rate:g}: expected at most {FASTEST:g} packets/s")
+    rate = 1000.0 if options.rate is None else options.rate
+    if rate > FASTEST:
+        raise UsageError(f"--rate {rate:g}: expected at most {FASTEST:g} packets/s")
     if options.structure is not None:
         Structure(options.structure)  # its own error is clearer than what would follow from it
     scene = read_scene_or_model(options.scene)
@@ -61,16 +65,20 @@ def run(options: argparse.Namespace) -> int:
         scene.routes[f"{robot.name}.joint_angles"] = "udp.values0"
         if len(structure.upper().split("F")) > 2:
             scene.routes[f"{robot.name}.torques"] = "udp.values1"
+    controller = send_fri.source_of(scene, options.source)
+    if controller is not None:
+        return send_fri.send(options, scene, controller)
+    send_fri.refuse_options(options)
     packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
     to_port = options.port or packets.source.udpport
     if not to_port:
         raise UsageError(f"source '{packets.source.name}' of the scene has no port; give --port")
     print(
         f"sending {packets.structure.text} ({packets.structure.size} bytes) to "
-        f"{options.host}:{to_port} at {options.rate:g} Hz; Ctrl-C stops",
+        f"{options.host}:{to_port} at {rate:g} Hz; Ctrl-C stops",
         flush=True,
     )
-    report = send(packets.at, options.host, to_port, rate=options.rate, duration=options.duration)
+    report = send(packets.at, options.host, to_port, rate=rate, duration=options.duration)
     print(
         f"sent {report.packets} packets in {report.seconds:.2f} s ({report.rate:.1f} Hz), "
         f"late by {report.jitter_p50 * 1e6:.0f} us (median), {report.jitter_p99 * 1e6:.0f} us (p99)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -10,6 +11,7 @@ import numpy as np
 
 from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.world import World
+from ..receive import fri
 from .panels import Panels, panel_sizes
 from .toggles import Toggles
 from .view import View
@@ -31,9 +33,31 @@ def _complaints(name: str, state: Any) -> list[str]:
             lines.append(f"  {state.last_size:.0f} bytes, expected {state.size:.0f}")
         if state.not_frames:
             lines.append("  a matrix that is no frame")
-        if state.malformed > state.wrong_size + state.not_frames:
+        if state.wrong_constant:
+            lines.append("  another kind of packet: a constant is wrong")
+        if state.malformed > state.wrong_size + state.not_frames + state.wrong_constant:
             lines.append("  NaN or infinity")
     return lines
+
+
+def _controller_complaints(name: str, state: Any, answers: bool) -> list[str]:
+    """What a robot's controller says is not good, now or when it was last heard of."""
+    # Where nothing was received yet, all is 0, which here would mean something.
+    if not state.received or state.quality < 0 or fri.is_good(state.state, state.quality):
+        return []
+    quality = fri.QUALITIES.get(int(state.quality), f"{state.quality:.0f}")
+    of_robot = fri.STATES.get(int(state.state), f"{state.state:.0f}")
+    lines = [f"{name}: quality {quality}, state {of_robot}"]
+    if quality == "unacceptable" and not answers:
+        lines.append("  it gets no answers: answer = false")
+    return lines
+
+
+def _answers(source: Any) -> bool:
+    """Whether a source, or what declares it, answers."""
+    if isinstance(source, Mapping):
+        return bool(source.get("answer", False))
+    return bool(getattr(source, "answer", False))
 
 
 class Status:
@@ -41,7 +65,7 @@ class Status:
 
     def __init__(self, world: World) -> None:
         self._slots = [
-            (name, world.slots[f"sources.{name}"])
+            (name, world.slots[f"sources.{name}"], _answers(world.scene.sources[name]))
             for name in world.scene.sources
             if name in world.scene.sources_of()
         ]
@@ -49,8 +73,9 @@ class Status:
     def panels(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Panels | None:
         """Returns the panel in the upper left corner, or None when there is nothing to say."""
         lines = []
-        for name, slot in self._slots:
-            lines += _complaints(name, SourceState(*data.userdata[slot]))
+        for name, slot, answers in self._slots:
+            state = SourceState(*data.userdata[slot])
+            lines += _complaints(name, state) + _controller_complaints(name, state, answers)
         if not lines or not toggles.status:
             return None
         texts = [line.encode("ascii", "replace")[:99] for line in lines]

@@ -17,7 +17,8 @@ from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
-from ..receive.source import QUIET_AFTER, Packet, Packets, age
+from ..receive.fri import FriLayout
+from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
 from .follow import follow
 from .place import Placer
 from .route import wire
@@ -187,6 +188,8 @@ class Mirror:
                 source.size,
                 clock - counters.last_fault_time if counters.malformed else -1.0,
                 counters.not_frames,
+                counters.wrong_constant,
+                *_state_and_quality(source, packet),
             )
         self._again.clear()
         self._placer.place(data, self._values(fresh))
@@ -210,6 +213,13 @@ class Mirror:
         state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
         mujoco.mj_getState(self.world.model, self.data, state, _STATE)
         return state
+
+
+def _state_and_quality(source: Source, packet: Packet | None) -> tuple[float, float]:
+    """What a robot's controller says of itself and of the link; -1 for what has none."""
+    if packet is None or not isinstance(getattr(source, "layout", None), FriLayout):
+        return -1.0, -1.0
+    return float(packet.values["state"][0]), float(packet.values["quality"][0])
 
 
 def restore(world: World, data: mujoco.MjData, state: NDArray[np.float64]) -> None:

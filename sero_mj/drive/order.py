@@ -8,6 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from ..assemble.inputs import BLANKABLE
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem
+from ..receive.fri import FriLayout
 from .wiring import FrameRoute, Route, Wiring
 
 
@@ -92,4 +93,7 @@ def allow_blanks(wiring: Wiring) -> None:
             for origin in route.value.origins:
                 if origin.is_event and origin.name == name:
                     good[origin.key] = good.get(origin.key, True) and blankable(route)
-        source.allow_nan([e for e, blanks in good.items() if blanks and e in source.events])
+        blank = {e for e, blanks in good.items() if blanks and e in source.events}
+        if isinstance(getattr(source, "layout", None), FriLayout):
+            blank |= source.events.keys() - good.keys()  # the user has not chosen what it sends
+        source.allow_nan(blank)

@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -60,11 +61,7 @@ def send(
     Raises:
         SourceError: the address cannot be resolved.
     """
-    try:
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
+    family, kind, address = resolve(host, port)
     total = None if duration is None else max(round(duration * rate), 1)
     every = max(round(rate / 10), 1)
     late: list[float] = []
@@ -74,7 +71,7 @@ def send(
         try:
             while total is None or sent < total:
                 packet = packet_at(sent / rate)
-                late.append(_wait_until(start + sent / rate))
+                late.append(wait_until(start + sent / rate))
                 try:
                     sock.sendto(packet, address)
                 except OSError:  # nobody listens yet, or the network is away: a robot goes on
@@ -91,7 +88,21 @@ def send(
     return SendReport(sent, seconds, refused, float(p50), float(p99))
 
 
-def _wait_until(when: float) -> float:
+def resolve(host: str, port: int) -> tuple[int, int, Any]:
+    """Family, kind and address for a socket that sends to a host.
+
+    Raises:
+        SourceError: it is not an address.
+    """
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
+    return family, kind, address
+
+
+def wait_until(when: float) -> float:
     """Waits, and returns by how much (s) it was late."""
     left = when - time.perf_counter()
     if left > _SPIN:

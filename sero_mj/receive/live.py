@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from .fri import FriReceiver
 from .receiver import Receiver
 from .udp import UdpReceiver
 
-LIVE: dict[str, type[Receiver]] = {"udp": UdpReceiver}
+LIVE: dict[str, type[Receiver]] = {"udp": UdpReceiver, "fri": FriReceiver}
 
 # The fields that decide what packets mean; those that say where they come from do not matter.
 _DECODING = (

@@ -53,6 +53,7 @@ class SequenceTracker(Track):
             self._last is not None
             and first == self._last + 1
             and last - first == len(numbers) - 1
+            and list(numbers) == list(range(first, last + 1))  # one twice may hide one lost
             and (not self._modulus or last < self._modulus)
         )
 

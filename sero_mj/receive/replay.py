@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -158,6 +158,11 @@ class Replay(Receiver):
     def now(self) -> float:
         """The position: arrivals are counted on the recording's clock."""
         return self._position
+
+    def allow_nan(self, events: Collection[str]) -> None:
+        """Lets NaN and infinity mean `no data` in these events; see `Receiver.allow_nan`."""
+        super().allow_nan(events)
+        self.original.allow_nan(events)  # whose decoder this is
 
     def _new_intake(self, *, follows: bool = True) -> Intake:
         intake = self.original._new_intake(follows=follows)

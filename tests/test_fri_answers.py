@@ -1,0 +1,176 @@
+"""What `FriReceiver` sends back, which is nothing by default, and what the picture says of FRI."""
+
+from __future__ import annotations
+
+import errno
+import math
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from decor_tools import view_at
+from fri_packets import give, measurement
+
+import sero_mj
+from sero_mj.decor.status import Status
+from sero_mj.decor.toggles import Toggles
+from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.receive.fri import COMMAND, FriReceiver, no_command
+from sero_mj.receive.recording_writer import RecordingWriter
+from sero_mj.receive.structure import Structure
+
+
+@pytest.fixture
+def controller() -> Iterator[socket.socket]:
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(5.0)
+        yield sock
+
+
+def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> None:
+    with FriReceiver(udpport=0) as receiver:
+        give(receiver, controller, *(measurement(k, state=2) for k in range(50)), bytes(3))
+        assert receiver.latest() is not None
+        assert receiver.answers == 0
+        controller.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            controller.recv(2000)
+
+
+def test_nothing_but_the_answer_sends() -> None:
+    folder = Path(sero_mj.__file__).parent / "receive"
+    sending = {path.name for path in folder.glob("*.py") if ".sendto(" in path.read_text()}
+    assert sending == {"fri.py"}
+
+
+def test_an_answer_is_a_header_and_zeros(controller: socket.socket) -> None:
+    with FriReceiver(udpport=0, answer=True) as receiver:
+        moving = {"joint_angles": 1.0, "krl_real": 2.0, "krl_int": 3, "krl_bool": 0xFFFF}
+        for k, counter in enumerate((65_534, 65_535, 0, 1), start=1):
+            give(receiver, controller, measurement(counter, state=2, **moving))
+            answer, sender = controller.recvfrom(2000)
+            assert answer == struct.pack("<4H", k, counter, 376, 0x1005) + bytes(368)
+            assert sender == ("127.0.0.1", receiver.port)
+        assert receiver.answers == 4
+    command = Structure(COMMAND)
+    assert command.size == 376
+    offsets = {field.item.name: field.offset for field in command.fields}
+    assert (offsets["command_flags"], offsets["joint_torques"]) == (140, 220)
+    assert command.decode(answer)["command_flags"] == 0
+
+
+def test_the_counter_of_answers_wraps() -> None:
+    assert no_command(65_535, 5)[:4] == struct.pack("<HH", 65_535, 5)
+    assert no_command(65_536, 5)[:4] == struct.pack("<HH", 0, 5)
+
+
+def test_only_measurements_are_answered_and_only_the_newest_of_a_batch() -> None:
+    receiver, sent = FriReceiver(udpport=0, answer=True), []
+
+    class Socket:
+        def sendto(self, packet: bytes, address: object) -> None:
+            sent.append((struct.unpack_from("<2H", packet), address))
+            if len(sent) == 2:
+                raise OSError(errno.ENETUNREACH, "Network is unreachable")
+
+    def accept(*packets: bytes, sender: bytes) -> None:
+        rows = np.zeros((len(packets), 917), np.uint8)
+        for row, packet in zip(rows, packets, strict=True):
+            row[: len(packet)] = np.frombuffer(packet, np.uint8)
+        lengths = np.array([len(packet) for packet in packets])
+        senders = np.tile(np.frombuffer(sender, np.uint8), (len(packets), 1))
+        receiver._accept(rows, lengths, np.zeros(len(packets)), senders)
+
+    receiver._socket = Socket()  # type: ignore[assignment]
+    v4 = struct.pack("=H2s4s20x", 2, (4711).to_bytes(2, "big"), bytes([10, 0, 0, 7]))
+    v6 = struct.pack("=H2s4x16sI", 10, (5).to_bytes(2, "big"), b"\xfe\x80" + bytes(13) + b"\1", 3)
+    # NaN makes a packet unusable here, but it is a measurement that the controller sent.
+    accept(measurement(1), measurement(2, torques=math.nan), bytes(916), bytes(376), sender=v4)
+    accept(measurement(3), sender=v4)  # the network is away
+    accept(measurement(4), sender=v6)
+    accept(bytes(916), bytes(376), sender=v4)
+    to = ("10.0.0.7", 4711)
+    assert sent == [((1, 2), to), ((2, 3), to), ((2, 4), ("fe80::1", 5, 0, 3))]
+    assert receiver.answers == 2
+    receiver._socket = None
+
+
+def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:
+    with FriReceiver(udpport=0, answer=True, sender=["127.0.0.1:9"]) as receiver:
+        give(receiver, controller, measurement())
+        assert (receiver.counters.foreign, receiver.answers) == (1, 0)
+
+
+# ---- on the screen
+
+
+@pytest.mark.parametrize(
+    ("state", "quality", "answer", "lines"),
+    [
+        (1, 3, False, []),
+        (2, 2, False, []),
+        (1, 1, False, ["fri: quality bad, state monitor"]),
+        (0, 3, False, ["fri: quality perfect, state off"]),
+        (65_535, 65_535, True, ["fri: quality invalid, state invalid"]),
+        (7, 9, True, ["fri: quality 9, state 7"]),
+        (1, 0, True, ["fri: quality unacceptable, state monitor"]),
+        (
+            1,
+            0,
+            False,
+            [
+                "fri: quality unacceptable, state monitor",
+                "  it gets no answers: answer = false",
+            ],
+        ),
+    ],
+)
+def test_a_state_that_is_not_good_is_in_the_corner(
+    controller: socket.socket, state: int, quality: int, answer: bool, lines: list[str]
+) -> None:
+    scene = load_scene("lwr_fri")
+    scene.sources["fri"] |= {"port": 0, "answer": answer}
+    with Mirror(scene) as mirror:
+        assert corner(mirror) == []
+        fri = mirror.sources["fri"]
+        assert isinstance(fri, FriReceiver)
+        give(fri, controller, measurement(state=state, quality=quality))
+        mirror.advance()
+        assert corner(mirror) == lines
+        give(fri, controller, measurement(1, datagram_id=1))
+        mirror.advance()
+        assert corner(mirror)[:2] == [
+            "fri: 1 of 2 packets not applied",
+            "  another kind of packet: a constant is wrong",
+        ]
+
+
+def corner(mirror: Mirror) -> list[str]:
+    """What the panel in the upper left corner says."""
+    panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
+    return [] if panels is None else [text.decode() for text in panels.texts[0]]
+
+
+def test_a_recording_of_fri_is_decoded_as_fri(tmp_path: Path) -> None:
+    packets = [
+        measurement(65_535, quality=1, tcp_moment=[3, 2, 1], commanded_before_fri=0.1),
+        measurement(0, quality=1, tcp_moment=[3, 2, 1], commanded_before_fri=math.nan),
+    ]
+    events = {name: tuple(shape) for name, shape in FriReceiver().events.items()}
+    with RecordingWriter(tmp_path / "run.mcap", about={}) as writer:
+        writer.add_source("fri", kind="fri", declared={}, events=events, size=916)
+        for k, packet in enumerate(packets):
+            writer.write_raw("fri", packet, writer.clock.monotonic_ns / 1e9 + 0.01 * k)
+    scene = load_scene("lwr_fri")
+    scene.sources["fri"] = {"kind": "replay", "file": str(tmp_path / "run.mcap")}
+    with Mirror(scene) as mirror:
+        mirror.advance(0.5)
+        assert mirror.sources["fri"].counters.not_finite == 1  # it would move the double
+        assert corner(mirror)[-1] == "fri: quality bad, state monitor"
+        slots, data = mirror.world.slots, mirror.data.userdata
+        assert data[slots["moment.vector"]].tolist() == [1, 2, 3]
+        assert data[slots["commanded.joint_angles"]] == pytest.approx([0.1] * 7)
