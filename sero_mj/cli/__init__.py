@@ -10,7 +10,7 @@ import sys
 from .. import __version__
 from ..errors import DeclarationError, SeroError
 from ..show.gl import choose_backend
-from . import check, demo, doctor, export, fk, listing, render, send
+from . import check, demo, doctor, export, fk, listing, render, send, structure
 from .arguments import OneLineParser, join_negative_values
 
 _DESCRIPTION = """\
@@ -67,6 +67,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (render, send, fk, check, export, listing, doctor, demo):
+    for module in (render, send, structure, fk, check, export, listing, doctor, demo):
         module.add_to(commands)
     return parser

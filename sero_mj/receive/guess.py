@@ -192,15 +192,20 @@ def find_header(rows: Rows) -> tuple[str, int]:
     return " ".join(parts), at
 
 
+def is_text(packet: bytes) -> bool:
+    """Whether there are nothing but printable ASCII characters and line ends."""
+    return all(32 <= byte < 127 or byte in b"\t\r\n" for byte in packet)
+
+
 def describe_bytes(rows: Rows) -> str:
     """What can be said of packets (n, size) in words: text, or only zeros; else empty."""
     if not rows.size:
         return "empty"
     if not rows.any():
         return "only zeros"
-    text = bytes(rows[-1])
-    if all(32 <= byte < 127 or byte in b"\t\r\n" for byte in text):
-        start = text.decode("ascii").split()
-        kind = {"<": "XML", "{": "JSON", "[": "JSON"}.get(start[0][0] if start else "", "text")
-        return f"{kind}, which is no structure: {' '.join(start)[:40]}"
-    return ""
+    packet = bytes(rows[-1])
+    if not is_text(packet):
+        return ""
+    words = packet.decode("ascii").split() or [" "]
+    kind = {"<": "XML", "{": "JSON", "[": "JSON"}.get(words[0][0], "text")
+    return f"{kind}, which no structure describes: {' '.join(words)[:40]}"
