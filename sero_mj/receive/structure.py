@@ -241,7 +241,7 @@ class Structure:
             if name not in self.events:
                 raise UnknownName("event", name, self.events)
             item = self._by_event[name]
-            array = _as_numbers(name, given)
+            array = _as_numbers(item, given)
             allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
             if array.shape not in allowed:
                 expected = " or ".join(map(str, allowed))
@@ -262,7 +262,7 @@ class Structure:
         if len(item.shape) == 3:
             array = np.array(array, np.float64)
             if self._is_scaled(item):
-                array[:, :3, 3] /= self.scale
+                array[:, :3, 3] = self._unscaled(item, array[:, :3, 3])
             if item.kind == "T":
                 off = np.abs(array[:, 3] - _LAST_ROW).max(axis=1)
                 if (off > _LAST_ROW_TOLERANCE).any():  # NaN is no data, and may be sent
@@ -271,8 +271,16 @@ class Structure:
                 array = array[:, :3]
             array = array.swapaxes(1, 2) if self.column_major else array
         elif self._is_scaled(item):
-            array = array / self.scale
+            array = self._unscaled(item, array)
         return _fitted(item, array)
+
+    def _unscaled(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
+        with np.errstate(over="ignore"):
+            unscaled = array / self.scale
+        if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
+            found = array[wrong].flat[0]
+            raise ValueError(f"{item.name}: found {found}; too large for scale {self.scale:g}")
+        return unscaled
 
 
 def _numbers(rows: Rows, item: Item) -> NDArray[Any]:
@@ -293,16 +301,18 @@ def _shown(number: Any) -> str:
     return str(number)
 
 
-def _as_numbers(name: str, given: ArrayLike) -> NDArray[Any]:
-    """An array of numbers; huge Python integers become floats, which are then out of range."""
+def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
+    """An array of numbers; of Python integers for 64-bit ones, which numpy might round."""
     try:
         array = np.asarray(given)
-        if array.dtype.kind not in "biuf":
-            if array.dtype.kind != "O":
+        if array.dtype.kind not in "biuf" or (item.item_bytes == 8 and isinstance(given, list)):
+            objects = np.asarray(given, object)
+            if all(isinstance(number, int) for number in objects.flat):
+                array = objects.astype(np.float64) if item.is_float else objects
+            elif array.dtype.kind not in "biuf":
                 raise TypeError
-            array = array.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name}: expected numbers, all rows of one length") from None
+        raise ValueError(f"{item.name}: expected numbers, all rows of one length") from None
     return array
 
 
