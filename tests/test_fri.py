@@ -14,7 +14,8 @@ from fri_packets import FORMAT, TABLE, UPRIGHT, give, measurement
 
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.errors import DeclarationError, UnknownName
-from sero_mj.receive.fri import FriLayout, FriReceiver
+from sero_mj.receive.fri import FriReceiver
+from sero_mj.receive.fri_layout import FriLayout
 from sero_mj.receive.kinds import make_source
 from sero_mj.receive.order import SequenceTracker
 
@@ -32,11 +33,11 @@ def controller() -> Iterator[socket.socket]:
 
 def test_every_field_is_where_the_interface_has_it() -> None:
     assert struct.calcsize(FORMAT) == FriLayout().size == 916
-    fields = {field.item.name: field for field in FriLayout().fields if field.item.name}
+    fields = {field.name: field for field in FriLayout().fields if field.name}
     assert list(fields) == [name for *_, name in TABLE]
     for offset, count, kind, name in TABLE:
-        assert (fields[name].offset, fields[name].item.numbers) == (offset, count), name
-        assert fields[name].dtype == np.dtype(f"<{kind}"), name
+        assert (fields[name].offset, fields[name].numbers) == (offset, count), name
+        assert np.dtype(fields[name].type) == np.dtype(f"<{kind}"), name
 
 
 def test_all_numbers_of_a_packet_are_decoded_in_our_conventions() -> None:
@@ -159,12 +160,12 @@ def test_a_batch_that_ends_where_a_whole_one_would_is_looked_at(batch: list[int]
         (
             measurement(datagram_id=0x2005),
             "wrong_constant",
-            "datagram_id at byte 6 is 8197 (0x2005); expected 8198",
+            "datagram_id at byte 6 is 8197 (0x2005); expected 8198 (0x2006)",
         ),
         (
             measurement(packet_size=912),
             "wrong_constant",
-            "packet_size at byte 4 is 912 (0x390); expected 916",
+            "packet_size at byte 4 is 912 (0x390); expected 916 (0x394)",
         ),
         (measurement(torques=math.nan), "not_finite", "torques[0] is nan"),
         (measurement(commanded_offset=math.inf), "not_finite", "commanded_offset[0] is inf"),

@@ -18,7 +18,8 @@ import sero_mj
 from sero_mj.decor.status import Status
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror, load_scene
-from sero_mj.receive.fri import COMMAND, FriReceiver, no_command
+from sero_mj.receive.fri import FriReceiver
+from sero_mj.receive.fri_layout import COMMAND, no_command
 from sero_mj.receive.recording_writer import RecordingWriter
 from sero_mj.receive.structure import Structure
 
@@ -58,7 +59,7 @@ def test_an_answer_is_a_header_and_zeros(controller: socket.socket) -> None:
         assert receiver.answers == 4
     command = Structure(COMMAND)
     assert command.size == 376
-    offsets = {field.item.name: field.offset for field in command.fields}
+    offsets = {field.name: field.offset for field in command.fields}
     assert (offsets["command_flags"], offsets["joint_torques"]) == (140, 220)
     assert command.decode(answer)["command_flags"] == 0
 

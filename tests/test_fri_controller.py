@@ -23,7 +23,8 @@ from sero_mj.drive.fri_controller import Faults, FriController
 from sero_mj.drive.fri_signals import FriSignals
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.errors import SourceError, UsageError
-from sero_mj.receive.fri import FriLayout, FriReceiver, no_command
+from sero_mj.receive.fri import FriReceiver
+from sero_mj.receive.fri_layout import FriLayout, no_command
 
 # A controller in a process of its own; it prints what it did when it has sent its packets.
 ROBOT = """

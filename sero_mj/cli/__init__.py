@@ -10,7 +10,20 @@ import sys
 from .. import __version__
 from ..errors import DeclarationError, SeroError
 from ..show.gl import choose_backend
-from . import check, demo, doctor, export, export_csv, fk, listing, record, render, send, status
+from . import (
+    check,
+    demo,
+    doctor,
+    export,
+    export_csv,
+    fk,
+    listing,
+    record,
+    render,
+    send,
+    status,
+    structure,
+)
 from .arguments import OneLineParser, join_negative_values
 
 _DESCRIPTION = """\
@@ -71,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         render,
         send,
         status,
+        structure,
         record,
         export_csv,
         fk,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.world import World
-from ..receive import fri
+from ..receive import fri_layout as fri
 from .panels import Panels, panel_sizes
 from .toggles import Toggles
 from .view import View

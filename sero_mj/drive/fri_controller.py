@@ -11,7 +11,7 @@ import numpy as np
 
 from ..assemble.robot import SerialRobot
 from ..errors import UsageError, did_you_mean
-from ..receive.fri import COMMAND, CYCLES, QUALITIES, FriLayout
+from ..receive.fri_layout import COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
 from .fri_answers import AnswerStatistics
 from .fri_signals import FriSignals

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
-from ..receive.fri import ALL_DRIVES
+from ..receive.fri_layout import ALL_DRIVES
 from .motion import SineMotion
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
-from ..receive.fri import FriLayout
+from ..receive.fri_layout import FriLayout
 from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
 from .follow import follow
 from .place import Placer

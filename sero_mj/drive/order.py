@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from ..assemble.inputs import BLANKABLE
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem
-from ..receive.fri import FriLayout
+from ..receive.fri_layout import FriLayout
 from .wiring import FrameRoute, Route, Wiring
 
 

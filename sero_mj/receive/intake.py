@@ -18,11 +18,15 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.uint8]
 Ints = NDArray[np.intp]
 Senders = NDArray[np.uint8]
+Places = NDArray[np.int8]
 
 _MOST_SENDERS = 64  # whose numbers are followed; more at once is a flood
 # In the order in which they change; who waits for a malformed packet finds the others done.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
+_DUPLICATE, _LATE, _RESTARTED = (
+    place.value for place in (Place.DUPLICATE, Place.LATE, Place.RESTARTED)
+)
 _SENDER_SEEN = 2.0  # s for which a sender counts after its last packet
 
 
@@ -67,7 +71,6 @@ class Intake:
         self._senders: dict[bytes, float] = {}
         # What the batch in work adds; it counts only when the good packets have been handed on.
         self._tally = Counters()
-        self._began = 0  # index of the first packet in the batch after the last restart
         self._modulus = 0
         if sequence:
             dtype = layout.event_rows(np.zeros((1, layout.size), np.uint8), sequence).dtype
@@ -106,7 +109,7 @@ class Intake:
             return rows, arrivals
         self._count_senders(senders, float(arrivals[-1]))
         stamps = self._stamps(rows) if self._time else None
-        in_order = self._follow(rows, arrivals, stamps, senders)
+        places = self._follow(rows, arrivals, stamps, senders)
         good = ~layout.find_not_finite(rows, self.nan_allowed)
         if not good.all():
             counters.not_finite += int((~good).sum())
@@ -117,10 +120,12 @@ class Intake:
             self._fault(fault, arrivals[last])
         if layout.matrices:
             good &= self._are_frames(rows, arrivals, good)
-        timed = np.flatnonzero(good[self._began :]) + self._began
-        if len(timed):
-            self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
-        good &= in_order
+        self._time_good(good, arrivals, stamps, places)
+        # What is malformed has been counted, and is not counted again as late, say.
+        duplicate, late = good & (places == _DUPLICATE), good & (places == _LATE)
+        counters.duplicates += int(duplicate.sum())
+        counters.late += int(late.sum())
+        good &= ~duplicate if self._lossless else ~(duplicate | late)
         if not good.all():
             rows, arrivals = rows[good], arrivals[good]
         if len(rows) and self.nan_allowed:
@@ -158,7 +163,23 @@ class Intake:
 
     def _stamps(self, rows: Rows) -> Array:
         numbers = self.layout.event_rows(rows, self._time)[:, 0]
-        return numbers.astype(np.float64) * self._time_scale
+        with np.errstate(over="ignore", invalid="ignore"):
+            return numbers.astype(np.float64) * self._time_scale
+
+    def _time_good(
+        self, good: NDArray[np.bool_], arrivals: Array, stamps: Array | None, places: Places
+    ) -> None:
+        """Measures the packets that are not malformed, from the last restart on."""
+        timed = good.copy()
+        restarts = np.flatnonzero(places == _RESTARTED)
+        if len(restarts):
+            self._tally.restarts += len(restarts)
+            self.timing.restart()
+            timed[: restarts[-1]] = False
+        if stamps is not None:
+            timed &= np.isfinite(stamps)  # where NaN is allowed, it tells no time
+        if timed.any():
+            self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
 
     def _are_frames(
         self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_]
@@ -184,12 +205,11 @@ class Intake:
 
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Senders | None
-    ) -> NDArray[np.bool_]:
-        """Which packets are to be applied by their numbers or time stamps."""
-        good = np.ones(len(rows), bool)
-        self._began = 0
+    ) -> Places:
+        """What the packets' numbers or time stamps say, as `Place`'s numbers, (n,)."""
+        places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
-            return good
+            return places
         if self._sequence:
             raw = self.layout.event_rows(rows, self._sequence)[:, 0]
             if raw.dtype.kind == "f":
@@ -205,24 +225,12 @@ class Intake:
             tracker = self._tracker(b"" if senders is None else senders[0].tobytes())
             if isinstance(tracker, SequenceTracker) and tracker.is_plain(numbers):
                 tracker.skip_to(numbers[-1], float(arrivals[-1]))
-                return good
-        counters = self._tally
+                return places
         for i, arrival in enumerate(arrivals.tolist()):
-            if not finite[i]:
-                continue
-            tracker = self._tracker(b"" if senders is None else senders[i].tobytes())
-            place = tracker.place(numbers[i], arrival)
-            if place is Place.DUPLICATE:
-                counters.duplicates += 1
-                good[i] = False
-            elif place is Place.LATE:
-                counters.late += 1
-                good[i] = self._lossless
-            elif place is Place.RESTARTED:
-                counters.restarts += 1
-                self.timing.restart()
-                self._began = i
-        return good
+            if finite[i]:
+                tracker = self._tracker(b"" if senders is None else senders[i].tobytes())
+                places[i] = tracker.place(numbers[i], arrival).value
+        return places
 
     def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:
         tracker = self._trackers.get(sender)
@@ -231,6 +239,8 @@ class Intake:
             self._trackers[sender] = tracker
             if len(self._trackers) > _MOST_SENDERS:
                 self._lost_by_forgotten += self._trackers.popitem(last=False)[1].lost
+        else:  # who sends is the last to be forgotten
+            self._trackers.move_to_end(sender)
         return tracker
 
     def _count_senders(self, senders: Senders | None, now: float) -> None:

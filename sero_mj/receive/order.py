@@ -9,7 +9,10 @@ from enum import Enum
 LATE_WITHIN = 64  # numbers; what is further back comes from a sender that began anew
 LATE_SECONDS = 0.5  # likewise for time stamps
 RUN = 4  # as many old packets, one after the other in order, come from such a sender as well
-PAUSE = 0.5  # s; after it, any number may follow
+PAUSE = 0.5  # s; after it, an old number comes from such a sender as well
+MOST_LOST = 3000  # numbers; who skips more over the wrap to 0 began anew (RFC 3550, appendix A.1)
+
+_WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # a bit for the newest number and each that may be late
 
 
 class Place(Enum):
@@ -45,6 +48,8 @@ class SequenceTracker(Track):
         self._last: int | None = None
         self._last_arrival = 0.0
         self._run, self._run_last = 0, 0
+        # Bit k is about the number k before the last: whether it came, whether it counts as lost.
+        self._came = self._missing = 0
 
     def is_plain(self, numbers: Sequence[int]) -> bool:
         """Whether they are just the ones that come next; then `skip_to` will do."""
@@ -55,45 +60,72 @@ class SequenceTracker(Track):
             and last - first == len(numbers) - 1
             and list(numbers) == list(range(first, last + 1))  # one twice may hide one lost
             and (not self._modulus or last < self._modulus)
+            and list(numbers) == list(range(first, last + 1))
         )
 
     def skip_to(self, number: int, arrival: float) -> None:
         """Takes it for granted that all up to this number came in order."""
+        steps = number - (self._last or 0)
+        self._came = _shifted(self._came, steps) | ((1 << min(steps, LATE_WITHIN + 1)) - 1)
+        self._missing = _shifted(self._missing, steps)
         self._last, self._last_arrival, self._run = number, arrival, 0
 
     def place(self, number: int, arrival: float) -> Place:
         """Where this number stands; `arrival` (s) tells pauses.
 
-        A pause of half a second, a step back of more than 64, or four old numbers in order mean
-        that the sender has begun anew.
+        The sender has begun anew when the number is more than 64 back, not ahead after a pause
+        of half a second, the fourth old one in order, or more than 3000 ahead over the wrap to 0.
         """
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None:
-            self._last = number
+            self._begin(number)
             return Place.NEXT
         step = number - last
         if self._modulus:
             half = self._modulus // 2
             step = (step + half) % self._modulus - half
-        if step > 0:
-            self.lost += step - 1
-            self._last, self._run = number, 0
-            return Place.NEXT
-        if paused or step < -LATE_WITHIN:
+        jumped = step > MOST_LOST and number < last
+        if jumped or (step <= 0 and (paused or step < -LATE_WITHIN)):
             return self._restart(number)
+        if step > 0:
+            self._advance(number, step)
+            return Place.NEXT
         if step == 0:
             return Place.DUPLICATE
         self._run = self._run + 1 if number == self._run_last + 1 else 1
         self._run_last = number
         if self._run >= RUN:
             return self._restart(number)
-        self.lost = max(self.lost - 1, 0)
+        return self._old(1 << -step)
+
+    def _begin(self, number: int) -> None:
+        self._last, self._run = number, 0
+        self._came, self._missing = 1, 0
+
+    def _advance(self, number: int, step: int) -> None:
+        self.lost += step - 1
+        self._last, self._run = number, 0
+        skipped = ((1 << min(step, LATE_WITHIN + 1)) - 1) & ~1
+        self._came = _shifted(self._came, step) | 1
+        self._missing = _shifted(self._missing, step) | skipped
+
+    def _old(self, bit: int) -> Place:
+        if self._came & bit:
+            return Place.DUPLICATE
+        self._came |= bit
+        if self._missing & bit:  # else it is from before the first one that was seen
+            self._missing &= ~bit
+            self.lost -= 1
         return Place.LATE
 
     def _restart(self, number: int) -> Place:
-        self._last, self._run = number, 0
+        self._begin(number)
         return Place.RESTARTED
+
+
+def _shifted(bits: int, steps: int) -> int:
+    return (bits << steps) & _WINDOW if steps <= LATE_WITHIN else 0
 
 
 class StampTracker(Track):

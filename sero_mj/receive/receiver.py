@@ -84,13 +84,8 @@ class Receiver(Declaration):
     @field_validator("structure")
     @classmethod
     def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
-        known = info.data
         try:
-            Structure(
-                text,
-                is_double=known.get("is_double", True),
-                alignment=known.get("alignment", 1),
-            )
+            _structure_of(text, info)
         except StructureError as error:
             raise ValueError(str(error)) from None
         return text
@@ -100,7 +95,7 @@ class Receiver(Declaration):
     def _is_one_number(cls, event: str, info: ValidationInfo) -> str:
         if not event or "structure" not in info.data:
             return event
-        events = Structure(info.data["structure"]).events
+        events = _structure_of(info.data["structure"], info).events
         if event not in events:
             raise ValueError(f"no event '{event}' in the structure{did_you_mean(event, events)}")
         if events[event] != (1,):
@@ -340,3 +335,10 @@ class Receiver(Declaration):
             log.info("source '%s': %d packets lost", self.name, counters.lost - before[1])
         if self.debug_level >= 3:
             log.info("source '%s': %d good packets", self.name, good)
+
+
+def _structure_of(text: str, info: ValidationInfo) -> Structure:
+    """The structure of a declaration whose fields before it have been read."""
+    known = info.data
+    is_double, alignment = known.get("is_double", True), known.get("alignment", 1)
+    return Structure(text, is_double=is_double, alignment=alignment)

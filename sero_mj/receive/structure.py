@@ -2,59 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import StructureError, UnknownName
-from .language import KINDS, MAX_PACKET_BYTES, Item, parse
+from ..errors import UnknownName
+from .language import Item, limits, parse
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.uint8]
 Alignment = Literal[1, 2, 4, 8]
 
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
-_DOUBLE = np.dtype("<f8")
-
-
-@dataclass(frozen=True)
-class Field:
-    """Where an item of the string stands in the packet.
-
-    Attributes:
-        item: what it is.
-        offset: its first byte.
-        shape: of its event's array.
-    """
-
-    item: Item
-    offset: int
-    shape: tuple[int, ...]
-
-    @property
-    def wire_shape(self) -> tuple[int, ...]:
-        """How its numbers stand in the packet, row by row."""
-        if self.item.kind == "x":
-            return (self.item.count,)
-        return (self.item.count, *KINDS[self.item.kind][1])
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of its numbers in the packet."""
-        return np.dtype(self.item.type)
-
-    @property
-    def end(self) -> int:
-        """The byte after its last."""
-        return self.offset + self.item.numbers * self.item.item_bytes
-
-    @property
-    def is_float(self) -> bool:
-        """Whether NaN can stand there, and whether `scale` is applied to it."""
-        return self.dtype.kind == "f"
+_LAST_ROW_TOLERANCE = 1e-6  # as `checks.are_frames` has it
+_DOUBLE = np.dtype(np.float64)
 
 
 class Structure:
@@ -64,21 +28,25 @@ class Structure:
         text: the structure string; STRUCTURE.md explains it.
         is_double: `F`, `V`, `M` and `T` are float64 when true, else float32.
         column_major: matrices come column by column when true, else row by row.
-        alignment: every item starts at a multiple of this many bytes from the packet's start, as
+        alignment: every item begins at a multiple of this many bytes from the packet's start, as
             Simulink's Byte Pack has it.
-        scale: every floating-point number is multiplied by it; of matrices only the position.
+        scale: every floating-point number is multiplied by it, but for those that are checked
+            against a constant; of matrices only the position.
 
     Attributes:
         text: the structure string.
         column_major: how matrices come.
+        alignment: see above.
         scale: see above.
-        fields: all items of the string, with their places.
+        fields: all items of the string in order, with their places.
         events: event name to the shape of its array.
         matrices: names of the events that are matrices.
         size: bytes of a packet.
+        dtype: numpy's record type of a packet: every event's numbers as they stand there.
 
     Raises:
         StructureError: points at the first character that is wrong.
+        ValueError: another alignment than 1, 2, 4 or 8, or a scale that is not above 0.
     """
 
     def __init__(
@@ -90,47 +58,53 @@ class Structure:
         alignment: Alignment = 1,
         scale: float = 1.0,
     ) -> None:
+        if alignment not in (1, 2, 4, 8):
+            raise ValueError(f"alignment: found {alignment}; expected 1, 2, 4 or 8")
+        if not 0.0 < scale < math.inf:
+            raise ValueError(f"scale: found {scale}; expected a finite number above 0")
         self.text = text
         self.column_major = column_major
+        self.alignment = alignment
         self.scale = scale
-        self.fields: list[Field] = []
-        self.size = 0
-        for item in parse(text, is_double=is_double):
-            offset = -(-self.size // alignment) * alignment
-            shape = (item.count, *(KINDS[item.kind][1] if item.kind in KINDS else ()))
-            self.fields.append(Field(item, offset, (*shape[:1], 4, 4) if shape[1:] else shape))
-            if item.kind == "V":
-                self.fields[-1] = Field(item, offset, shape)
-            self.size = self.fields[-1].end
-            if self.size > MAX_PACKET_BYTES:
-                reason = f"the packet would be too long; expected at most {MAX_PACKET_BYTES} bytes"
-                raise StructureError(text, item.at, reason)
-        self._by_event = {field.item.name: field for field in self.fields if field.item.name}
-        self.events = {name: field.shape for name, field in self._by_event.items()}
+        self.fields = tuple(parse(text, is_double=is_double, alignment=alignment))
+        self.size = self.fields[-1].end
+        self._by_event = {item.name: item for item in self.fields if item.name}
+        self.events = {name: item.shape for name, item in self._by_event.items()}
         self.matrices = tuple(name for name, shape in self.events.items() if len(shape) == 3)
         self.dtype = np.dtype(
             {
                 "names": list(self.events),
-                "formats": [(f.dtype, f.wire_shape) for f in self._by_event.values()],
-                "offsets": [field.offset for field in self._by_event.values()],
+                "formats": [(item.type, item.wire_shape) for item in self._by_event.values()],
+                "offsets": [item.offset for item in self._by_event.values()],
                 "itemsize": self.size,
             }
         )
-        # Event, type, first byte, count, and whether nothing but a view is needed.
-        self._plan = [
-            (name, field.dtype, field.offset, field.item.numbers, self._is_plain(field))
-            for name, field in self._by_event.items()
+        self._constants = [
+            (item, np.dtype(item.type).type(item.constant))
+            for item in self.fields
+            if item.constant is not None
         ]
+        # Event, type, first byte, count, and how to finish what is not just a view.
+        self._plan = [
+            (name, np.dtype(item.type), item.offset, item.numbers, self._unless_plain(item))
+            for name, item in self._by_event.items()
+        ]
+        self._is_plain = not any(item for *_, item in self._plan)
+        self._blocks: dict[frozenset[str], list[tuple[int, int, np.dtype[Any]]]] = {}
 
-    def _is_plain(self, field: Field) -> bool:
-        scaled = field.is_float and self.scale != 1.0
-        return field.dtype == _DOUBLE and len(field.shape) == 1 and not scaled
+    def _unless_plain(self, item: Item) -> Item | None:
+        is_plain = np.dtype(item.type) == _DOUBLE and len(item.shape) == 1
+        return None if is_plain and not self._is_scaled(item) else item
+
+    def _is_scaled(self, item: Item) -> bool:
+        return self.scale != 1.0 and item.is_float and item.constant is None
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
         """Returns every event's array, float64, in the shapes of `events`.
 
-        Little-endian float64 is not copied: such arrays are views into the packet. Constants are
-        not looked at: see `find_wrong_constant`.
+        Little-endian float64 is not copied: such arrays are views into the packet, and read-only
+        where it is; 3 x 4 matrices are copied. Constants are not looked at: see
+        `find_wrong_constants`.
 
         Raises:
             ValueError: the packet is not `size` bytes long.
@@ -138,119 +112,120 @@ class Structure:
         if len(packet) != self.size:
             raise ValueError(f"found {len(packet)} bytes; expected {self.size} for '{self.text}'")
         values = {}
-        for name, dtype, offset, count, is_plain in self._plan:
-            numbers = np.frombuffer(packet, dtype, count, offset)
-            values[name] = numbers if is_plain else self._finished(name, numbers[None])[0]
+        if self._is_plain:  # without the cost of `errstate`
+            for name, dtype, offset, count, _ in self._plan:
+                values[name] = np.frombuffer(packet, dtype, count, offset)
+            return values
+        with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN would warn
+            for name, dtype, offset, count, item in self._plan:
+                numbers = np.frombuffer(packet, dtype, count, offset)
+                values[name] = self._finished(item, numbers) if item else numbers
         return values
 
     def decode_rows(self, rows: Rows) -> dict[str, Array]:
         """Decodes many packets at once; every array has one more axis at the front.
 
+        What `decode` does not copy is a view into `rows` here.
+
         Args:
             rows: (n, `size` or more), one packet a row.
         """
-        return {
-            name: self._finished(name, self._numbers(rows, field))
-            for name, field in self._by_event.items()
-        }
+        with np.errstate(invalid="ignore", over="ignore"):
+            return {
+                name: self._finished(item, _numbers(rows, item))
+                for name, item in self._by_event.items()
+            }
 
     def event_rows(self, rows: Rows, event: str) -> NDArray[Any]:
-        """One event's numbers of many packets as they stand there, of their own type, (n, ...)."""
-        return self._numbers(rows, self._by_event[event])
+        """One event's numbers of many packets as they stand there, of their own type, (n, k)."""
+        return _numbers(rows, self._by_event[event])
 
-    def _numbers(self, rows: Rows, field: Field) -> NDArray[Any]:
-        return rows[:, field.offset : field.end].view(field.dtype)
-
-    def _finished(self, name: str, numbers: NDArray[Any]) -> Array:
-        """Numbers (n, count) of an event as float64 in the event's shape behind n."""
-        field = self._by_event[name]
-        shape = field.shape
-        if field.item.is_bool:
+    def _finished(self, item: Item, numbers: NDArray[Any]) -> Array:
+        """Numbers (..., k) of an item as float64 in its event's shape behind these axes."""
+        if item.is_bool:
             numbers = numbers != 0
-        with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN would warn
-            values = numbers.astype(np.float64, copy=False)
-            if len(shape) == 3:
-                values = self._matrices(values, field)
-                if self.scale != 1.0 and field.is_float:
-                    values = values.copy()
-                    values[..., :3, 3] *= self.scale
-                return values
-            if self.scale != 1.0 and field.is_float:
-                values = values * self.scale
-        return values.reshape(len(values), *shape) if len(shape) > 1 else values
+        values: Array = numbers.astype(np.float64, copy=False)
+        before = numbers.shape[:-1]
+        if len(item.shape) == 3:
+            frames = self._frames(values, item, before)
+            if self._is_scaled(item):
+                frames = frames.copy()
+                frames[..., :3, 3] *= self.scale
+            return frames
+        if self._is_scaled(item):
+            values = values * self.scale
+        return values.reshape(*before, *item.shape) if len(item.shape) > 1 else values
 
-    def _matrices(self, values: Array, field: Field) -> Array:
-        """Frames (n, count, 4, 4) from numbers (n, count * 12 or 16)."""
-        rows = 4 if field.item.kind == "M" else 3
-        n, count = len(values), field.item.count
+    def _frames(self, values: Array, item: Item, before: tuple[int, ...]) -> Array:
+        """Frames (..., count, 4, 4) from numbers (..., 12 or 16 times count)."""
+        count, rows, columns = item.wire_shape
         if self.column_major:
-            values = values.reshape(n, count, 4, rows).swapaxes(-1, -2)
+            values = values.reshape(*before, count, columns, rows).swapaxes(-1, -2)
         else:
-            values = values.reshape(n, count, rows, 4)
+            values = values.reshape(*before, count, rows, columns)
         if rows == 4:
             return values
-        frames = np.empty((n, count, 4, 4))
+        frames = np.empty((*before, count, 4, 4))
         frames[..., :3, :] = values
         frames[..., 3, :] = _LAST_ROW
         return frames
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
-        """Which packets have NaN or infinity outside the events `but`, (n,)."""
+        """Which packets have NaN or infinity outside the events `but`, (n,).
+
+        A number that `scale` makes infinite counts as well.
+        """
         bad = np.zeros(len(rows), bool)
         with np.errstate(invalid="ignore", over="ignore"):
             for start, end, dtype in self._float_blocks(frozenset(but)):
                 numbers = rows[:, start:end].view(dtype)
-                if self.scale != 1.0:
-                    numbers = numbers.astype(np.float64) * max(self.scale, 1.0)
+                if self.scale > 1.0:
+                    numbers = numbers.astype(np.float64) * self.scale
                 bad |= ~np.isfinite(numbers).all(axis=1)
         return bad
 
     def _float_blocks(self, but: frozenset[str]) -> list[tuple[int, int, np.dtype[Any]]]:
         """First and last byte of what one look can check: neighbours of one type together."""
-        cached = getattr(self, "_blocks", None)
-        if cached is not None and cached[0] == but:
-            return list(cached[1])
+        known = self._blocks.get(but)
+        if known is not None:
+            return known
         blocks: list[tuple[int, int, np.dtype[Any]]] = []
-        for name, field in self._by_event.items():
-            if not field.is_float or name in but:
+        for name, item in self._by_event.items():
+            if not item.is_float or item.constant is not None or name in but:
                 continue
-            if blocks and blocks[-1][1] == field.offset and blocks[-1][2] == field.dtype:
-                blocks[-1] = (blocks[-1][0], field.end, field.dtype)
+            dtype = np.dtype(item.type)
+            if blocks and blocks[-1][1:] == (item.offset, dtype):
+                blocks[-1] = (blocks[-1][0], item.end, dtype)
             else:
-                blocks.append((field.offset, field.end, field.dtype))
-        self._blocks = (but, blocks)
+                blocks.append((item.offset, item.end, dtype))
+        if len(self._blocks) > 8:  # who allows NaN here and there again and again
+            self._blocks = {}
+        self._blocks[but] = blocks
         return blocks
 
     def find_wrong_constants(self, rows: Rows) -> NDArray[np.bool_]:
         """Which packets have another number where the string demands one, (n,)."""
         bad = np.zeros(len(rows), bool)
-        for field, constant in self._constants():
-            bad |= (self._numbers(rows, field) != constant).any(axis=1)
+        for item, constant in self._constants:
+            bad |= _is_wrong(rows, item, constant).any(axis=1)
         return bad
 
     def tell_wrong_constant(self, rows: Rows) -> str:
         """Says what is wrong with the first packet's constants; empty when nothing is."""
-        for field, constant in self._constants():
-            numbers = self._numbers(rows[:1], field)[0]
-            if (wrong := numbers != constant).any():
-                found, expected = numbers[wrong][0], constant
-                hexed = f" (0x{int(found):x})" if field.dtype.kind in "iu" and found >= 0 else ""
-                name = f"{field.item.name} " if field.item.name else ""
-                return f"{name}at byte {field.offset} is {found}{hexed}; expected {expected}"
+        for item, constant in self._constants:
+            wrong = _is_wrong(rows[:1], item, constant)[0]
+            if wrong.any():
+                index = int(np.argmax(wrong))
+                found = _numbers(rows[:1], item)[0, index]
+                name = f"{item.name} " if item.name else ""
+                place = item.offset + index * item.item_bytes
+                return f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
         return ""
-
-    def _constants(self) -> list[tuple[Field, Any]]:
-        found = []
-        for field in self.fields:
-            if field.item.is_size or field.item.constant is not None:
-                value = self.size if field.item.is_size else field.item.constant
-                found.append((field, field.dtype.type(value)))
-        return found
 
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
         """Returns the packet that carries these events; events that are not given are zero.
 
-        Constants are written, `scale` is undone.
+        Constants are written, `scale` is undone, and what goes into integers is rounded.
 
         Args:
             values: event name to an array in the shape of `events`. A leading 1 may be left out:
@@ -258,41 +233,109 @@ class Structure:
 
         Raises:
             UnknownName: an event that this structure does not have.
-            ValueError: an event of another shape, or a number that its type cannot hold.
+            ValueError: an event of another shape, a number that its type cannot hold, or another
+                one than the constant that must stand there.
         """
-        packet = np.zeros(self.size, np.uint8)
-        for field, constant in self._constants():
-            packet[field.offset : field.end].view(field.dtype)[:] = constant
+        packet = np.zeros((1, self.size), np.uint8)
         for name, given in values.items():
             if name not in self.events:
                 raise UnknownName("event", name, self.events)
-            shape = self.events[name]
-            allowed = [shape, shape[1:]] if shape[0] == 1 else [shape]
-            array = np.asarray(given)
+            item = self._by_event[name]
+            array = _as_numbers(item, given)
+            allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
             if array.shape not in allowed:
                 expected = " or ".join(map(str, allowed))
                 raise ValueError(f"{name}: found {array.shape}; expected {expected}")
-            self._write(packet, name, array.reshape(shape))
+            _numbers(packet, item)[:] = self._to_write(item, array.reshape(item.shape)).ravel()
+        for item, constant in self._constants:
+            if item.name in values and _is_wrong(packet, item, constant).any():
+                found = _numbers(packet, item)[0]
+                raise ValueError(
+                    f"{item.name}: found {_shown(found[found != constant][0])}; "
+                    f"expected {_shown(constant)}, as '{self.text}' demands"
+                )
+            _numbers(packet, item)[:] = constant
         return packet.tobytes()
 
-    def _write(self, packet: Rows, name: str, array: NDArray[Any]) -> None:
-        field = self._by_event[name]
-        if len(field.shape) == 3:
-            array = np.array(array[:, : 4 if field.item.kind == "M" else 3], np.float64)
-            if self.scale != 1.0 and field.is_float:
-                array[:, :3, 3] /= self.scale
+    def _to_write(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
+        """An event's array as its numbers stand in the packet, of a type that fits there."""
+        if len(item.shape) == 3:
+            array = np.array(array, np.float64)
+            if self._is_scaled(item):
+                array[:, :3, 3] = self._unscaled(item, array[:, :3, 3])
+            if item.kind == "T":
+                off = np.abs(array[:, 3] - _LAST_ROW).max(axis=1)
+                if (off > _LAST_ROW_TOLERANCE).any():  # NaN is no data, and may be sent
+                    row = ", ".join(f"{number:g}" for number in array[np.argmax(off), 3])
+                    raise ValueError(f"{item.name}: found last row [{row}]; expected [0, 0, 0, 1]")
+                array = array[:, :3]
             array = array.swapaxes(1, 2) if self.column_major else array
-        elif self.scale != 1.0 and field.is_float:
-            array = array / self.scale
-        if field.dtype.kind in "iu":
-            limits = np.iinfo(field.dtype)
-            with np.errstate(invalid="ignore"):
-                array = np.rint(array) if array.dtype.kind == "f" else array
-                fits = (array >= limits.min) & (array < float(limits.max) + 1.0)
-            if not fits.all():
-                raise ValueError(
-                    f"{name}: found {array[~fits].flat[0]}; expected whole numbers from "
-                    f"{limits.min} to {limits.max}"
-                )
+        elif self._is_scaled(item):
+            array = self._unscaled(item, array)
+        return _fitted(item, array)
+
+    def _unscaled(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
+        with np.errstate(over="ignore"):
+            unscaled = array / self.scale
+        if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
+            found = array[wrong].flat[0]
+            raise ValueError(f"{item.name}: found {found}; too large for scale {self.scale:g}")
+        return unscaled
+
+
+def _numbers(rows: Rows, item: Item) -> NDArray[Any]:
+    return rows[:, item.offset : item.end].view(item.type)
+
+
+def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:
+    """Which numbers of an item are not its constant, (n, k)."""
+    numbers = _numbers(rows, item)
+    wrong: NDArray[np.bool_] = (numbers != 0 if item.is_bool else numbers) != constant
+    return wrong
+
+
+def _shown(number: Any) -> str:
+    """A number, of integers also as ids are written."""
+    if isinstance(number, np.integer) and number > 9:
+        return f"{number} (0x{int(number):x})"
+    return str(number)
+
+
+def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
+    """An array of numbers; of Python integers for 64-bit ones, which numpy might round."""
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind not in "biuf" or (item.item_bytes == 8 and isinstance(given, list)):
+            objects = np.asarray(given, object)
+            if all(isinstance(number, int) for number in objects.flat):
+                array = objects.astype(np.float64) if item.is_float else objects
+            elif array.dtype.kind not in "biuf":
+                raise TypeError
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{item.name}: expected numbers, all rows of one length") from None
+    return array
+
+
+def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
+    """The array in an item's type.
+
+    Raises:
+        ValueError: a number is out of its range.
+    """
+    low, high = (0, 255) if item.is_bool else limits(item)
+    if item.is_float:
         with np.errstate(over="ignore", invalid="ignore"):
-            packet[field.offset : field.end].view(field.dtype)[:] = array.ravel()
+            fitted = array.astype(item.type)
+            fits = np.isfinite(fitted) | ~np.isfinite(array.astype(np.float64))
+        expected = f"numbers from {low:g} to {high:g}"
+    else:
+        whole = np.rint(array) if array.dtype.kind == "f" else array
+        # In float64 the greatest int64 is 2**63, which is one too many.
+        above = float(high) if array.dtype.kind == "f" and high >= 2**53 else None
+        with np.errstate(invalid="ignore"):
+            fits = (whole >= low) & (whole <= high if above is None else whole < above)
+        fitted = (whole != 0) if item.is_bool else whole
+        expected = f"whole numbers from {low} to {high}"
+    if not fits.all():
+        raise ValueError(f"{item.name}: found {array[~fits].flat[0]}; expected {expected}")
+    return fitted

@@ -50,7 +50,8 @@ class Timing:
             self.interval = float(between.mean())
         deviations = between - self.interval
         if stamps is not None:
-            sent = np.diff(_joined(self._stamp, stamps))
+            with np.errstate(over="ignore"):  # stamps may be any numbers
+                sent = np.diff(_joined(self._stamp, stamps))
             steady &= np.abs(sent) < _PAUSE
             deviations = (np.diff(times) - sent)[steady]
         self.interval = _running(self.interval, between)

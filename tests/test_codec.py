@@ -1,0 +1,237 @@
+"""Encoding and decoding: every type at its limits, many packets at once, scale, checks."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sero_mj.errors import StructureError
+from sero_mj.receive.structure import Structure
+
+LIMITS = {letter: np.iinfo(letter) for letter in "bBhHiIqQ"}
+
+
+def rows_of(*packets: bytes) -> np.ndarray:
+    return np.array([np.frombuffer(packet, np.uint8) for packet in packets])
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("letter", LIMITS)
+def test_integers_go_through_at_their_limits(letter: str, order: str) -> None:
+    low, high = int(LIMITS[letter].min), int(LIMITS[letter].max)
+    structure = Structure(f"{order}n:4{letter}")
+    numbers = [low, high, 1, high - 1]
+    packet = struct.pack(f"{order}4{letter}", *numbers)
+    assert structure.encode({"n": numbers}) == packet
+    assert structure.encode({"n": np.array(numbers, letter)}) == packet
+    assert structure.decode(packet)["n"].tolist() == [float(number) for number in numbers]
+    raw = structure.event_rows(rows_of(packet), "n")
+    assert raw.tolist() == [numbers]
+    for wrong in (low - 1, high + 1, math.nan, math.inf, float(high) * 1.01 + 1):
+        expected = f"expected whole numbers from {low} to {high}"
+        with pytest.raises(ValueError, match=rf"^n: found \S+; {re.escape(expected)}$"):
+            structure.encode({"n": [0, wrong, 0, 0]})
+
+
+def test_what_goes_into_integers_is_rounded() -> None:
+    assert Structure("3h").encode({"values0": [1.4, -1.6, 2.5]}) == struct.pack("<3h", 1, -2, 2)
+
+
+@pytest.mark.parametrize("letter", "fd")
+@pytest.mark.parametrize("order", "<>")
+def test_floats_go_through_at_their_limits_and_beyond_they_are_refused(
+    letter: str, order: str
+) -> None:
+    most = float(np.finfo(letter).max)
+    structure = Structure(f"{order}6{letter}")
+    numbers = [most, -most, float(np.finfo(letter).smallest_subnormal), -0.0, math.inf, math.nan]
+    packet = struct.pack(f"{order}6{letter}", *numbers)
+    assert structure.encode({"values0": numbers}) == packet
+    decoded = structure.decode(packet)["values0"]
+    np.testing.assert_array_equal(decoded, numbers)
+    assert math.copysign(1, decoded[3]) == -1
+    if letter == "f":
+        message = "values0: found 3.5e+38; expected numbers from -3.40282e+38 to 3.40282e+38"
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+            structure.encode({"values0": [0, 3.5e38, 0, 0, 0, 0]})
+
+
+@pytest.mark.parametrize("byte", [0, 1, 2, 128, 255])
+def test_any_byte_but_0_is_true(byte: int) -> None:
+    structure = Structure("on:1? must:1?=1")
+    packet = bytes([byte, byte])
+    assert structure.decode(packet)["on"].tolist() == [float(byte != 0)]
+    assert structure.decode_rows(rows_of(packet))["must"].tolist() == [[float(byte != 0)]]
+    assert structure.find_wrong_constants(rows_of(packet)).tolist() == [byte == 0]
+    assert structure.encode({"on": [byte]}) == bytes([byte != 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["a", "b"], "expected numbers, all rows of one length"),
+        ([[1, 2], [3]], "expected numbers, all rows of one length"),
+        ([1j, 2], "expected numbers, all rows of one length"),
+        ([None, "x"], "expected numbers, all rows of one length"),
+        ([2**70, 0], f"found {2**70}; expected whole numbers from 0 to 255"),
+        ([10**400, 0], f"found {10**400}; expected whole numbers from 0 to 255"),
+    ],
+)
+def test_what_is_no_number_is_refused_by_the_events_name(given: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^level: {re.escape(message)}$"):
+        Structure("level:2B").encode({"level": given})
+
+
+@pytest.mark.parametrize("column_major", [True, False])
+@pytest.mark.parametrize("kind", ["M", "Mf", "T", "Tf", "Td"])
+def test_matrices_go_through_in_both_majors(kind: str, column_major: bool) -> None:
+    matrix = np.arange(16.0).reshape(4, 4)
+    matrix[3] = 0, 0, 0, 1
+    structure = Structure(f"2{kind}", column_major=column_major)
+    sent = matrix if kind[0] == "M" else matrix[:3]
+    numbers = (sent.T if column_major else sent).ravel().tolist()
+    letter = "f" if "f" in kind else "d"
+    packet = struct.pack(f"<{2 * len(numbers)}{letter}", *numbers, *numbers)
+    assert structure.encode({"matrices0": [matrix, matrix]}) == packet
+    assert structure.decode(packet)["matrices0"].tolist() == [matrix.tolist()] * 2
+
+
+def test_a_last_row_that_is_not_sent_must_be_0_0_0_1() -> None:
+    structure = Structure("1T")
+    with pytest.raises(ValueError, match=r"^matrices0: found last row \[0, 0.5, 0, 1\]; expected"):
+        structure.encode({"matrices0": np.eye(4) + np.outer([0, 0, 0, 1], [0, 0.5, 0, 0])})
+    nothing = np.full((1, 4, 4), np.nan)
+    frame = structure.decode(structure.encode({"matrices0": nothing}))["matrices0"][0]
+    assert np.isnan(frame[:3]).all()
+    assert frame[3].tolist() == [0, 0, 0, 1]
+
+
+def test_scale_is_for_floats_and_of_matrices_for_the_position_only() -> None:
+    structure = Structure("1d 1i 1V 1M 1T mode:1d=4", scale=0.5, column_major=False)
+    matrix = np.arange(1.0, 17.0).reshape(4, 4)
+    frame = matrix.copy()
+    frame[3] = 0, 0, 0, 1
+    packet = struct.pack("<di3d16d12dd", 3, 3, 1, 2, 3, *matrix.ravel(), *frame[:3].ravel(), 4)
+    halved, halved_frame = matrix.copy(), frame.copy()
+    halved[:3, 3] /= 2
+    halved_frame[:3, 3] /= 2
+    values = structure.decode(packet)
+    assert values["values0"].tolist() == [1.5]
+    assert values["values1"].tolist() == [3.0]
+    assert values["vectors0"].tolist() == [[0.5, 1.0, 1.5]]
+    assert values["matrices0"].tolist() == [halved.tolist()]
+    assert values["matrices1"].tolist() == [halved_frame.tolist()]
+    assert values["mode"].tolist() == [4.0]
+    assert structure.encode(values) == packet
+    assert not structure.find_wrong_constants(rows_of(packet)).any()
+
+
+def test_a_number_that_scale_makes_infinite_is_found() -> None:
+    rows = rows_of(struct.pack("<d", 1e308), struct.pack("<d", 1.0), struct.pack("<d", math.nan))
+    assert Structure("1F", scale=100.0).find_not_finite(rows).tolist() == [True, False, True]
+    assert Structure("1F", scale=0.01).find_not_finite(rows).tolist() == [False, False, True]
+    for text, event, array in (("1d", "values0", [1e308]), ("1M", "matrices0", np.eye(4) * 1e308)):
+        with pytest.raises(
+            ValueError, match=rf"^{event}: found 1e\+308; too large for scale 1e-10$"
+        ):
+            Structure(text, scale=1e-10).encode({event: np.array(array)[..., ::-1]})
+    with pytest.raises(ValueError, match=r"^values0: expected numbers, all rows of one length$"):
+        Structure("1d").encode({"values0": [10**400]})
+
+
+@given(st.lists(st.binary(min_size=95, max_size=95), min_size=1, max_size=5), st.booleans(),
+       st.sampled_from([1.0, 0.001]))  # fmt: skip
+def test_rows_are_decoded_as_one_packet_after_the_other(
+    packets: list[bytes], column_major: bool, scale: float
+) -> None:
+    text = ">h:1H 1x 2f 1Vf on:3? <1Tf, 1q >1d"
+    structure = Structure(text, column_major=column_major, scale=scale)
+    assert structure.size == 2 + 1 + 8 + 12 + 3 + 48 + 8 + 8
+    packets = [packet[: structure.size] for packet in packets]
+    wider = np.zeros((len(packets), structure.size + 3), np.uint8)
+    wider[:, : structure.size] = rows_of(*packets)
+    for rows in (rows_of(*packets), wider):
+        decoded = structure.decode_rows(rows)
+        for i, packet in enumerate(packets):
+            for event, array in structure.decode(packet).items():
+                assert decoded[event].dtype == array.dtype == np.float64
+                assert decoded[event].shape[1:] == array.shape == structure.events[event]
+                np.testing.assert_array_equal(decoded[event][i], array)
+
+
+@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0xFFF7FFFFFFFFFFFF, 0x7FF8DEADBEEF0001])
+@pytest.mark.parametrize("text", ["1F", "1V", "1M", ">1F", "1F1f"])
+def test_the_bits_of_a_nan_are_kept_in_float64(bits: int, text: str) -> None:
+    structure = Structure(text)
+    order = ">" if text[0] == ">" else "<"
+    packet = struct.pack(f"{order}Q", bits).ljust(structure.size, b"\0")
+    event = next(iter(structure.events))
+    for array in (structure.decode(packet)[event], structure.decode_rows(rows_of(packet))[event]):
+        assert struct.pack("<d", 0) != array.tobytes()[:8] == struct.pack("<Q", bits)
+
+
+def test_little_endian_float64_is_not_copied_and_the_rest_is() -> None:
+    structure = Structure("2F 1V 1M 1f >1d", column_major=True)
+    packet = bytearray(structure.size)
+    whole = np.frombuffer(packet, np.uint8)
+    values = structure.decode(packet)
+    shared = {event for event, array in values.items() if np.shares_memory(array, whole)}
+    assert shared == {"values0", "vectors0", "matrices0"}
+    rows = np.zeros((3, structure.size + 1), np.uint8)
+    decoded = structure.decode_rows(rows)
+    assert {e for e, array in decoded.items() if np.shares_memory(array, rows)} == shared
+    with pytest.raises(ValueError, match="read-only"):
+        structure.decode(bytes(packet))["values0"][0] = 1.0
+
+
+def test_checks_are_written_and_found_and_told() -> None:
+    structure = Structure("1H=0x2006 size:1H=size 2b=-3 1F mode:1f=0.1 1Q=0xffffffffffffffff")
+    packet = structure.encode({"values0": [1.5]})
+    assert packet == struct.pack("<HH2bdfQ", 0x2006, 26, -3, -3, 1.5, 0.1, 2**64 - 1)
+    assert structure.tell_wrong_constant(rows_of(packet)) == ""
+    assert structure.decode(packet)["size"].tolist() == [26.0]
+    assert list(structure.events) == ["size", "values0", "mode"]
+    for place, byte, told in (
+        (0, 5, "at byte 0 is 8197 (0x2005); expected 8198 (0x2006)"),
+        (2, 27, "size at byte 2 is 27 (0x1b); expected 26 (0x1a)"),
+        (5, 4, "at byte 5 is 4; expected -3"),
+        (17, 0x42, "mode at byte 14 is 102.4; expected 0.1"),
+        (25, 0xFE, "at byte 18 is 18374686479671623679 (0xfeffffffffffffff); expected 1844674407"),
+    ):
+        wrong = bytearray(packet)
+        wrong[place] = byte
+        rows = rows_of(packet, bytes(wrong))
+        assert structure.find_wrong_constants(rows).tolist() == [False, True]
+        assert structure.tell_wrong_constant(rows[1:]).startswith(told)
+    assert (
+        structure.encode({"size": [26], "mode": np.float32(0.1)})
+        == packet[:6] + bytes(8) + (packet[14:])
+    )
+    message = "size: found 27 (0x1b); expected 26 (0x1a), as '"
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
+        structure.encode({"size": [27]})
+
+
+def test_numpy_reads_packets_by_the_dtype() -> None:
+    structure = Structure("1H=7 2f >n:1I 1T 1x")
+    values = {"values0": [1, 2], "n": [3], "matrices0": np.eye(4)}
+    (record,) = np.frombuffer(structure.encode(values), structure.dtype)
+    assert record["values0"].tolist() == [1, 2]
+    assert record["n"].tolist() == [3]
+    assert record["matrices0"].shape == (1, 3, 4)
+
+
+def test_sizes_are_those_of_the_end_of_the_string() -> None:
+    assert Structure("1B=size 1x 253B").fields[0].constant == 255
+    with pytest.raises(StructureError, match="the packet has 256 bytes"):
+        Structure("1B=size 1x 254B")
+    assert Structure("1b=size 126B").size == 127
+    with pytest.raises(StructureError, match="the packet has 128 bytes"):
+        Structure("1b=size 127B")

@@ -1,0 +1,133 @@
+"""Guesses about packets that nobody has described, on packets that the test knows."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import numpy as np
+import pytest
+
+from sero_mj.assemble.frames import rotation_from_rpy
+from sero_mj.receive.guess import describe_bytes, find_frames, guess_layouts, plausibility
+from sero_mj.receive.structure import Structure
+
+JOINTS = np.random.default_rng(7).normal(size=(6, 14))
+FRAME = np.eye(4)
+FRAME[:3, :3], FRAME[:3, 3] = rotation_from_rpy(np.array([0.1, 0.7, -2.0])), (0.5, 0.1, 0.4)
+FRAMES = np.tile(FRAME, (6, 1, 1))
+
+
+def as_rows(*parts: np.ndarray) -> np.ndarray:
+    return np.hstack(
+        [np.ascontiguousarray(part.reshape(len(part), -1)).view(np.uint8) for part in parts]
+    )
+
+
+def counted(letter: str, first: int = 250) -> np.ndarray:
+    return np.arange(first, first + 6).astype(f"<{letter}")[:, None]
+
+
+@pytest.mark.parametrize(
+    ("rows", "structure", "is_double", "column_major"),
+    [
+        (as_rows(JOINTS), "7F7F", True, True),
+        (as_rows(JOINTS.astype("<f4")), "7F7F", False, True),
+        (as_rows(JOINTS.astype(">f8")), ">7F7F", True, True),
+        (as_rows(JOINTS.astype(">f4")), ">7F7F", False, True),
+        (as_rows(JOINTS[:, :7]), "7F", True, True),
+        (as_rows(JOINTS, FRAMES.swapaxes(1, 2)), "7F7F1M", True, True),
+        (as_rows(JOINTS[:, :7], FRAMES, JOINTS[:, :3]), "7F1M3F", True, False),
+        (as_rows(FRAMES.astype("<f4"), FRAMES.astype("<f4")), "1M1M", False, False),
+        (as_rows(counted("u4"), JOINTS), "number:1I 7F7F", True, True),
+        (as_rows(counted("u8"), JOINTS), "number:1Q 7F7F", True, True),
+        (as_rows(counted("u2"), np.full((6, 1), 60, "<u2"), JOINTS.astype("<f4")),
+         "number:1H 1H=size 7F7F", False, True),
+        (as_rows(counted("u2", 65_533), counted("u2"), JOINTS), "number:1H 1H 7F7F", True, True),
+        (as_rows(JOINTS.astype("<f4"))[:1], "7F7F", False, True),
+        # Of one packet no counter can be told, but that something stands before the numbers.
+        (as_rows(counted("u4", 10**9), JOINTS)[:1], "1I 7F7F", True, True),
+        (as_rows(counted("u4", 10**9), JOINTS.astype(">f8"))[:1], "1I >7F7F", True, True),
+        # Nothing speaks against zeros, and few digits are no reason to think of float32.
+        (np.zeros((3, 112), np.uint8), "7F7F", True, True),
+        (as_rows(np.tile([0.5, 1.0, -2.0, 0.25], (4, 1))), "2F2F", True, True),
+    ],
+)  # fmt: skip
+def test_the_first_guess_is_right(
+    rows: np.ndarray, structure: str, is_double: bool, column_major: bool
+) -> None:
+    first, *others = guess_layouts(rows)
+    found = (first.structure, first.is_double, first.column_major)
+    assert found == (structure, is_double, column_major)
+    assert first.plausible > 0.99
+    for guess in (first, *others):
+        assert Structure(guess.structure, is_double=guess.is_double).size == rows.shape[1]
+
+
+def test_112_bytes_may_be_doubles_or_twice_as_many_floats() -> None:
+    rows = as_rows(JOINTS)
+    guesses = {guess.about: guess for guess in guess_layouts(rows)}
+    assert list(guesses) == ["float64: 7 joints twice", "float32: 14 joints twice"]
+    assert guesses["float64: 7 joints twice"].plausible == 1.0
+    assert 0.4 < guesses["float32: 14 joints twice"].plausible < 0.8
+
+
+def test_the_other_byte_order_is_named_only_where_it_says_more() -> None:
+    assert not any(">" in guess.structure for guess in guess_layouts(as_rows(JOINTS)))
+    swapped = guess_layouts(as_rows(JOINTS.astype(">f8")))
+    assert swapped[0].about == "big-endian float64: 7 joints twice"
+    assert swapped[-1].plausible < 0.2
+
+
+def test_packets_of_robots_on_the_market_are_known_by_size_and_header() -> None:
+    packet = bytearray(np.full(229, 0.5, "<f4").tobytes())
+    rows = np.frombuffer(packet, np.uint8)[None]
+    assert [guess.about for guess in guess_layouts(rows)] == [
+        "float32: 229 numbers", "KUKA FRI, measured data (LWR 4)",
+    ]  # fmt: skip
+    packet[4:8] = struct.pack("<2H", 916, 0x2006)
+    first, *_ = guess_layouts(rows)
+    assert first.about == "KUKA FRI, measured data (LWR 4)"
+    assert (first.is_double, first.column_major, first.plausible) == (False, False, 1.0)
+
+
+@pytest.mark.parametrize(("size", "most"), [(1, 0), (3, 0), (13, 0), (4, 2), (6, 1), (65_504, 4)])
+def test_any_size_gets_guesses_that_fit_or_none(size: int, most: int) -> None:
+    rows = np.random.default_rng(size).integers(0, 256, (5, size), np.uint8)
+    guesses = guess_layouts(rows)
+    assert bool(guesses) == bool(most)
+    assert len(guesses) <= 4
+    for guess in guesses:
+        assert Structure(guess.structure, is_double=guess.is_double).size == size
+        assert 0.0 <= guess.plausible <= 1.0
+
+
+def test_numbers_are_plausible_from_1e_minus_6_to_1e6_and_zeros_say_nothing() -> None:
+    numbers = np.array([[1e-6, -1e6, 0.0, -0.0], [9e-7, 1.1e6, math.nan, -math.inf]])
+    assert plausibility(numbers) == (2 / 6, 2)
+    assert plausibility(np.zeros((2, 2))) == (1.0, 0)
+
+
+def test_frames_are_found_where_all_packets_have_them() -> None:
+    numbers = np.hstack([JOINTS[:, :2], FRAMES.reshape(6, 16), FRAMES.reshape(6, 16)])
+    assert find_frames(numbers) == ([2, 18], False)
+    numbers[3, 4] += 0.5  # in one packet the first is none
+    assert find_frames(numbers) == ([18], False)
+    assert find_frames(JOINTS) == ([], True)
+
+
+@pytest.mark.parametrize(
+    ("packet", "words"),
+    [
+        (b"", "empty"),
+        (bytes(5), "only zeros"),
+        (b'<Rob Type="KUKA">\r\n</Rob>', 'XML, which no structure describes: <Rob Type="KUKA"> </'),
+        (b'{"joint": 1}', 'JSON, which no structure describes: {"joint": 1}'),
+        (b"movej 1 2 3", "text, which no structure describes: movej 1 2 3"),
+        (b"   ", "text, which no structure describes:  "),
+        (struct.pack("<d", 0.1), ""),
+    ],
+)
+def test_bytes_are_described_where_they_are_no_numbers(packet: bytes, words: str) -> None:
+    described = describe_bytes(np.frombuffer(packet, np.uint8)[None])
+    assert described.startswith(words) and bool(described) == bool(words)

@@ -1,0 +1,156 @@
+"""STRUCTURE.md: every example runs, and what its grammar makes is read."""
+
+from __future__ import annotations
+
+import random
+import re
+import shlex
+import tomllib
+from importlib import resources
+
+import pytest
+
+from sero_mj.cli import main
+from sero_mj.errors import StructureError
+from sero_mj.receive.fri_layout import FriLayout
+from sero_mj.receive.guess import KNOWN
+from sero_mj.receive.kinds import make_source
+from sero_mj.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
+from sero_mj.receive.structure import Structure
+
+PAGE = resources.files("sero_mj.receive").joinpath("STRUCTURE.md").read_text("utf-8")
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
+
+
+def blocks(language: str) -> list[str]:
+    found = [text for name, text in BLOCKS if name == language]
+    assert found
+    return found
+
+
+@pytest.mark.parametrize("example", blocks("console"))
+def test_a_command_prints_what_the_page_says(example: str, capsys) -> None:
+    command, *printed = example.splitlines()
+    prompt, name, *arguments = shlex.split(command)
+    assert (prompt, name) == ("$", "sero-mj")
+    with pytest.raises(SystemExit):
+        main(arguments)
+    out, err = capsys.readouterr()
+    assert (out + err).splitlines() == printed
+
+
+def test_python_on_the_page_runs() -> None:
+    for code in blocks("python"):
+        assert "assert" in code
+        exec(compile(code, "STRUCTURE.md", "exec"), {})
+
+
+def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
+    (table,) = (tomllib.loads(text)["sources"]["fri"] for text in blocks("toml"))
+    layout = make_source("fri", table).layout
+    assert layout.size == FriLayout().size == 916
+    places = {field.name: (field.offset, field.type) for field in layout.fields}
+    fields = {field.name: (field.offset, field.type) for field in FriLayout().fields}
+    names = {
+        "number": "send_counter", "reflected": "reflected_counter", "time": "timestamp",
+        "flange": "flange_frame", "commanded_angles": "commanded_before_fri",
+        "contact": "tcp_force", "gravity": "gravity_torques",
+    }  # fmt: skip
+    same = ("temperatures", "joint_angles", "torques", "external_torques")
+    for name, other in {**names, **dict(zip(same, same, strict=True))}.items():
+        assert places[name] == fields[other]
+    assert layout.encode({})[4:8] == (916).to_bytes(2, "little") + b"\x06\x20"
+    assert {size: Structure(text).size for size, (text, _) in KNOWN.items()} == {916: 916, 376: 376}
+
+
+def test_the_other_commands_of_the_page_are_understood() -> None:
+    from sero_mj.cli import _parser
+
+    for line in "\n".join(blocks("bash")).splitlines():
+        options = _parser().parse_args(shlex.split(line, comments=True)[1:])
+        assert options.sniff == 32000
+
+
+class Grammar:
+    """Makes strings by the rules of the page's grammar, whatever they are."""
+
+    def __init__(self, text: str, seed: int) -> None:
+        self.rules = {
+            name: re.findall(r'"[^"]*"|\w+|[|,{}\[\]()]', body)
+            for name, body in re.findall(r"(\w+)\s+= (.*?) ;\n", text, re.DOTALL)
+        }
+        self.random = random.Random(seed)
+        self.used: set[str] = set()
+
+    def make(self, rule: str) -> str:
+        self.used.add(rule)
+        tokens = list(self.rules[rule])
+        made = self.alternatives(tokens)
+        assert not tokens
+        return made
+
+    def alternatives(self, tokens: list[str]) -> str:
+        found = [self.sequence(tokens)]
+        while tokens and tokens[0] == "|":
+            tokens.pop(0)
+            found.append(self.sequence(tokens))
+        return self.random.choice(found)
+
+    def sequence(self, tokens: list[str]) -> str:
+        made = self.factor(tokens)
+        while tokens and tokens[0] == ",":
+            tokens.pop(0)
+            made += self.factor(tokens)
+        return made
+
+    def factor(self, tokens: list[str]) -> str:
+        token = tokens.pop(0)
+        if token in ("{", "[", "("):
+            times = {"{": (0, 0, 1, 2), "[": (0, 1), "(": (1,)}[token]
+            made = "".join(
+                self.alternatives(list(tokens)) for _ in range(self.random.choice(times))
+            )
+            self.alternatives(tokens)
+            assert tokens.pop(0) == {"{": "}", "[": "]", "(": ")"}[token]
+            return made
+        if token[0] == '"':
+            if tokens[:1] == ["to"]:
+                last = tokens[1][1]
+                del tokens[:2]
+                return chr(self.random.randint(ord(token[1]), ord(last)))
+            return token[1:-1]
+        return self.make(token)
+
+
+# What the page says in words, beside the grammar.
+BESIDE = (
+    "a meaning of its own", "a space or a comma before a name", "two fields have the name",
+    "a count of 1 or more", "would be too long", "a matrix cannot be checked", "a number from",
+    "a count before it", "the word size", "expected < (little",  # a check reads on to the next gap
+    "a whole number for this type", "something that makes an event", "type that holds this number",
+)  # fmt: skip
+
+
+def test_what_the_grammar_makes_is_read() -> None:
+    grammar = Grammar(blocks("ebnf")[0], seed=11)
+    read = 0
+    for _ in range(1500):
+        text = grammar.make("structure")
+        try:
+            parse(text)
+        except StructureError as error:
+            assert any(reason in error.reason for reason in BESIDE), (text, str(error))
+        else:
+            read += 1
+    assert read > 300
+    assert grammar.used == set(grammar.rules)
+
+
+def test_the_grammar_has_all_letters_and_the_page_the_limit() -> None:
+    grammar = Grammar(blocks("ebnf")[0], seed=0)
+    quoted = {
+        rule: {token[1:-1] for token in grammar.rules[rule] if token[0] == '"'}
+        for rule in ("kind", "type")
+    }
+    assert quoted == {"kind": set(KINDS), "type": set(TYPES)}
+    assert f"at most {MAX_PACKET_BYTES} bytes" in PAGE
