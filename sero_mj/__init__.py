@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .drive.place import Placer as Placer
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
+    from .receive.shm import ShmReader as ShmReader
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
     from .show.capture import render_film as render_film
@@ -67,6 +68,7 @@ _HOME = {
     "Placer": "drive.place",
     "DeclarationError": "errors",
     "SeroError": "errors",
+    "ShmReader": "receive.shm",
     "Structure": "receive.structure",
     "UdpReceiver": "receive.udp",
     "render_film": "show.capture",

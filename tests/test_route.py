@@ -74,12 +74,12 @@ def test_a_source_is_made_from_its_table() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({}, "kind: is required; expected 'udp'"),
-        ({"kind": "shm"}, "kind: found 'shm'; expected 'udp'"),
-        ({"kind": "upd"}, "kind: found 'upd'; expected 'udp'; did you mean 'udp'?"),
-        ({"kind": 5}, "kind: found 5; expected 'udp'"),
-        ({"kind": ["udp"]}, "kind: found ['udp']; expected 'udp'"),
-        ({"kind": {"udp": 1}}, "kind: found {'udp': 1}; expected 'udp'"),
+        ({}, "kind: is required; expected 'udp' or 'shm'"),
+        ({"kind": "fri"}, "kind: found 'fri'; expected 'udp' or 'shm'"),
+        ({"kind": "upd"}, "kind: found 'upd'; expected 'udp' or 'shm'; did you mean 'udp'?"),
+        ({"kind": 5}, "kind: found 5; expected 'udp' or 'shm'"),
+        ({"kind": ["udp"]}, "kind: found ['udp']; expected 'udp' or 'shm'"),
+        ({"kind": {"udp": 1}}, "kind: found {'udp': 1}; expected 'udp' or 'shm'"),
     ],
 )
 def test_another_kind_of_source_is_refused(table: dict[str, Any], message: str) -> None:

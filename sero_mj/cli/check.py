@@ -39,8 +39,8 @@ def run(options: argparse.Namespace) -> int:
             events = ", ".join(
                 f"{event} ({' x '.join(map(str, shape))})" for event, shape in source.events.items()
             )
-            where = f"{source.host}:{source.udpport}"  # type: ignore[attr-defined]
-            print(f"  source  {name}: UDP {where}, {layout.size} bytes: {events}")
+            about = getattr(source, "about", name)
+            print(f"  source  {name}: {about}, {layout.size} bytes: {events}")
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import DeclarationError, Problem, nearest
+from .receiver import Receiver
+from .shm import ShmReader
 from .source import Source
 from .udp import UdpReceiver
 
-KINDS: dict[str, type[UdpReceiver]] = {"udp": UdpReceiver}
+KINDS: dict[str, type[Receiver]] = {"udp": UdpReceiver, "shm": ShmReader}
 
 
 def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
