@@ -38,7 +38,7 @@ def add_to(commands: Commands) -> None:
         commands,
         "send",
         run,
-        "play a motion to a UDP port or shared memory as a robot would",
+        "play a motion to UDP or shared memory as a robot would",
         _EPILOG,
     )
     parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")

@@ -56,7 +56,7 @@ class Ahead:
         self._takes = 0.0  # s to make some more
 
     def at(self, t: float) -> bytes:
-        """Returns the packet of time t (s); every time is that of a packet, and later than before."""
+        """Returns the packet of time t (s); times are those of packets, and go up."""
         number = round(t * self._rate)
         while self._made <= number:
             self._make()

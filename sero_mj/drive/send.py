@@ -6,7 +6,7 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -42,7 +42,8 @@ class UdpSink:
         except (OSError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or error
             raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
-        family, kind, _, _, self._address = found
+        family, kind, _, _, address = found
+        self._address: tuple[Any, ...] = address
         self.place = f"UDP {host}:{port}"
         self._socket = socket.socket(family, kind)
 

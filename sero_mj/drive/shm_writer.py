@@ -109,5 +109,5 @@ def _open(name: str) -> tuple[Block, bool]:
 def _modulus(dtype: np.dtype[np.generic]) -> int:
     """How far a lock of this type counts, and knows odd from even."""
     if dtype.kind == "f":
-        return int(2 ** (np.finfo(dtype).nmant + 1))
+        return 2**53 if dtype.itemsize == 8 else 2**24
     return int(2 ** (8 * dtype.itemsize - (dtype.kind == "i")))
