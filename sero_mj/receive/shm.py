@@ -12,13 +12,12 @@ from ..errors import SourceError
 from .receiver import Receiver, log
 from .shm_block import Block, block_path
 from .source import Packet, Packets
-from .structure import Field as PacketField
+from .whole import WholePackets
 
 _LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
+_BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
 _TELL_EVERY = 1.0  # s; how often a block that stays too small is counted
-_TRIES = 50  # to read a packet between two writes; some 200 us
-_LONGEST_SPIN = 2e-4  # s; a packet that has to stand still for longer is looked at again later
-_WRITING_FOR = 0.1  # s; a packet takes no longer to be written by a writer that lives
+_GATHER = 4e-3  # s; packets that come faster are checked together, as one costs what ten do
 
 
 class ShmReader(Receiver):
@@ -63,15 +62,13 @@ class ShmReader(Receiver):
     _reading: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _wake: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _owes_call_back: bool = PrivateAttr(False)
-    _lock_field: PacketField | None = PrivateAttr(None)
-    _sequence_field: PacketField | None = PrivateAttr(None)
+    _packets: WholePackets | None = PrivateAttr(None)
     _look_next: float = PrivateAttr(0.0)
     _tell_next: float = PrivateAttr(0.0)
-    _done: bytes = PrivateAttr(b"")  # the packet that was handed on last
-    _standing: bytes = PrivateAttr(b"")  # a new one that may not be whole
-    _unfinished: bytes = PrivateAttr(b"")  # one that is not, as its lock says
-    _since: float = PrivateAttr(0.0)  # when either was first seen
-    _trouble: str = PrivateAttr("")
+    _trouble: str = PrivateAttr("")  # with the block itself
+    # What has been read and is to be checked: packets, of any length, and when they were read.
+    _gathered: list[tuple[bytes, float]] = PrivateAttr(default_factory=list)
+    _checked: float = PrivateAttr(-np.inf)  # when others were
 
     @field_validator("block")
     @classmethod
@@ -107,7 +104,7 @@ class ShmReader(Receiver):
     @property
     def trouble(self) -> str:
         """What keeps packets from coming, for people; empty when nothing is known to."""
-        return self._trouble
+        return self._trouble or (self._packets.trouble if self._packets is not None else "")
 
     def open(self) -> None:
         """Starts the thread that reads; the block need not exist.
@@ -117,13 +114,19 @@ class ShmReader(Receiver):
         """
         self.close()
         self._start_afresh()
-        layout = self.layout
-        self._lock_field = layout.field(self.lock) if self.lock else None
-        self._sequence_field = layout.field(self.sequence) if self.sequence else None
+        self._packets = WholePackets(
+            self.layout,
+            self.about,
+            lock=self.lock,
+            sequence=self.sequence,
+            offset=self.offset,
+            settle=self.settle,
+        )
+        self._gathered, self._checked = [], -np.inf
         self._tell_next, self._look_next = 0.0, clock.monotonic() + _LOOK_EVERY
         self._trouble = ""
         try:
-            self._take_up(Block(self.block))
+            self._block = Block(self.block)
         except FileNotFoundError:
             self._trouble = f"no {self.about} yet"
         except OSError as error:
@@ -164,12 +167,14 @@ class ShmReader(Receiver):
 
     def _look_now(self) -> None:
         # Where no packet may be lost, the caller must not wait for room that it has to make itself.
-        if self._thread is None or not self.only_latest_packet:
+        if self._thread in (None, threading.current_thread()) or not self.only_latest_packet:
             return
-        if self._reading.acquire(blocking=False):  # else the thread is just reading
+        # The thread may be reading, which takes less, or calling back somebody who waits for us.
+        if self._reading.acquire(timeout=_BUSY):
             try:
                 if not self._closing.is_set():
                     self._poll()
+                    self._check()
             finally:
                 self._reading.release()
 
@@ -179,8 +184,8 @@ class ShmReader(Receiver):
         When none has, why is logged, where it is known.
         """
         has_come = super().wait(timeout)
-        if not has_come and self._trouble and self.debug_level >= 1:
-            log.warning("source '%s': %s", self.name, self._trouble)
+        if not has_come and self.trouble and self.debug_level >= 1:
+            log.warning("source '%s': %s", self.name, self.trouble)
         return has_come
 
     def _call_back(self) -> None:
@@ -190,52 +195,57 @@ class ShmReader(Receiver):
             super()._call_back()
 
     def _receive(self) -> None:
-        period = 1.0 / self.poll_rate
+        period, reading, wake = 1.0 / self.poll_rate, self._reading, self._wake
         while not self._closing.is_set():
-            with self._reading:
+            with reading:
                 self._poll()
+                if self._gathered and clock.monotonic() - self._checked >= _GATHER:
+                    self._check()
                 if self._owes_call_back:
                     self._call_back()
             # Cheaper than to wait for an Event, and no less immediate.
-            self._wake.acquire(timeout=period)
+            wake.acquire(timeout=period)
+        self._check()
 
     def _poll(self) -> None:
-        """Looks into the block once, and takes in what is new."""
+        """Looks into the block once, and keeps what is new."""
         now = clock.monotonic()
         try:
             if now >= self._look_next:
                 self._look_next = now + _LOOK_EVERY
                 self._look_for_another()
-            if self._block is None:
+            block, packets = self._block, self._packets
+            if block is None or packets is None:
                 return
-            seen = self._read()
-            if seen == self._done:
-                return
-            if len(seen) < self.size:
-                self._tell_too_small(seen, now)
-                return
-            packet = self._read_whole(seen, now)
+            found = packets.find(block)
         except OSError as error:
             self._trouble = f"{self.about}: {_why(error)}"
             return
-        if packet is not None:
-            self._done, self._unfinished, self._standing = packet, b"", b""
-            self._trouble = ""
-            self._take_in(packet, len(packet))
+        if found is None:
+            if packets.torn:
+                self.counters.torn += packets.torn
+                packets.torn = 0
+        elif len(found) == self.size:
+            self._gathered.append((found, now))
+        elif now >= self._tell_next and block.size:  # else it has been made a moment ago
+            self._tell_next = now + _TELL_EVERY
+            self._gathered.append((found, now))
 
-    def _read(self, field: PacketField | None = None) -> bytes:
-        assert self._block is not None
-        if field is None:
-            return self._block.read(self.size, self.offset)
-        return self._block.read(field.end - field.offset, self.offset + field.offset)
-
-    def _take_in(self, packet: bytes, length: int) -> None:
-        rows = np.frombuffer(packet.ljust(self.size, b"\0"), np.uint8)[None]
-        self._accept(rows, np.array([length]), np.array([clock.monotonic()]))
+    def _check(self) -> None:
+        """Hands on what has been read and is good."""
+        if not self._gathered:
+            return
+        gathered, self._gathered = self._gathered, []
+        text = b"".join(packet.ljust(self.size, b"\0") for packet, _ in gathered)
+        rows = np.frombuffer(text, np.uint8).reshape(len(gathered), self.size)
+        lengths = np.array([len(packet) for packet, _ in gathered])
+        self._accept(rows, lengths, np.array([arrival for _, arrival in gathered]))
+        self._checked = clock.monotonic()
 
     def _look_for_another(self) -> None:
         """Takes up the block that has the name now."""
         old = self._block
+        assert self._packets is not None
         try:
             found = Block(self.block)
         except FileNotFoundError:
@@ -246,119 +256,18 @@ class ShmReader(Receiver):
             return
         if old is not None and found.identity == old.identity and any(found.identity):
             found.close()
+            self._trouble = ""
             return
-        if old is not None and not any(found.identity):  # it may be the old one
-            old.close()
-            self._block = found
-            return
+        self._trouble = ""
         if old is not None:
-            self.intake.restart()
-            if self.debug_level >= 2:
-                log.info("source '%s': %s was made anew", self.name, self.about)
-        self._take_up(found)
-
-    def _take_up(self, block: Block) -> None:
-        if self._block is not None:
-            self._block.close()
-        self._block, self._trouble = block, ""
-        self._done = self._standing = self._unfinished = b""
-
-    def _tell_too_small(self, seen: bytes, now: float) -> None:
-        """Counts a block without room for a packet, again while it stays so."""
-        assert self._block is not None
-        size = self._block.size
-        if size == 0:  # made a moment ago
-            self._trouble = f"{self.about} is empty"
-            return
-        self._trouble = f"{self.about} has {size} bytes; expected {self.offset + self.size}"
-        if now >= self._tell_next:
-            self._tell_next = now + _TELL_EVERY
-            self._take_in(seen, len(seen))
-
-    def _read_whole(self, seen: bytes, now: float) -> bytes | None:
-        """Returns the packet when the writer is not in the middle of it and it is a new one."""
-        if not self._done and seen.count(0) == len(seen):
-            self._trouble = f"nothing has been written to {self.about} yet"
-            return None
-        if self._lock_field is not None:
-            return self._read_locked(seen, now)
-        field = self._sequence_field
-        if field is not None and self._done and _part(seen, field) == _part(self._done, field):
-            return None  # in the middle of the next one
-        return self._read_standing(seen, now)
-
-    def _read_locked(self, seen: bytes, now: float) -> bytes | None:
-        """Reads between two writes, by the writer's lock."""
-        field = self._lock_field
-        assert field is not None
-        if seen == self._unfinished:  # the same write as before
-            if now - self._since > _WRITING_FOR:
-                self._trouble = (
-                    f"the writer of {self.about} stopped in the middle of a packet: "
-                    f"'{self.lock}' is odd"
-                )
-            return None
-        for _ in range(_TRIES):
-            before = self._read(field)
-            packet = self._read()
-            if len(packet) < self.size:
-                return None
-            if before == self._read(field) == _part(packet, field) and _is_even(before, field):
-                return packet if self._is_counted(packet, before) else None
-        self.counters.torn += 1
-        if not _is_even(_part(packet, field), field):
-            self._unfinished, self._since = packet, now
-        return None
-
-    def _is_counted(self, packet: bytes, lock: bytes) -> bool:
-        """Whether the lock says that this whole packet is a new one."""
-        if packet == self._done:
-            return False
-        if not any(lock):
-            self._trouble = f"nothing has been written to {self.about}: '{self.lock}' is 0"
-        elif self._done and lock == _part(self._done, self._lock_field):
-            self._trouble = (
-                f"the writer of {self.about} does not count '{self.lock}' up for a packet"
-            )
-        else:
-            return True
-        return False
-
-    def _read_standing(self, seen: bytes, now: float) -> bytes | None:
-        """Reads again until nothing has changed for a while."""
-        stands = seen == self._standing
-        if stands and now - self._since >= self.settle:
-            return seen
-        if self.settle > _LONGEST_SPIN:
-            if not stands:
-                self.counters.torn += bool(self._standing)
-                self._standing, self._since = seen, clock.monotonic()
-            return None
-        changes, since = 0, clock.monotonic()
-        while changes < _TRIES:
-            started = clock.monotonic()
-            again = self._read()
-            if len(again) < self.size:
-                return None
-            if again != seen:
-                seen, since, changes = again, clock.monotonic(), changes + 1
-            elif started - since >= self.settle:
-                return seen
-        self.counters.torn += 1
-        self._trouble = f"{self.about} changes all the time; its writer needs a lock"
-        self._standing, self._since = seen, since
-        return None
-
-
-def _part(packet: bytes, field: PacketField | None) -> bytes:
-    assert field is not None
-    return packet[field.offset : field.end]
-
-
-def _is_even(number: bytes, field: PacketField) -> bool:
-    """Whether a lock says that the packet is whole; NaN does not."""
-    found = np.frombuffer(number, field.dtype)
-    return len(found) == 1 and bool(found[0] % 2 == 0)
+            old.close()
+            if any(found.identity):  # else it may be the old one
+                self._check()
+                self.intake.restart()
+                self._packets.forget()
+                if self.debug_level >= 2:
+                    log.info("source '%s': %s was made anew", self.name, self.about)
+        self._block = found
 
 
 def _why(error: OSError) -> str:
