@@ -25,6 +25,12 @@ pytestmark = needs_posix
 LINUX = sys.platform == "linux"
 
 
+def run(arguments: list[str]) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    return int(ended.value.code or 0)
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -101,7 +107,7 @@ def test_a_system_without_shared_memory_is_told(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "lwr_shm"]) == 0
+    assert run(["check", "lwr_shm"]) == 0
     said = capsys.readouterr().out
     events = "lock (1), angles (7), torques (7)"
     assert f"source  robot: shared memory /sero_lwr, 120 bytes: {events}" in said
@@ -121,14 +127,14 @@ def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) 
 def test_what_send_cannot_do_is_told(
     options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["send", *options]) != 0
+    assert run(["send", *options]) != 0
     assert message in capsys.readouterr().err
 
 
 def test_a_robot_without_a_scene_is_played_to_shared_memory(
     block: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["send", "lwr", "--shm", block, "--duration", "0.05"]) == 0
+    assert run(["send", "lwr", "--shm", block, "--duration", "0.05"]) == 0
     said = capsys.readouterr().out
     assert f"sending 7F7F (112 bytes) to shared memory {block} at 1000 Hz" in said
     assert "sent 50 packets" in said
