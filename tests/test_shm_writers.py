@@ -18,6 +18,7 @@ from conftest import ROOT
 from polling import until
 from shm_tools import block, compile_c, make, needs_posix, remove, unlink
 
+from sero_mj.decor.staleness import Staleness
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.drive.shm_writer import ShmWriter
 from sero_mj.errors import SourceError
@@ -128,6 +129,10 @@ def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
             assert mirror.advance()
             qpos = mirror.data.qpos[mirror.world.robots["lwr"].qpos]
             np.testing.assert_array_equal(qpos, angles)
+            for _ in range(20):  # what is read in this very moment is not older than nothing
+                writer.put(source.layout.encode(packet))  # type: ignore[attr-defined]
+                assert mirror.advance()
+                assert Staleness(mirror.world).find(mirror.data) == {}
 
 
 @pytest.mark.parametrize(

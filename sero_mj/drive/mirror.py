@@ -151,7 +151,7 @@ class Mirror:
                 counters.wrong_size,
                 counters.last_size,
                 source.size,
-                clock - counters.last_fault_time if counters.malformed else -1.0,
+                max(clock - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
                 counters.not_frames,
             )
         self._placer.place(data)

@@ -159,7 +159,7 @@ class Source(Protocol):
 
 
 def age(packet: Packet | None, now: float | None = None) -> float:
-    """Seconds since the packet arrived; infinite when there is none."""
+    """Seconds since the packet arrived; infinite when there is none, 0 when it came after `now`."""
     if packet is None:
         return float("inf")
-    return (time.monotonic() if now is None else now) - packet.arrival
+    return max((time.monotonic() if now is None else now) - packet.arrival, 0.0)
