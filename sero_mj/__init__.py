@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
     from .receive.fri import FriReceiver as FriReceiver
+    from .receive.shm import ShmReader as ShmReader
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
     from .show.capture import render_film as render_film
@@ -69,6 +70,7 @@ _HOME = {
     "DeclarationError": "errors",
     "SeroError": "errors",
     "FriReceiver": "receive.fri",
+    "ShmReader": "receive.shm",
     "Structure": "receive.structure",
     "UdpReceiver": "receive.udp",
     "render_film": "show.capture",

@@ -85,7 +85,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["send", "lwr_udp", "--structure", "7G"], "structure '7G', character 2: found 'G'"),
         (
             ["send", "lwr_udp", "--source", "ucp"],
-            "the scene has no UDP source 'ucp'; did you mean 'udp'?",
+            "the scene has no source 'ucp'; did you mean 'udp'?",
         ),
         (["send", "lwr_udp", "--rate", "0"], "expected a number above 0"),
         (["send", "lwr_udp", "--port", "70000"], "expected a port from 1 to 65535"),

@@ -22,6 +22,7 @@ from sero_mj.drive.fri_answers import AnswerStatistics
 from sero_mj.drive.fri_controller import Faults, FriController
 from sero_mj.drive.fri_signals import FriSignals
 from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.send import UdpSink
 from sero_mj.errors import SourceError, UsageError
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout, no_command
@@ -31,10 +32,12 @@ ROBOT = """
 import json, sys
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.drive.fri_controller import Faults, FriController
+from sero_mj.drive.send import UdpSink
 options = json.loads(sys.argv[2])
 faults = Faults(**options.pop("faults", {}))
 controller = FriController(SerialRobot.from_model("lwr"), faults=faults, **options)
-report = controller.run("127.0.0.1", int(sys.argv[1]), duration=float(sys.argv[3]))
+with UdpSink("127.0.0.1", int(sys.argv[1])) as sink:
+    report = controller.run(sink, duration=float(sys.argv[3]))
 last = controller._layout.decode(controller.measure(0.0))
 print(json.dumps([report.packets, faults.withheld, faults.doubled, faults.swapped,
                   controller.answers, controller.command_flags,
@@ -293,7 +296,7 @@ def test_only_robots_of_seven_joints_have_fri() -> None:
     with pytest.raises(UsageError, match="FRI is for 7 joints; 'two' has 2"):
         FriController(two)
     with pytest.raises(SourceError, match="not an address"):
-        FriController(SerialRobot.from_model("lwr")).run("no.such.host.invalid", 1, 0.1)
+        UdpSink("no.such.host.invalid", 1)
 
 
 def test_send_plays_a_controller(capsys: Any) -> None:
@@ -304,7 +307,7 @@ def test_send_plays_a_controller(capsys: Any) -> None:
             main(["send", "lwr_fri", *arguments, "--seed", "2"])
         assert caught.value.code == 0
         out = capsys.readouterr().out
-        assert f"FRI 1.0 measurements (916 bytes) to 127.0.0.1:{port} every 4 ms" in out
+        assert f"FRI 1.0 measurements (916 bytes) to UDP 127.0.0.1:{port} every 4 ms" in out
         made, lost = map(int, re.findall(r"made (\d+) packets.* lost (\d+) on purpose", out)[0])
         assert made == 100
         assert until(lambda: receiver.counters.received == made - lost)

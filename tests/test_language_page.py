@@ -87,7 +87,7 @@ class Grammar:
         tokens = list(self.rules[rule])
         made = self.alternatives(tokens)
         assert not tokens
-        return made
+        return f" {made} " if rule == "item" else made  # as the page has it beside names, checks
 
     def alternatives(self, tokens: list[str]) -> str:
         found = [self.sequence(tokens)]
@@ -126,7 +126,6 @@ class Grammar:
 BESIDE = (
     "a meaning of its own", "a space or a comma before a name", "two fields have the name",
     "a count of 1 or more", "would be too long", "a matrix cannot be checked", "a number from",
-    "a count before it", "the word size", "expected < (little",  # a check reads on to the next gap
     "a whole number for this type", "something that makes an event", "type that holds this number",
 )  # fmt: skip
 

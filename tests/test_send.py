@@ -6,6 +6,7 @@ import math
 import socket
 import struct
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.drive.motion import InverseDynamics, SineMotion
 from sero_mj.drive.play import MotionPackets
-from sero_mj.drive.send import SendReport, send
+from sero_mj.drive.send import SendReport, UdpSink, send
 from sero_mj.errors import SourceError, StructureError, UsageError
 
 UDP = {"kind": "udp", "port": 4711, "structure": "2F2F2F"}
@@ -49,12 +50,18 @@ def listener() -> Any:
         yield sock
 
 
-def test_a_thousand_packets_a_second_leave_at_that_rate(listener: socket.socket) -> None:
+@pytest.fixture
+def to(listener: socket.socket) -> Iterator[UdpSink]:
+    with UdpSink(*listener.getsockname()) as sink:
+        yield sink
+
+
+def test_a_thousand_packets_a_second_leave_at_that_rate(to: UdpSink) -> None:
     reports: list[SendReport] = []
     # A busy machine may stall one run of half a second, hardly three.
     while len(reports) < 3 and not (reports and 950 < reports[-1].rate < 1050):
         start = time.perf_counter()
-        reports.append(send(lambda t: b"1", *listener.getsockname(), rate=1000, duration=0.5))
+        reports.append(send(lambda t: b"1", to, rate=1000, duration=0.5))
         assert 0.475 < reports[-1].seconds <= time.perf_counter() - start
     assert 950 < reports[-1].rate < 1050
     assert (reports[-1].packets, reports[-1].refused) == (500, 0)
@@ -62,7 +69,7 @@ def test_a_thousand_packets_a_second_leave_at_that_rate(listener: socket.socket)
 
 
 def test_packets_leave_in_order_each_at_its_time_and_none_is_missing(
-    listener: socket.socket,
+    listener: socket.socket, to: UdpSink
 ) -> None:
     moments: list[float] = []
     made: list[float] = []
@@ -73,7 +80,7 @@ def test_packets_leave_in_order_each_at_its_time_and_none_is_missing(
         return struct.pack("<d", t)
 
     start = time.perf_counter()
-    send(packet_at, *listener.getsockname(), rate=500, duration=0.1)
+    send(packet_at, to, rate=500, duration=0.1)
     assert made == [k / 500 for k in range(50)]
     assert [struct.unpack("<d", listener.recv(100))[0] for _ in range(50)] == made
     # The next packet is made when the one before has left: none leaves before its time.
@@ -85,23 +92,25 @@ def test_the_rate_of_a_report_is_packets_over_seconds() -> None:
     assert SendReport(0, 0.0, 0, 0.0, 0.0).rate == 0.0
 
 
-def test_lateness_is_reported(listener: socket.socket) -> None:
+def test_lateness_is_reported(to: UdpSink) -> None:
     def packet_at(t: float) -> bytes:
         if t >= 0.05:
             time.sleep(0.02)  # a motion that takes longer to compute than there is time
         return b""
 
-    report = send(packet_at, *listener.getsockname(), rate=100, duration=0.1)
+    report = send(packet_at, to, rate=100, duration=0.1)
     assert report.packets == 10
     assert report.jitter_p50 < 0.03 < report.jitter_p99
     assert report.rate < 80
 
 
-def test_refused_packets_are_counted_and_do_not_stop_it(listener: socket.socket) -> None:
+def test_refused_packets_are_counted_and_do_not_stop_it(
+    listener: socket.socket, to: UdpSink
+) -> None:
     # No UDP packet is that long: the system refuses every other one.
     report = send(
         lambda t: bytes(70_000 if round(t * 1000) % 2 else 8),
-        *listener.getsockname(),
+        to,
         rate=1000,
         duration=0.02,
     )
@@ -109,48 +118,45 @@ def test_refused_packets_are_counted_and_do_not_stop_it(listener: socket.socket)
     assert [len(listener.recv(100)) for _ in range(10)] == [8] * 10
 
 
-def test_nobody_needs_to_listen(listener: socket.socket) -> None:
-    address = listener.getsockname()
+def test_nobody_needs_to_listen(listener: socket.socket, to: UdpSink) -> None:
     listener.close()
-    assert send(lambda t: b"1", *address, rate=1000, duration=0.02).packets == 20
+    assert send(lambda t: b"1", to, rate=1000, duration=0.02).packets == 20
 
 
-def test_at_least_one_packet_is_sent(listener: socket.socket) -> None:
-    assert send(lambda t: b"1", *listener.getsockname(), rate=10, duration=1e-6).packets == 1
+def test_at_least_one_packet_is_sent(to: UdpSink) -> None:
+    assert send(lambda t: b"1", to, rate=10, duration=1e-6).packets == 1
 
 
 @pytest.mark.parametrize("duration", [None, 100.0])
-def test_an_interrupt_ends_it_with_a_report(
-    listener: socket.socket, duration: float | None
-) -> None:
+def test_an_interrupt_ends_it_with_a_report(to: UdpSink, duration: float | None) -> None:
     def packet_at(t: float) -> bytes:
         if t >= 0.01:
             raise KeyboardInterrupt
         return b"1"
 
-    report = send(packet_at, *listener.getsockname(), rate=1000, duration=duration)
+    report = send(packet_at, to, rate=1000, duration=duration)
     assert report.packets == 10
     assert report.seconds < 5
 
 
-def test_an_interrupt_before_the_first_packet_is_a_report_too(listener: socket.socket) -> None:
+def test_an_interrupt_before_the_first_packet_is_a_report_too(to: UdpSink) -> None:
     def packet_at(t: float) -> bytes:
         raise KeyboardInterrupt
 
-    report = send(packet_at, *listener.getsockname(), rate=1000)
+    report = send(packet_at, to, rate=1000)
     assert (report.packets, report.refused, report.jitter_p99) == (0, 0, 0.0)
 
 
-def test_progress_is_told_ten_times_a_second(listener: socket.socket) -> None:
+def test_progress_is_told_ten_times_a_second(to: UdpSink) -> None:
     told: list[int] = []
-    send(lambda t: b"1", *listener.getsockname(), rate=1000, duration=0.3, on_progress=told.append)
+    send(lambda t: b"1", to, rate=1000, duration=0.3, on_progress=told.append)
     assert told == [100, 200, 300]
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "x" * 70])
 def test_a_host_that_cannot_be_resolved_is_told(host: str) -> None:
     with pytest.raises(SourceError) as caught:
-        send(lambda t: b"", host, 4711, rate=10, duration=0.1)
+        UdpSink(host, 4711)
     assert str(caught.value).startswith(f"source '{host}:4711': not an address: ")
 
 
@@ -161,7 +167,8 @@ def test_packets_go_to_ipv6() -> None:
         except OSError:
             pytest.skip("no IPv6 here")
         sock.settimeout(5.0)
-        send(lambda t: b"six", "::1", sock.getsockname()[1], rate=10, duration=0.1)
+        with UdpSink("::1", sock.getsockname()[1]) as to:
+            send(lambda t: b"six", to, rate=10, duration=0.1)
         assert sock.recv(100) == b"six"
 
 
@@ -223,16 +230,16 @@ OTHER_UDP = {**UDP, "port": 4712}
 @pytest.mark.parametrize(
     ("sources", "choice", "message"),
     [
-        ({}, {}, "the scene has no UDP source; none is available"),
+        ({}, {}, "the scene has no source; none is available"),
         (
             {"a": UDP, "b": OTHER_UDP},
             {},
-            "the scene has several UDP sources; choose with --source: a, b",
+            "the scene has several sources; choose with --source: a, b",
         ),
         (
             {"udp": UDP},
             {"source": "upd"},
-            "the scene has no UDP source 'upd'; did you mean 'udp'?",
+            "the scene has no source 'upd'; did you mean 'udp'?",
         ),
         (
             {"udp": UDP, "idle": OTHER_UDP},

@@ -25,6 +25,9 @@ def test_the_wheel_works_from_another_directory(tmp_path: Path) -> None:
         archive.extractall(installed)
     assert "sero_mj/models/lwr/robot.toml" in names
     assert "sero_mj/scenes/lwr_udp.toml" in names
+    assert {f"sero_mj/scenes/lwr_shm{end}" for end in (".toml", "_writer.c", "_writer.py")} <= {
+        *names
+    }
     assert not any(name.startswith(("tests/", "benchmarks/", "models/")) for name in names)
 
     code = "import sero_mj; print(sero_mj.__file__); from sero_mj.cli import main; main()"

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from ..errors import UsageError
 from . import send_fri
 from .arguments import Commands, add_command, not_negative, port, positive, read_scene_or_model
+
+if TYPE_CHECKING:
+    from ..assemble.scene import Scene
+    from ..drive.send import UdpSink
+    from ..drive.shm_writer import ShmWriter
+    from ..receive.receiver import Receiver
+    from ..receive.structure import Structure
 
 _EPILOG = """\
 examples:
@@ -15,9 +23,11 @@ examples:
   sero-mj send lwr_fri --cycle 2 --loss 0.01  as the controller of a real LWR
   sero-mj send lwr --structure 7F7F --port 32000
   sero-mj send my_scene.toml --host 192.168.0.7
+  sero-mj send lwr_shm --rate 10000           to the shared memory that the scene reads
 
 Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
-robot's name the packet is its joint angles and its torques. Ctrl-C stops.
+robot's name the packet is its joint angles and its torques. Above 1 kHz values
+go along straight lines between packets of 1 kHz. Ctrl-C stops.
 """
 
 
@@ -27,10 +37,14 @@ FASTEST = 1e5  # packets/s; a Python loop does not send faster
 def add_to(commands: Commands) -> None:
     """Adds the command."""
     parser = add_command(
-        commands, "send", run, "play a motion to a UDP port as a robot would", _EPILOG
+        commands,
+        "send",
+        run,
+        "play a motion to UDP or shared memory as a robot would",
+        _EPILOG,
     )
     parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
-    parser.add_argument("--source", metavar="NAME", help="which UDP source of the scene to feed")
+    parser.add_argument("--source", metavar="NAME", help="which source of the scene to feed")
     parser.add_argument("--structure", metavar="S", help="packet layout instead of the scene's")
     parser.add_argument(
         "--rate", type=positive, metavar="HZ", help="packets/s (default 1000; FRI: 200)"
@@ -38,8 +52,11 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="seconds to send (default: until Ctrl-C)"
     )
-    parser.add_argument("--host", default="127.0.0.1", help="where to (default 127.0.0.1)")
+    parser.add_argument("--host", help="where to (default 127.0.0.1)")
     parser.add_argument("--port", type=port, help="UDP port (default: the scene's, or 32000)")
+    parser.add_argument(
+        "--shm", metavar="NAME", help="write to this shared memory (default: the scene's)"
+    )
     parser.add_argument(
         "--amplitude", type=not_negative, default=1.0, metavar="A", help="0 still to 1 (default)"
     )
@@ -48,6 +65,9 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
+    import gc
+
+    from ..drive.ahead import Ahead
     from ..drive.play import MotionPackets
     from ..drive.send import send
     from ..receive.structure import Structure
@@ -55,33 +75,74 @@ def run(options: argparse.Namespace) -> int:
     rate = 1000.0 if options.rate is None else options.rate
     if rate > FASTEST:
         raise UsageError(f"--rate {rate:g}: expected at most {FASTEST:g} packets/s")
+    if options.shm is not None and (options.host is not None or options.port is not None):
+        raise UsageError("--shm and --host or --port: packets go to one of the two; choose")
     if options.structure is not None:
         Structure(options.structure)  # its own error is clearer than what would follow from it
     scene = read_scene_or_model(options.scene)
     if not scene.sources and len(scene.robots) == 1:
-        robot = next(iter(scene.robots.values()))
-        structure = options.structure or f"{robot.n}F{robot.n}F"
-        scene.sources["udp"] = {"kind": "udp", "port": 32000, "structure": structure}
-        scene.routes[f"{robot.name}.joint_angles"] = "udp.values0"
-        if len(structure.upper().split("F")) > 2:
-            scene.routes[f"{robot.name}.torques"] = "udp.values1"
+        _declare_source(scene, options)
     controller = send_fri.source_of(scene, options.source)
     if controller is not None:
         return send_fri.send(options, scene, controller)
     send_fri.refuse_options(options)
     packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
-    to_port = options.port or packets.source.udpport
-    if not to_port:
-        raise UsageError(f"source '{packets.source.name}' of the scene has no port; give --port")
-    print(
-        f"sending {packets.structure.text} ({packets.structure.size} bytes) to "
-        f"{options.host}:{to_port} at {rate:g} Hz; Ctrl-C stops",
-        flush=True,
+    structure, source = packets.structure, packets.source
+    has = structure.events
+    ahead = Ahead(
+        packets.at,
+        structure,
+        rate=rate,
+        sequence=source.sequence if source.sequence in has else "",
+        time=source.time if source.time in has else "",
+        time_scale=source.time_scale,
     )
-    report = send(packets.at, options.host, to_port, rate=rate, duration=options.duration)
+    with _sink(options, source, structure) as sink:
+        print(
+            f"sending {structure.text} ({structure.size} bytes) to {sink.place} "
+            f"at {rate:g} Hz; Ctrl-C stops",
+            flush=True,
+        )
+        gc.freeze()  # else all that was imported is looked through in between, for 50 ms at a time
+        report = send(ahead.at, sink, rate=rate, duration=options.duration, idle=ahead.idle)
     print(
         f"sent {report.packets} packets in {report.seconds:.2f} s ({report.rate:.1f} Hz), "
         f"late by {report.jitter_p50 * 1e6:.0f} us (median), {report.jitter_p99 * 1e6:.0f} us (p99)"
         + (f", {report.refused} refused by the system" if report.refused else "")
     )
     return 0
+
+
+def _declare_source(scene: Scene, options: argparse.Namespace) -> None:
+    """Declares what a robot without a scene is fed by: its joint angles and its torques."""
+    robot = next(iter(scene.robots.values()))
+    structure = options.structure or f"{robot.n}F{robot.n}F"
+    where = {"kind": "udp", "port": 32000}
+    if options.shm is not None:
+        where = {"kind": "shm", "block": options.shm}
+    scene.sources["robot"] = {**where, "structure": structure}
+    scene.routes[f"{robot.name}.joint_angles"] = "robot.values0"
+    if len(structure.upper().split("F")) > 2:
+        scene.routes[f"{robot.name}.torques"] = "robot.values1"
+
+
+def _sink(
+    options: argparse.Namespace, source: Receiver, structure: Structure
+) -> UdpSink | ShmWriter:
+    """Where the packets go: what the command line says, else where the source receives."""
+    from ..drive.send import UdpSink
+    from ..drive.shm_writer import ShmWriter
+    from ..receive.shm import ShmReader
+    from ..receive.udp import UdpReceiver
+
+    if options.shm is not None or (isinstance(source, ShmReader) and options.port is None):
+        if not isinstance(source, ShmReader):
+            return ShmWriter(options.shm, structure)
+        if options.host is not None:
+            raise UsageError(f"source '{source.name}' is {source.about}; --host needs --port")
+        lock = source.lock if source.lock in structure.events else ""
+        return ShmWriter(options.shm or source.block, structure, lock, source.offset)
+    port = options.port or (source.udpport if isinstance(source, UdpReceiver) else 0)
+    if not port:
+        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
+    return UdpSink(options.host or "127.0.0.1", port)

@@ -68,7 +68,10 @@ def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
         UsageError: the options do not suit FRI, or the source moves no robot.
     """
     from ..drive.fri_controller import Faults, FriController
+    from ..drive.send import UdpSink
 
+    if options.shm is not None:
+        raise UsageError("--shm: FRI is a protocol of UDP; leave it out")
     if options.structure is not None:
         raise UsageError("--structure: FRI fixes it; leave it out")
     if options.cycle is not None and options.rate is not None:
@@ -88,12 +91,13 @@ def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
     to_port = options.port or source.udpport
     if not to_port:
         raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
-    print(
-        f"sending FRI 1.0 measurements (916 bytes) to {options.host}:{to_port} "
-        f"every {controller.cycle * 1e3:g} ms; Ctrl-C stops",
-        flush=True,
-    )
-    report = controller.run(options.host, to_port, options.duration)
+    with UdpSink(options.host or "127.0.0.1", to_port) as sink:
+        print(
+            f"sending FRI 1.0 measurements (916 bytes) to {sink.place} "
+            f"every {controller.cycle * 1e3:g} ms; Ctrl-C stops",
+            flush=True,
+        )
+        report = controller.run(sink, options.duration)
     print(
         f"made {report.packets} packets in {report.seconds:.2f} s ({report.rate:.1f} Hz), "
         f"lost {controller.faults.withheld} on purpose, got {controller.answers} answers, "

@@ -15,7 +15,7 @@ from ..receive.fri_layout import COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
 from .fri_answers import AnswerStatistics
 from .fri_signals import FriSignals
-from .send import SendReport, resolve, wait_until
+from .send import SendReport, UdpSink, wait_until
 
 _MONITOR, _COMMAND = 1, 2
 _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
@@ -175,38 +175,32 @@ class FriController:
         self._statistics.answer(int(values["reflected_counter"][0]), came_at)
         return True
 
-    def run(self, host: str, port: int, duration: float | None = None) -> SendReport:
-        """Sends until the duration (s) is over or the user interrupts, and takes answers.
-
-        Raises:
-            SourceError: the address cannot be resolved.
-        """
-        family, kind, address = resolve(host, port)
+    def run(self, to: UdpSink, duration: float | None = None) -> SendReport:
+        """Sends until the duration (s) is over or the user interrupts, and takes answers."""
         total = None if duration is None else max(round(duration / self.cycle), 1)
         late: list[float] = []
         count = refused = 0
-        with socket.socket(family, kind) as sock:
-            sock.setblocking(False)
-            start = time.perf_counter()
-            try:
-                while total is None or count < total:
-                    due = start + count * self.cycle
-                    self._listen(sock, due - self.cycle / 2)
-                    packets = self.faults.pass_on(self.measure(count * self.cycle, due))
-                    self._listen(sock, due)  # what came while the packet was made
-                    late.append(wait_until(due))
-                    count += 1
-                    packets += self.faults.flush() if count == total else []
-                    for packet in packets:
-                        try:
-                            sock.sendto(packet, address)
-                        except OSError:  # the network is away: a controller goes on
-                            refused += 1
-                    del late[:-100_000]
-                self._listen(sock, time.perf_counter() + self.cycle)
-            except KeyboardInterrupt:
-                pass
-            seconds = time.perf_counter() - start
+        to.socket.setblocking(False)
+        start = time.perf_counter()
+        try:
+            while total is None or count < total:
+                due = start + count * self.cycle
+                self._listen(to.socket, due - self.cycle / 2)
+                packets = self.faults.pass_on(self.measure(count * self.cycle, due))
+                self._listen(to.socket, due)  # what came while the packet was made
+                late.append(wait_until(due))
+                count += 1
+                packets += self.faults.flush() if count == total else []
+                for packet in packets:
+                    try:
+                        to.put(packet)
+                    except OSError:  # the network is away: a controller goes on
+                        refused += 1
+                del late[:-100_000]
+            self._listen(to.socket, time.perf_counter() + self.cycle)
+        except KeyboardInterrupt:
+            pass
+        seconds = time.perf_counter() - start
         p50, p99 = np.percentile(late, [50, 99]) if late else (0.0, 0.0)
         return SendReport(count, seconds, refused, float(p50), float(p99))
 

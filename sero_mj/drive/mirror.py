@@ -186,7 +186,7 @@ class Mirror:
                 counters.wrong_size,
                 counters.last_size,
                 source.size,
-                clock - counters.last_fault_time if counters.malformed else -1.0,
+                max(clock - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
                 counters.not_frames,
                 counters.wrong_constant,
                 *_state_and_quality(source, packet),

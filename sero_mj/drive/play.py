@@ -13,8 +13,8 @@ from ..assemble.inputs import Input, list_inputs
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, UsageError, did_you_mean
+from ..receive.receiver import Receiver
 from ..receive.structure import Structure
-from ..receive.udp import UdpReceiver
 from .backwards import Backwards
 from .motion import InverseDynamics, SineMotion
 from .route import wire
@@ -55,7 +55,7 @@ class MotionPackets:
         if wiring.problems:
             raise DeclarationError(scene.located(wiring.problems))
         receivers = {
-            name: found for name, found in wiring.sources.items() if isinstance(found, UdpReceiver)
+            name: found for name, found in wiring.sources.items() if isinstance(found, Receiver)
         }
         if source is None and len(receivers) == 1:
             source = next(iter(receivers))
@@ -63,10 +63,10 @@ class MotionPackets:
             if source is not None or not receivers:
                 near = did_you_mean(source or "", receivers)
                 named = f" '{source}'" if source else ""
-                raise UsageError(f"the scene has no UDP source{named}{near}")
+                raise UsageError(f"the scene has no source{named}{near}")
             names = ", ".join(receivers)
-            raise UsageError(f"the scene has several UDP sources; choose with --source: {names}")
-        self.source: UdpReceiver = receivers[source]
+            raise UsageError(f"the scene has several sources; choose with --source: {names}")
+        self.source: Receiver = receivers[source]
         self.structure = (
             self.source.layout
             if structure is None

@@ -1,4 +1,4 @@
-"""Sends UDP packets at an exact rate."""
+"""Sends packets at an exact rate, by UDP or through shared memory."""
 
 from __future__ import annotations
 
@@ -6,13 +6,61 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from ..errors import SourceError
 
 _SPIN = 2e-4  # s; sleeping is not exact to less than this, so the rest is waited for actively
+
+
+class Sink(Protocol):
+    """Where packets go: `UdpSink`, `ShmWriter`."""
+
+    def put(self, packet: bytes) -> None:
+        """Takes a packet; raises OSError when the system refuses it."""
+
+
+class UdpSink:
+    """Sends packets to a UDP port.
+
+    Args:
+        host: where to.
+        port: where to.
+
+    Attributes:
+        place: kind, host and port in a few words, for people.
+        socket: that it sends through, and answers come to.
+
+    Raises:
+        SourceError: the address cannot be resolved.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
+        family, kind, _, _, address = found
+        self._address: tuple[Any, ...] = address
+        self.place = f"UDP {host}:{port}"
+        self.socket = socket.socket(family, kind)
+
+    def put(self, packet: bytes) -> None:
+        """Sends a packet; raises OSError when the system refuses it."""
+        self.socket.sendto(packet, self._address)
+
+    def close(self) -> None:
+        """Closes the socket."""
+        self.socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
 
 
 @dataclass
@@ -41,70 +89,54 @@ class SendReport:
 
 def send(
     packet_at: Callable[[float], bytes],
-    host: str,
-    port: int,
+    to: Sink,
     *,
     rate: float,
     duration: float | None = None,
     on_progress: Callable[[int], None] | None = None,
+    idle: Callable[[float], bool] | None = None,
 ) -> SendReport:
     """Sends packets at an exact rate until the duration is over or the user interrupts.
 
     Args:
         packet_at: makes the packet of a time (s).
-        host: where to.
-        port: where to.
+        to: where to.
         rate: packets per second.
         duration: s; None sends until interrupted.
         on_progress: called about ten times a second with the packets sent so far.
-
-    Raises:
-        SourceError: the address cannot be resolved.
+        idle: called with the time that is left (s) until a packet leaves, again and again while it
+            returns that it has done something; for what can be done ahead.
     """
-    family, kind, address = resolve(host, port)
     total = None if duration is None else max(round(duration * rate), 1)
     every = max(round(rate / 10), 1)
     late: list[float] = []
     refused = sent = 0
-    with socket.socket(family, kind) as sock:
-        start = time.perf_counter()
-        try:
-            while total is None or sent < total:
-                packet = packet_at(sent / rate)
-                late.append(wait_until(start + sent / rate))
-                try:
-                    sock.sendto(packet, address)
-                except OSError:  # nobody listens yet, or the network is away: a robot goes on
-                    refused += 1
-                sent += 1
-                if len(late) > 100_000:
-                    del late[:50_000]
-                if on_progress is not None and sent % every == 0:
-                    on_progress(sent)
-        except KeyboardInterrupt:
-            pass
-        seconds = time.perf_counter() - start
+    start = time.perf_counter()
+    try:
+        while total is None or sent < total:
+            packet = packet_at(sent / rate)
+            late.append(wait_until(start + sent / rate, idle))
+            try:
+                to.put(packet)
+            except OSError:  # nobody listens yet, or the network is away: a robot goes on
+                refused += 1
+            sent += 1
+            if len(late) > 100_000:
+                del late[:50_000]
+            if on_progress is not None and sent % every == 0:
+                on_progress(sent)
+    except KeyboardInterrupt:
+        pass
+    seconds = time.perf_counter() - start
     p50, p99 = np.percentile(late, [50, 99]) if late else (0.0, 0.0)
     return SendReport(sent, seconds, refused, float(p50), float(p99))
 
 
-def resolve(host: str, port: int) -> tuple[int, int, Any]:
-    """Family, kind and address for a socket that sends to a host.
-
-    Raises:
-        SourceError: it is not an address.
-    """
-    try:
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
-    return family, kind, address
-
-
-def wait_until(when: float) -> float:
+def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> float:
     """Waits, and returns by how much (s) it was late."""
     left = when - time.perf_counter()
+    while idle is not None and left > 0 and idle(left):
+        left = when - time.perf_counter()
     if left > _SPIN:
         time.sleep(left - _SPIN)
     while (late := time.perf_counter() - when) < 0:

@@ -156,6 +156,13 @@ class Intake:
             counters.last_fault = tally.last_fault
             self.on_fault(tally.last_fault)
 
+    def restart(self) -> None:
+        """Takes note that the sender has begun anew, where more than its numbers tells so."""
+        self._lost_by_forgotten += sum(tracker.lost for tracker in self._trackers.values())
+        self._trackers.clear()
+        self.counters.restarts += 1
+        self.timing.restart()
+
     def _fault(self, text: str, when: float) -> None:
         tally = self._tally
         if when >= tally.last_fault_time:  # the last of the batch, whatever its kind

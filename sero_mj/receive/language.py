@@ -6,6 +6,9 @@ import math
 import re
 import sys
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from ..errors import StructureError, did_you_mean
 
@@ -83,6 +86,11 @@ class Item:
     def item_bytes(self) -> int:
         """Bytes of one of its numbers."""
         return int(self.type[-1])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of one of its numbers in the packet."""
+        return np.dtype(self.type)
 
     @property
     def end(self) -> int:

@@ -6,9 +6,10 @@ from typing import Any
 
 from .fri import FriReceiver
 from .receiver import Receiver
+from .shm import ShmReader
 from .udp import UdpReceiver
 
-LIVE: dict[str, type[Receiver]] = {"udp": UdpReceiver, "fri": FriReceiver}
+LIVE: dict[str, type[Receiver]] = {"udp": UdpReceiver, "shm": ShmReader, "fri": FriReceiver}
 
 # The fields that decide what packets mean; those that say where they come from do not matter.
 _DECODING = (

@@ -160,6 +160,11 @@ class Receiver(Declaration):
         return self.name
 
     @property
+    def trouble(self) -> str:
+        """What keeps packets from coming, for people; empty when nothing is known to."""
+        return ""
+
+    @property
     def receiving(self) -> bool:
         """Whether a good packet came within the last half second."""
         last = self._last
@@ -301,8 +306,11 @@ class Receiver(Declaration):
         if self.debug_level >= 2:
             self._tell(before, len(rows))
         if len(rows):
-            for callback in self._callbacks:
-                callback()
+            self._call_back()
+
+    def _call_back(self) -> None:
+        for callback in self._callbacks:
+            callback()
 
     def _hand_on(self, rows: Rows, arrivals: Array) -> None:
         """Keeps good packets until they are taken."""

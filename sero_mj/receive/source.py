@@ -171,5 +171,8 @@ class Source(Protocol):
 
 
 def age(packet: Packet | None, now: float) -> float:
-    """Seconds since the packet arrived, `now` being `Source.now()`; infinite without one."""
-    return float("inf") if packet is None else now - packet.arrival
+    """Seconds since the packet arrived, `now` being `Source.now()`.
+
+    Infinite without a packet, 0 when it came after `now`.
+    """
+    return float("inf") if packet is None else max(now - packet.arrival, 0.0)

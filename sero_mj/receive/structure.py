@@ -136,6 +136,12 @@ class Structure:
                 for name, item in self._by_event.items()
             }
 
+    def field(self, event: str) -> Item:
+        """Where an event stands in the packet; raises UnknownName."""
+        if event not in self._by_event:
+            raise UnknownName("event", event, self.events)
+        return self._by_event[event]
+
     def event_rows(self, rows: Rows, event: str) -> NDArray[Any]:
         """One event's numbers of many packets as they stand there, of their own type, (n, k)."""
         return _numbers(rows, self._by_event[event])

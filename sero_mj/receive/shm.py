@@ -1,0 +1,276 @@
+"""`ShmReader`: packets from POSIX shared memory, whoever writes it."""
+
+from __future__ import annotations
+
+import threading
+import time as clock
+
+import numpy as np
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+
+from ..errors import SourceError
+from .receiver import Receiver, log
+from .shm_block import Block, block_path
+from .source import Packet, Packets
+from .whole import WholePackets
+
+_LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
+_BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
+_TELL_EVERY = 1.0  # s; how often a block that stays too small is counted
+_GATHER = 4e-3  # s; packets that come faster are checked together, as one costs what ten do
+
+
+class ShmReader(Receiver):
+    """Reads packets of one structure from a block of POSIX shared memory.
+
+    The block need not exist: it is taken up when it appears, and again when it is made anew.
+    A packet is new when its bytes are; a writer that may write the same twice needs a counter or a
+    time in the structure, or it is taken for silent.
+
+    A torn packet, of which the writer has written a part only, is not applied:
+
+    - With `lock` never. The writer makes that number odd before it writes, and even, another one
+      than before, when it is done (a seqlock).
+    - Without, a packet is applied when it has stood unchanged for `settle`; a writer that is
+      interrupted for longer in the middle of a packet is not noticed.
+    - With `sequence` alone likewise, and nothing is applied before the counter has changed: when it
+      is what the writer writes last, an interrupted one is noticed as well unless it has only
+      just begun.
+
+    Packets that the writer replaces before they are read are counted as `lost` where there is
+    a `sequence`, for only their numbers tell of them.
+
+    Attributes:
+        block: name of the shared memory, `robot` or `/robot`.
+        lock: event of the structure that is odd while the writer writes; empty for none. 0 means
+            that nothing has been written yet.
+        offset: where in the block the packet begins, bytes.
+        poll_rate: how often the block is looked at, Hz; what is shown is read afresh for every
+            picture besides.
+        settle: without a lock, how long a packet has to stand unchanged, s.
+    """
+
+    name: str = "shm"
+    block: str
+    lock: str = ""
+    offset: int = Field(0, ge=0, le=2**40)
+    poll_rate: float = Field(2000.0, ge=1.0, le=1e5)
+    settle: float = Field(2e-5, ge=0, le=10.0)
+
+    _block: Block | None = PrivateAttr(None)
+    _thread: threading.Thread | None = PrivateAttr(None)
+    _reading: threading.Lock = PrivateAttr(default_factory=threading.Lock)
+    _wake: threading.Lock = PrivateAttr(default_factory=threading.Lock)
+    _owes_call_back: bool = PrivateAttr(False)
+    _packets: WholePackets | None = PrivateAttr(None)
+    _look_next: float = PrivateAttr(0.0)
+    _tell_next: float = PrivateAttr(0.0)
+    _trouble: str = PrivateAttr("")  # with the block itself
+    # What has been read and is to be checked: packets, of any length, and when they were read.
+    _gathered: list[tuple[bytes, float]] = PrivateAttr(default_factory=list)
+    _checked: float = PrivateAttr(-np.inf)  # when others were
+
+    @field_validator("block")
+    @classmethod
+    def _block_can_have_this_name(cls, block: str) -> str:
+        block_path(block)
+        return block
+
+    @field_validator("lock")
+    @classmethod
+    def _lock_is_one_number(cls, event: str, info: ValidationInfo) -> str:
+        return cls._is_one_number(event, info)
+
+    @model_validator(mode="after")
+    def _lock_can_be_one(self) -> ShmReader:
+        if not self.lock:
+            return self
+        if self.lock == self.sequence:
+            raise ValueError(
+                f"'{self.lock}' is lock and sequence; a lock goes up by two: leave sequence out"
+            )
+        field = self.layout.field(self.lock)
+        if at := (self.offset + field.offset) % field.item_bytes:
+            expected = f"multiple of {field.item_bytes}"
+            message = f"lock '{self.lock}' is {at} bytes behind a {expected}; expected it at one, "
+            raise ValueError(message + "or it could be torn itself (alignment = 8 may help)")
+        return self
+
+    @property
+    def about(self) -> str:
+        """Kind and place in a few words, for people."""
+        return f"shared memory {block_path(self.block)}"
+
+    @property
+    def trouble(self) -> str:
+        """What keeps packets from coming, for people; empty when nothing is known to."""
+        return self._trouble or (self._packets.trouble if self._packets is not None else "")
+
+    def open(self) -> None:
+        """Starts the thread that reads; the block need not exist.
+
+        Raises:
+            SourceError: this system has no POSIX shared memory, or the block may not be read.
+        """
+        self.close()
+        self._start_afresh()
+        self._packets = WholePackets(
+            self.layout,
+            self.about,
+            lock=self.lock,
+            sequence=self.sequence,
+            offset=self.offset,
+            settle=self.settle,
+        )
+        self._gathered, self._checked = [], -np.inf
+        self._tell_next, self._look_next = 0.0, clock.monotonic() + _LOOK_EVERY
+        self._trouble = ""
+        try:
+            self._block = Block(self.block)
+        except FileNotFoundError:
+            self._trouble = f"no {self.about} yet"
+        except OSError as error:
+            raise SourceError(self.name, f"{self.about}: {_why(error)}") from error
+        if self.debug_level >= 2:
+            log.info("source '%s': reading %s", self.name, self.about)
+        self._wake = threading.Lock()
+        self._wake.acquire()
+        self._thread = threading.Thread(target=self._receive, name=f"shm {self.name}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stops the thread and lets go of the block; harmless when it is not open."""
+        if self._thread is not None:
+            self._closing.set()
+            self._wake.release()
+            self._thread.join()
+        with self._reading:
+            if self._block is not None:
+                self._block.close()
+            self._block = self._thread = None
+
+    def latest(self) -> Packet | None:
+        """Returns the newest good packet, or None when there was none yet.
+
+        Looks into the block itself, so that a picture shows what is there now.
+        """
+        self._look_now()
+        return super().latest()
+
+    def take(self) -> Packets | None:
+        """Returns the good packets since the last call, or None when there is none.
+
+        Only the newest one, read from the block now, unless `only_latest_packet` is false.
+        """
+        self._look_now()
+        return super().take()
+
+    def _look_now(self) -> None:
+        # Where no packet may be lost, the caller must not wait for room that it has to make itself.
+        if self._thread in (None, threading.current_thread()) or not self.only_latest_packet:
+            return
+        # The thread may be reading, which takes less, or calling back somebody who waits for us.
+        if self._reading.acquire(timeout=_BUSY):
+            try:
+                if not self._closing.is_set():
+                    self._poll()
+                    self._check()
+            finally:
+                self._reading.release()
+
+    def wait(self, timeout: float) -> bool:
+        """Waits up to `timeout` s until a good packet has come; returns whether one has.
+
+        When none has, why is logged, where it is known.
+        """
+        has_come = super().wait(timeout)
+        if not has_come and self.trouble and self.debug_level >= 1:
+            log.warning("source '%s': %s", self.name, self.trouble)
+        return has_come
+
+    def _call_back(self) -> None:
+        # Not on the thread of one that takes packets: it may hold what the callback waits for.
+        self._owes_call_back = threading.current_thread() is not self._thread
+        if not self._owes_call_back:
+            super()._call_back()
+
+    def _receive(self) -> None:
+        period, reading, wake = 1.0 / self.poll_rate, self._reading, self._wake
+        while not self._closing.is_set():
+            with reading:
+                self._poll()
+                if self._gathered and clock.monotonic() - self._checked >= _GATHER:
+                    self._check()
+                if self._owes_call_back:
+                    self._call_back()
+            # Cheaper than to wait for an Event, and no less immediate.
+            wake.acquire(timeout=period)
+        self._check()
+
+    def _poll(self) -> None:
+        """Looks into the block once, and keeps what is new."""
+        now = clock.monotonic()
+        try:
+            if now >= self._look_next:
+                self._look_next = now + _LOOK_EVERY
+                self._look_for_another()
+            block, packets = self._block, self._packets
+            if block is None or packets is None:
+                return
+            found = packets.find(block)
+        except OSError as error:
+            self._trouble = f"{self.about}: {_why(error)}"
+            return
+        if found is None:
+            if packets.torn:
+                self.counters.torn += packets.torn
+                packets.torn = 0
+        elif len(found) == self.size:
+            self._gathered.append((found, now))
+        elif now >= self._tell_next and block.size:  # else it has been made a moment ago
+            self._tell_next = now + _TELL_EVERY
+            self._gathered.append((found, now))
+
+    def _check(self) -> None:
+        """Hands on what has been read and is good."""
+        if not self._gathered:
+            return
+        gathered, self._gathered = self._gathered, []
+        text = b"".join(packet.ljust(self.size, b"\0") for packet, _ in gathered)
+        rows = np.frombuffer(text, np.uint8).reshape(len(gathered), self.size)
+        lengths = np.array([len(packet) for packet, _ in gathered])
+        self._accept(rows, lengths, np.array([arrival for _, arrival in gathered]))
+        self._checked = clock.monotonic()
+
+    def _look_for_another(self) -> None:
+        """Takes up the block that has the name now."""
+        old = self._block
+        assert self._packets is not None
+        try:
+            found = Block(self.block)
+        except FileNotFoundError:
+            # The one without a name is kept: its writer may be alive, and a new one cannot
+            # have the same identity meanwhile.
+            is_gone = old is not None or self._number
+            self._trouble = f"{self.about} is gone" if is_gone else f"no {self.about} yet"
+            return
+        if old is not None and found.identity == old.identity and any(found.identity):
+            found.close()
+            self._trouble = ""
+            return
+        self._trouble = ""
+        if old is not None:
+            old.close()
+            if any(found.identity):  # else it may be the old one
+                self._check()
+                self.intake.restart()
+                self._packets.forget()
+                if self.debug_level >= 2:
+                    log.info("source '%s': %s was made anew", self.name, self.about)
+        self._block = found
+
+
+def _why(error: OSError) -> str:
+    if isinstance(error, PermissionError):
+        return "no permission to read it; ask its writer for mode 0644"
+    return error.strerror or str(error)

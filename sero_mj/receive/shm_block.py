@@ -1,0 +1,164 @@
+"""Blocks of POSIX shared memory: by name, read and written without mapping them where possible."""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+import stat
+import sys
+from collections.abc import Callable
+
+try:
+    # What `multiprocessing.shared_memory` is made of; on every POSIX system, in CPython and PyPy.
+    # The class itself would not do: in Python before 3.13 its resource tracker removes, when this
+    # process ends, the blocks of others that it has looked at (bpo-38119). A package of PyPI
+    # (posix_ipc) would be a dependency that needs a compiler wherever it has no wheel.
+    import _posixshmem
+except ImportError:  # Windows
+    _posixshmem = None
+
+LONGEST_NAME = 30 if sys.platform == "darwin" else 254  # bytes, without the slash
+
+_Call = Callable[[int, object, int, int], int]
+
+
+def block_path(name: str) -> str:
+    """The name of a block as `shm_open` has it: `/robot` for `robot` and for `/robot`.
+
+    Raises:
+        ValueError: no block can have this name.
+    """
+    bare = name.removeprefix("/")
+    expected = "expected a name such as robot or /robot"
+    if bare in ("", ".", ".."):
+        raise ValueError(f"found {name!r}; {expected}")
+    if "/" in bare or not bare.isprintable():
+        wrong = next(c for c in bare if c == "/" or not c.isprintable())
+        raise ValueError(f"found {wrong!r} in {name!r}; {expected}")
+    if (length := len(bare.encode())) > LONGEST_NAME:
+        raise ValueError(f"found {length} bytes; a block's name has at most {LONGEST_NAME}")
+    return f"/{bare}"
+
+
+def _system_call(name: str) -> _Call | None:
+    """`pread` or `pwrite` without giving up the interpreter meanwhile.
+
+    `os.pread` lets other Python threads run, and a busy one gives the interpreter back after 5 ms
+    only: between two reads that must be next to each other.
+    """
+    if sys.platform != "linux":
+        return None  # elsewhere shared memory is no file
+    call = getattr(ctypes.PyDLL(None, use_errno=True), name)
+    call.restype = ctypes.c_ssize_t
+    call.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_long)
+    return call  # type: ignore[no-any-return]
+
+
+_PREAD, _PWRITE = _system_call("pread"), _system_call("pwrite")
+
+
+class Block:
+    """An open block of POSIX shared memory.
+
+    On Linux it is read and written by system calls. A mapping would end the process with SIGBUS
+    where another one makes the block smaller; and what is read or written by one call is so before
+    the next call begins, on processors that reorder memory accesses as well. Elsewhere it is
+    mapped, and its size looked at before every access.
+
+    Args:
+        name: of the block, with or without the slash at its front.
+        writable: whether it is to be written as well.
+        create: whether to make it; it must not exist yet.
+
+    Attributes:
+        path: its name with the slash.
+        identity: tells it from another block that has had the same name; 0 where nothing does.
+
+    Raises:
+        OSError: it does not exist (FileNotFoundError), exists already, may not be opened, or is
+            something else than shared memory.
+        ValueError: no block can have this name.
+    """
+
+    def __init__(self, name: str, *, writable: bool = False, create: bool = False) -> None:
+        self.path = block_path(name)
+        if _posixshmem is None:
+            raise OSError("this system has no POSIX shared memory")
+        flags = os.O_RDWR if writable else os.O_RDONLY
+        flags |= os.O_CREAT | os.O_EXCL if create else 0
+        self._fd = _posixshmem.shm_open(self.path, flags, mode=0o600)
+        self._map: mmap.mmap | None = None
+        self._writable = writable
+        self._buffer = ctypes.create_string_buffer(0)
+        status = os.fstat(self._fd)
+        if sys.platform == "linux" and not stat.S_ISREG(status.st_mode):
+            os.close(self._fd)
+            raise OSError("it is no shared memory")
+        self.identity = (status.st_dev, status.st_ino) if status.st_ino else (0, 0)
+
+    @property
+    def size(self) -> int:
+        """Bytes it has now."""
+        return os.fstat(self._fd).st_size
+
+    def resize(self, size: int) -> None:
+        """Makes it so many bytes long."""
+        os.ftruncate(self._fd, size)
+
+    def read(self, count: int, start: int = 0) -> bytes:
+        """Reads `count` bytes from `start`; fewer where the block ends before."""
+        if _PREAD is None:
+            mapped = self._mapped()
+            return b"" if mapped is None else mapped[start : start + count]
+        if len(self._buffer) < count:
+            self._buffer = ctypes.create_string_buffer(count)
+        found = _PREAD(self._fd, self._buffer, count, start)
+        if found < 0:
+            raise _last_error()
+        return ctypes.string_at(self._buffer, found)
+
+    def write(self, data: bytes, start: int = 0) -> None:
+        """Writes `data` at `start`; the block has room for it."""
+        if _PWRITE is None:
+            mapped = self._mapped()
+            if mapped is None or len(mapped) < start + len(data):
+                raise OSError("the block has become smaller")
+            mapped[start : start + len(data)] = data
+        elif _PWRITE(self._fd, data, len(data), start) != len(data):
+            raise _last_error()
+
+    def _mapped(self) -> mmap.mmap | None:
+        """The block in memory; None while it has no size."""
+        size = self.size
+        if self._map is not None and len(self._map) != size:
+            self._map.close()
+            self._map = None
+        if self._map is None and size:
+            access = mmap.ACCESS_WRITE if self._writable else mmap.ACCESS_READ
+            self._map = mmap.mmap(self._fd, size, access=access)
+        return self._map
+
+    def close(self) -> None:
+        """Lets go of it; it stays where it is. Harmless when that is done already."""
+        if self._map is not None:
+            self._map.close()
+            self._map = None
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def unlink(self) -> None:
+        """Removes its name, if that is still its own; it goes when the last one lets go of it."""
+        try:
+            other = Block(self.path)
+        except OSError:
+            return
+        other.close()
+        if other.identity == self.identity:
+            _posixshmem.shm_unlink(self.path)
+
+
+def _last_error() -> OSError:
+    number = ctypes.get_errno()
+    return OSError(number, os.strerror(number))

@@ -1,0 +1,140 @@
+"""What cannot be read from or written to shared memory is told before it is tried, or clearly."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from shm_tools import block, needs_posix
+
+from sero_mj.cli import main
+from sero_mj.drive.shm_writer import ShmWriter
+from sero_mj.errors import DeclarationError, SourceError
+from sero_mj.receive import shm, shm_block
+from sero_mj.receive.kinds import make_source
+from sero_mj.receive.shm import ShmReader
+from sero_mj.receive.shm_block import block_path
+from sero_mj.receive.structure import Structure
+
+__all__ = ["block"]  # a fixture
+pytestmark = needs_posix
+LINUX = sys.platform == "linux"
+
+
+def run(arguments: list[str]) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    return int(ended.value.code or 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("", "found ''; expected a name such as robot or /robot"),
+        ("/", "found '/'; expected a name such as robot or /robot"),
+        ("..", "found '..'; expected a name"),
+        ("a/b", "found '/' in 'a/b'; expected a name"),
+        ("//a", "found '/' in '//a'; expected a name"),
+        ("a\0b", r"found '\x00' in 'a\x00b'; expected a name"),
+        ("a\nb", r"found '\n' in 'a\nb'; expected a name"),
+        ("\udc80", r"found '\udc80' in '\udc80'; expected a name"),
+        ("ö" * 200, "found 400 bytes; a block's name has at most"),
+    ],
+)
+def test_names_that_no_block_can_have_are_told(name: str, message: str) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        make_source("robot", {"kind": "shm", "block": name, "structure": "1F"})
+    assert message in str(caught.value)
+    with pytest.raises(SourceError) as told:
+        ShmWriter(name, Structure("1F"))
+    assert message in str(told.value)
+
+
+def test_a_name_has_a_slash_or_none() -> None:
+    assert block_path("robot") == block_path("/robot") == "/robot"
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"lock": "lok"}, "no event 'lok' in the structure; did you mean 'lock'?"),
+        ({"lock": "v"}, "'v' has 2 numbers; expected one, as in v:1I"),
+        (
+            {"lock": "lock", "sequence": "lock"},
+            "'lock' is lock and sequence; a lock goes up by two",
+        ),
+        ({"lock": "late"}, "lock 'late' is 1 bytes behind a multiple of 8; expected it at one"),
+        ({"lock": "lock", "offset": 2}, "lock 'lock' is 2 bytes behind a multiple of 8"),
+        ({"poll_rate": 0.0}, "poll_rate"),
+        ({"settle": -1.0}, "settle"),
+        ({"offset": -1}, "offset"),
+    ],
+)
+def test_fields_that_cannot_be_are_told(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises((DeclarationError, ValidationError)) as caught:
+        ShmReader(block="x", structure="lock:1Q v:2d gap:1B late:1Q", **fields)
+    assert message in str(caught.value)
+
+
+@pytest.mark.skipif(not LINUX, reason="blocks are files on Linux only")
+def test_what_is_no_shared_memory_or_may_not_be_read_is_told(
+    block: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkdir(f"/dev/shm{block}")
+    try:
+        with pytest.raises(SourceError) as caught:
+            ShmReader(block=block, structure="1F").open()
+    finally:
+        os.rmdir(f"/dev/shm{block}")
+    assert str(caught.value) == f"source 'shm': shared memory {block}: it is no shared memory"
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(shm, "Block", refuse)
+    with pytest.raises(SourceError, match="no permission to read it; ask its writer for mode 0644"):
+        ShmReader(block=block, structure="1F").open()
+
+
+def test_a_system_without_shared_memory_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shm_block, "_posixshmem", None)
+    with pytest.raises(SourceError, match="this system has no POSIX shared memory"):
+        ShmReader(block="x", structure="1F").open()
+
+
+def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", "lwr_shm"]) == 0
+    said = capsys.readouterr().out
+    events = "lock (1), angles (7), torques (7)"
+    assert f"source  robot: shared memory /sero_lwr, 120 bytes: {events}" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["lwr_shm", "--shm", "x", "--port", "5"], "--shm and --host or --port: packets go to one"),
+        (
+            ["lwr_shm", "--host", "h"],
+            "source 'robot' is shared memory /sero_lwr; --host needs --port",
+        ),
+        (["lwr_shm", "--shm", "a/b"], "source 'writer': shared memory a/b: found '/' in 'a/b'"),
+    ],
+)
+def test_what_send_cannot_do_is_told(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["send", *options]) != 0
+    assert message in capsys.readouterr().err
+
+
+def test_a_robot_without_a_scene_is_played_to_shared_memory(
+    block: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["send", "lwr", "--shm", block, "--duration", "0.05"]) == 0
+    said = capsys.readouterr().out
+    assert f"sending 7F7F (112 bytes) to shared memory {block} at 1000 Hz" in said
+    assert "sent 50 packets" in said
