@@ -165,68 +165,6 @@ def test_toggles_choose_which_joints_have_billboards(billboard_world) -> None:
     assert labels(pen.rows[: pen.count]) == ["A5  -38.0 Nm"]
 
 
-def udp_world() -> World:
-    lwr = SerialRobot.from_model("lwr")
-    udp = {"kind": "udp", "port": 1, "structure": "7F"}
-    return World(
-        Scene(robots=[lwr], sources={"udp": udp}, routes={"lwr.joint_angles": "udp.values0"})
-    )
-
-
-@pytest.mark.parametrize(
-    ("slot", "said"),
-    [
-        ((9, 0, 0, 0.1, 0, 0, 56, -1, 0, 0), []),
-        (
-            (12, 3, 0, 0.1, 2, 5, 56, 1.0, 0, 0),
-            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56", "  NaN or infinity"],
-        ),
-        (
-            (12, 1, 0, 0.1, 1, 5, 56, 1.0, 0, 0),
-            ["udp: 1 of 12 packets not applied", "  5 bytes, expected 56"],
-        ),
-        (
-            (12, 3, 0, 0.1, 2, 5, 56, 1.0, 1, 0),
-            [
-                "udp: 3 of 12 packets not applied",
-                "  5 bytes, expected 56",
-                "  a matrix that is no frame",
-            ],
-        ),
-        (
-            (12, 2, 0, 0.1, 0, 0, 56, 1.0, 0, 2),
-            [
-                "udp: 2 of 12 packets not applied",
-                "  another kind of packet: a constant is wrong",
-            ],
-        ),
-        ((12, 3, 0, 0.1, 2, 5, 56, 6.0, 0, 0), []),  # long ago
-        # Latest wins: what the kernel dropped meanwhile is counted but harms no picture.
-        ((12, 0, 2, 0.1, 0, 0, 56, -1, 0, 0), []),
-    ],
-)
-def test_faults_of_a_source_stand_in_the_corner(slot, said) -> None:
-    world = udp_world()
-    data = world.make_data()
-    data.userdata[world.slots["sources.udp"]] = (*slot, -1, -1)
-    view = view_at()
-    pen = Decor(world).draw(data, Toggles(world), view)
-    rows = pen.rows[: pen.count]
-    assert labels(rows) == said
-    for row in of_kind(rows, GEOM.mjGEOM_BOX):
-        low, high = rectangle(view, row)
-        assert low[0] >= 0 and high[1] <= view.height
-        assert high[0] < view.width / 2 and low[1] > view.height / 2
-
-
-def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
-    lwr = SerialRobot.from_model("lwr")
-    world = World(Scene(robots=[lwr], sources={"udp": {"kind": "udp", "structure": "7F"}}))
-    data = world.make_data()
-    data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1, 0, 0, 56, -1, 0, 0, -1, -1)
-    assert Decor(world).draw(data, Toggles(world), view_at()).count == 0
-
-
 def test_lines_are_labelled_where_there_are_several() -> None:
     world = world_of(
         torques=np.full(7, 10.0),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from decor_tools import belonging, labels, rectangle, toggles_of, view_at
+from source_slots import set_source
 
 from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
 from sero_mj.assemble.double import Double
@@ -141,7 +142,7 @@ def test_the_scale_is_stated_beside_two_quantities():
 
 def test_a_hidden_double_does_not_say_that_it_is_stale():
     def never(world, data):
-        data.userdata[world.slots["sources.udp"]] = (0, 0, 0, -1, 0, 0, 56, -1, 0, 0, -1, -1)
+        set_source(data, world, "udp", size=56)
 
     scene = Scene(
         robots=[lwr()],

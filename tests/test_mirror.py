@@ -14,11 +14,13 @@ import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from polling import until
+from source_slots import get_source
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_parts import VALUE_INPUTS
@@ -80,6 +82,10 @@ def largest_difference(mirror: Mirror, robot: SerialRobot, q: Array) -> float:
         float(np.abs(found - expected).max()),
         float(np.abs(flange - expected[-1] @ robot.flange_frame).max()),
     )
+
+
+def counted(mirror: Mirror) -> dict[str, float]:
+    return get_source(mirror.data, mirror.world, "udp")
 
 
 def slot(mirror: Mirror, name: str) -> list[float]:
@@ -144,8 +150,8 @@ def test_our_own_sender_moves_the_shipped_scene() -> None:
             command, check=True, timeout=60, capture_output=True, text=True, env=environment
         )
         assert "sent 40 packets" in done.stdout
-        assert until(lambda: mirror.advance() or slot(mirror, "sources.udp")[0] == 40.0)
-        assert slot(mirror, "sources.udp")[1:3] == [0.0, 0.0]
+        assert until(lambda: mirror.advance() or counted(mirror)["received"] == 40)
+        assert counted(mirror).keys() == {"received", "age", "size", "senders"}
         q = mirror.data.qpos[mirror.world.robots["lwr"].qpos].copy()
         assert np.abs(q).max() > 0.1
         assert largest_difference(mirror, scene.robots["lwr"], q) < 1e-12
@@ -171,7 +177,7 @@ def test_before_the_first_packet_the_declared_pose_is_shown() -> None:
         assert not mirror.advance()
         assert mirror.data.qpos.tolist() == [0.1, 0.2, 0.3]
         assert slot(mirror, "arm.torques") == [7.0, 8.0, 9.0]
-        assert slot(mirror, "sources.udp") == [0, 0, 0, -1, 0, 0, 48, -1, 0, 0, -1, -1]
+        assert counted(mirror) == {"size": 48}
         assert mirror.wait(0.0) == ["udp"]
 
 
@@ -192,7 +198,8 @@ def test_bad_packets_keep_the_last_good_pose_and_are_counted(sender: Send) -> No
             sender(mirror, packet)
             assert until(lambda count=count: mirror.sources["udp"].counters.malformed == count)
             assert not mirror.advance()
-            assert slot(mirror, "sources.udp")[:3] == [1.0 + count, count, 0.0]
+            found = counted(mirror)
+            assert (found["received"], found["malformed"]) == (1 + count, count)
         assert largest_difference(mirror, robot, q) < 1e-12
         assert slot(mirror, "arm.torques") == [1.0, 2.0, 3.0]
 
@@ -208,17 +215,23 @@ def test_a_source_that_stops_grows_older(sender: Send) -> None:
         before = time.monotonic()
         sender(mirror, six((0.0, 0.0, 0.0)))
         assert until(mirror.advance)
-        young = slot(mirror, "sources.udp")[3]
+        young = counted(mirror)["age"]
         assert 0 <= young <= time.monotonic() - before
-        assert until(lambda: mirror.advance() or slot(mirror, "sources.udp")[3] > young + 0.02)
-        assert slot(mirror, "sources.udp")[3] <= time.monotonic() - before
+        assert until(lambda: mirror.advance() or counted(mirror)["age"] > young + 0.02)
+        assert counted(mirror)["age"] <= time.monotonic() - before
 
 
 def test_what_the_kernel_drops_is_in_the_slot() -> None:
     mirror = mirror_of(arm())
-    mirror.sources["udp"].counters.dropped = 5  # without a flood, test_udp makes one
+    source: Any = mirror.sources["udp"]
+    source.counters.dropped = 5  # without a flood, test_udp makes one
     mirror.advance()
-    assert slot(mirror, "sources.udp") == [0, 0, 5, -1, 0, 0, 48, -1, 0, 0, -1, -1]
+    assert counted(mirror) == {"size": 48}  # the newest packet wins: none is missed
+    source.only_latest_packet = False
+    mirror.advance(0.5)
+    found = counted(mirror)
+    assert found.pop("link_age") == pytest.approx(0.0, abs=1.0)
+    assert found == {"size": 48, "dropped": 5}
 
 
 def test_the_time_is_that_since_opening_or_the_one_given() -> None:

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 from decor_tools import belonging, labels, of_kind, rectangle, texts_in, toggles_of, view_at
+from source_slots import set_source
 
 from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
 from sero_mj.assemble.double import Double
@@ -36,9 +37,9 @@ def two_arms(**fields) -> World:
     )
 
 
-def with_age(world: World, age: float) -> mujoco.MjData:
+def with_age(world: World, age: float, **more: float) -> mujoco.MjData:
     data = world.make_data()
-    data.userdata[world.slots["sources.udp"]] = (5, 0, 0, age, 0, 0, 56, -1, 0, 0, -1, -1)
+    set_source(data, world, "udp", received=5, age=age, size=56, **more)
     return data
 
 
@@ -65,8 +66,7 @@ def test_a_robot_says_how_old_its_data_is(age: float, text: str | None) -> None:
 
 def test_bad_packets_are_no_silence() -> None:
     world = two_arms()
-    data = with_age(world, 1.2)
-    data.userdata[world.slots["sources.udp"]][7] = 0.01  # s since a malformed one
+    data = with_age(world, 1.2, fault_age=0.01)
     decor = Decor(world)
     pen = decor.draw(data, toggles_of(world), view_at(distance=5))
     rows = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_LABEL)
@@ -184,8 +184,7 @@ def drawn_with(world: World, **ages: float):
     """The pen with these ages of sources; the others are fresh."""
     data = world.make_data()
     for name in world.scene.sources:
-        slot = world.slots[f"sources.{name}"]
-        data.userdata[slot] = (5, 0, 0, ages.get(name, 0.1), 0, 0, 216, -1, 0, 0, -1, -1)
+        set_source(data, world, name, received=5, age=ages.get(name, 0.1), size=216)
     Placer(world).place(data)
     return Decor(world).draw(data, toggles_of(world), view_at(distance=4))
 

@@ -17,6 +17,7 @@ from decor_tools import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from source_slots import set_source
 
 from sero_mj.assemble.cartesian import SmartArrow
 from sero_mj.assemble.robot import SerialRobot
@@ -199,7 +200,7 @@ def test_a_card_says_how_old_its_data_is(age: float, said: list[str]) -> None:
         routes={"push.vector": "udp.vectors0"},
     )
     data = world.make_data()
-    data.userdata[world.slots["sources.udp"]] = (5, 0, 0, age, 0, 0, 24, -1, 0, 0, -1, -1)
+    set_source(data, world, "udp", received=5, age=age, size=24)
     pen = draw(world, data)
     assert card_texts(pen)[6:] == said
     assert len(card_texts(pen, 1)) == 6

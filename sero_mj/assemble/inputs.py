@@ -15,7 +15,6 @@ from .scene_toggles import SceneToggles
 SOURCE_FIELDS = (
     "received",
     "malformed",
-    "dropped",
     "age",  # s since the last good packet, -1 when there was none
     "wrong_size",  # of the malformed
     "last_size",  # bytes of the last packet of a wrong size
@@ -25,6 +24,13 @@ SOURCE_FIELDS = (
     "wrong_constant",  # of the malformed
     "state",  # of a robot's controller and of the link to it, numbers as FRI has them; -1 for
     "quality",  # sources that have none, and before the first packet
+    "lost",  # numbers that never came
+    "late",  # came after a later one
+    "duplicates",
+    "restarts",  # how often the sender began anew
+    "dropped",  # by the kernel, where none may be lost
+    "senders",  # at once
+    "link_age",  # s since one of these counts rose, but for senders; -1 when none has
 )
 # What a packet may switch; any value above 0.5 is on. `arrow_quantity` is an index.
 OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")

@@ -21,7 +21,14 @@ _MARGIN = 0.5  # of a line's height
 
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
-_SHOWN_FOR = 5.0  # s after a malformed packet
+_SHOWN_FOR = 5.0  # s after a malformed packet, or one that was lost
+# Counts of the link and the words for them.
+_LINK = {
+    "lost": "lost",
+    "late": "late",
+    "duplicates": "twice",
+    "dropped": "thrown away here",
+}
 
 
 def _complaints(name: str, state: Any) -> list[str]:
@@ -37,6 +44,22 @@ def _complaints(name: str, state: Any) -> list[str]:
             lines.append("  another kind of packet: a constant is wrong")
         if state.malformed > state.wrong_size + state.not_frames + state.wrong_constant:
             lines.append("  NaN or infinity")
+    return lines
+
+
+def _link_complaints(name: str, state: Any) -> list[str]:
+    """What went wrong between a source and who sends to it."""
+    lines = []
+    if 0 <= state.link_age < _SHOWN_FOR:
+        counts = [f"{getattr(state, key):.0f} {word}" for key, word in _LINK.items()]
+        counts = [text for text in counts if not text.startswith("0 ")]
+        if counts:
+            lines.append(f"{name}: packets {', '.join(counts)}")
+        if state.restarts:
+            times = f" {state.restarts:.0f} times" if state.restarts > 1 else ""
+            lines.append(f"{name}: the sender began anew{times}")
+    if state.senders > 1:
+        lines.append(f"{name}: {state.senders:.0f} senders at once; sender = ... chooses one")
     return lines
 
 
@@ -75,7 +98,8 @@ class Status:
         lines = []
         for name, slot, answers in self._slots:
             state = SourceState(*data.userdata[slot])
-            lines += _complaints(name, state) + _controller_complaints(name, state, answers)
+            lines += _complaints(name, state) + _link_complaints(name, state)
+            lines += _controller_complaints(name, state, answers)
         if not lines or not toggles.status:
             return None
         texts = [line.encode("ascii", "replace")[:99] for line in lines]

@@ -17,12 +17,12 @@ from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..errors import DeclarationError
 from ..paths import find_scene
-from ..receive.fri_layout import FriLayout
-from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
+from ..receive.source import QUIET_AFTER, Packet, Packets, age
 from .follow import follow
 from .place import Placer
 from .route import wire
 from .router import Router
+from .source_state import SourceStates
 from .wiring import Route
 
 Array = NDArray[np.float64]
@@ -80,6 +80,7 @@ class Mirror:
             name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
         }
         self._placer = Placer(self.world, wiring)
+        self._states = SourceStates(self.world)
         self._latest: dict[str, Packet] = {}
         self._again: set[str] = set()  # whose latest packet is to be applied once more
         self._listeners: list[Listener] = []
@@ -95,6 +96,7 @@ class Mirror:
             SourceError: a source cannot be opened.
         """
         self._latest.clear()
+        self._states.forget()
         self._again.clear()
         self._news.clear()
         try:
@@ -177,20 +179,7 @@ class Mirror:
             if packet is not None and (packets is not None or name in self._again):
                 self._routers[name].apply(packet, data)
                 fresh.add(name)
-            counters, clock = source.counters, source.now()
-            data.userdata[self.world.slots[f"sources.{name}"]] = (
-                counters.received,
-                counters.malformed,
-                counters.dropped,
-                age(packet, clock) if packet is not None else -1.0,
-                counters.wrong_size,
-                counters.last_size,
-                source.size,
-                max(clock - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
-                counters.not_frames,
-                counters.wrong_constant,
-                *_state_and_quality(source, packet),
-            )
+        self._states.write(data, self.sources, self._latest)
         self._again.clear()
         self._placer.place(data, self._values(fresh))
         return bool(fresh)
@@ -213,13 +202,6 @@ class Mirror:
         state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
         mujoco.mj_getState(self.world.model, self.data, state, _STATE)
         return state
-
-
-def _state_and_quality(source: Source, packet: Packet | None) -> tuple[float, float]:
-    """What a robot's controller says of itself and of the link; -1 for what has none."""
-    if packet is None or not isinstance(getattr(source, "layout", None), FriLayout):
-        return -1.0, -1.0
-    return float(packet.values["state"][0]), float(packet.values["quality"][0])
 
 
 def restore(world: World, data: mujoco.MjData, state: NDArray[np.float64]) -> None:

@@ -1,0 +1,25 @@
+"""Writes what sources have counted, as a mirror would."""
+
+from __future__ import annotations
+
+import mujoco
+
+from sero_mj.assemble.inputs import SOURCE_FIELDS
+from sero_mj.assemble.world import World
+
+NOTHING_YET = {"age": -1, "fault_age": -1, "state": -1, "quality": -1, "link_age": -1}
+
+
+def set_source(data: mujoco.MjData, world: World, name: str, **counts: float) -> None:
+    """Sets the slot of a source: zeros, nothing yet, and what is given."""
+    assert counts.keys() <= set(SOURCE_FIELDS)
+    given = dict.fromkeys(SOURCE_FIELDS, 0) | NOTHING_YET | counts
+    data.userdata[world.slots[f"sources.{name}"]] = list(given.values())
+
+
+def get_source(data: mujoco.MjData, world: World, name: str) -> dict[str, float]:
+    """The slot of a source, without what is as it was before anything came."""
+    values = data.userdata[world.slots[f"sources.{name}"]].tolist()
+    before = dict.fromkeys(SOURCE_FIELDS, 0) | NOTHING_YET
+    found = zip(SOURCE_FIELDS, values, strict=True)
+    return {key: value for key, value in found if value != before[key]}

@@ -1,0 +1,121 @@
+"""The corner of the picture that says what is wrong with sources."""
+
+from __future__ import annotations
+
+import socket
+from typing import Any
+
+import pytest
+from decor_tools import GEOM, labels, of_kind, rectangle, view_at
+from polling import until
+from source_slots import set_source
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.status import Status
+from sero_mj.decor.toggles import Toggles
+from sero_mj.drive.mirror import Mirror
+from sero_mj.receive.structure import Structure
+
+
+def udp_scene(**udp: Any) -> Scene:
+    lwr = SerialRobot.from_model("lwr")
+    source = {"kind": "udp", "port": 0, "structure": "7F", **udp}
+    return Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
+
+
+@pytest.mark.parametrize(
+    ("counts", "said"),
+    [
+        ({"received": 9}, []),
+        (
+            {"received": 12, "malformed": 3, "wrong_size": 2, "last_size": 5, "fault_age": 1},
+            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56", "  NaN or infinity"],
+        ),
+        (
+            {"received": 12, "malformed": 1, "wrong_size": 1, "last_size": 5, "fault_age": 1},
+            ["udp: 1 of 12 packets not applied", "  5 bytes, expected 56"],
+        ),
+        (
+            {"received": 12, "malformed": 3, "wrong_size": 2, "last_size": 5, "fault_age": 1,
+             "not_frames": 1},
+            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
+             "  a matrix that is no frame"],
+        ),
+        (
+            {"received": 12, "malformed": 2, "fault_age": 1, "wrong_constant": 2},
+            ["udp: 2 of 12 packets not applied",
+             "  another kind of packet: a constant is wrong"],
+        ),
+        ({"received": 12, "malformed": 3, "wrong_size": 3, "fault_age": 6.0}, []),  # long ago
+        ({"received": 12, "lost": 3, "link_age": 0.5}, ["udp: packets 3 lost"]),
+        (
+            {"received": 12, "lost": 3, "late": 1, "duplicates": 2, "dropped": 5, "link_age": 0.5},
+            ["udp: packets 3 lost, 1 late, 2 twice, 5 thrown away here"],
+        ),
+        ({"received": 12, "lost": 3, "late": 1, "link_age": 5.5}, []),
+        ({"received": 12, "restarts": 1, "link_age": 1}, ["udp: the sender began anew"]),
+        ({"received": 12, "restarts": 4, "link_age": 1}, ["udp: the sender began anew 4 times"]),
+        (
+            {"received": 12, "senders": 3},
+            ["udp: 3 senders at once; sender = ... chooses one"],
+        ),
+        ({"received": 12, "senders": 1}, []),
+    ],
+)  # fmt: skip
+def test_faults_of_a_source_stand_in_the_corner(counts: dict[str, float], said: list[str]) -> None:
+    world = World(udp_scene())
+    data = world.make_data()
+    set_source(data, world, "udp", **{"age": 0.1, "size": 56, **counts})
+    view = view_at()
+    pen = Decor(world).draw(data, Toggles(world), view)
+    rows = pen.rows[: pen.count]
+    assert labels(rows) == said
+    for row in of_kind(rows, GEOM.mjGEOM_BOX):
+        low, high = rectangle(view, row)
+        assert low[0] >= 0 and high[1] <= view.height
+        assert high[0] < view.width / 2 and low[1] > view.height / 2
+
+
+def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
+    lwr = SerialRobot.from_model("lwr")
+    world = World(Scene(robots=[lwr], sources={"udp": {"kind": "udp", "structure": "7F"}}))
+    data = world.make_data()
+    set_source(data, world, "udp", size=56)
+    assert Decor(world).draw(data, Toggles(world), view_at()).count == 0
+
+
+def corner(mirror: Mirror) -> list[str]:
+    """What the corner says after what has come is applied."""
+    mirror.advance()
+    panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
+    return [] if panels is None else [text.decode() for text in panels.texts[0]]
+
+
+def test_what_a_link_loses_and_mixes_up_is_written() -> None:
+    layout = Structure("number:1I 7F")
+    scene = udp_scene(structure=layout.text, sequence="number")
+    with Mirror(scene) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        source: Any = mirror.sources["udp"]
+        come = 0
+
+        def send(*numbers: int) -> None:
+            nonlocal come
+            for number in numbers:
+                sender.sendto(layout.encode({"number": [number]}), ("127.0.0.1", source.port))
+            come += len(numbers)
+            assert until(lambda: source.counters.received == come)
+
+        send(5000, 5001, 5002)
+        assert corner(mirror) == []
+        send(5005, 5004, 5005)
+        assert corner(mirror) == ["udp: packets 1 lost, 1 late, 1 twice"]
+        send(1, 2, 3, 4)
+        assert corner(mirror)[-1] == "udp: the sender began anew"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.sendto(layout.encode({"number": [9]}), ("127.0.0.1", source.port))
+            come += 1
+            assert until(lambda: source.counters.received == come)
+        assert corner(mirror)[-1] == "udp: 2 senders at once; sender = ... chooses one"
