@@ -10,7 +10,7 @@ import pytest
 from sero_mj.drive.ahead import Ahead
 from sero_mj.drive.mirror import load_scene
 from sero_mj.drive.play import MotionPackets
-from sero_mj.drive.send import send
+from sero_mj.drive.send import paced, send
 from sero_mj.receive.structure import Structure
 
 PARABOLA = Structure("n:1H t:1I at:1d v:2f tag:1B=7 bits:1I")
@@ -87,7 +87,7 @@ def test_an_lwr_is_played_at_an_exact_rate(rate: int) -> None:
     packets = MotionPackets(load_scene("lwr_udp"))
     for _ in range(3):  # a busy machine may stall one run
         ahead, kept = Ahead(packets.at, packets.structure, rate=rate), Kept()
-        report = send(ahead.at, kept, rate=rate, duration=0.5, idle=ahead.idle)
+        report = send(paced(ahead.at, rate, 0.5), kept, idle=ahead.idle)
         assert len(set(kept.packets)) == report.packets == rate // 2
         late = np.array(kept.times) - kept.times[0] - np.arange(rate // 2) / rate
         if abs(report.rate / rate - 1) < 0.02 and np.median(late) < 1e-3:

@@ -17,7 +17,7 @@ from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.drive.motion import InverseDynamics, SineMotion
 from sero_mj.drive.play import MotionPackets
-from sero_mj.drive.send import SendReport, UdpSink, send
+from sero_mj.drive.send import SendReport, UdpSink, paced, send
 from sero_mj.errors import SourceError, StructureError, UsageError
 
 UDP = {"kind": "udp", "port": 4711, "structure": "2F2F2F"}
@@ -61,7 +61,7 @@ def test_a_thousand_packets_a_second_leave_at_that_rate(to: UdpSink) -> None:
     # A busy machine may stall one run of half a second, hardly three.
     while len(reports) < 3 and not (reports and 950 < reports[-1].rate < 1050):
         start = time.perf_counter()
-        reports.append(send(lambda t: b"1", to, rate=1000, duration=0.5))
+        reports.append(send(paced(lambda t: b"1", 1000, 0.5), to))
         assert 0.475 < reports[-1].seconds <= time.perf_counter() - start
     assert 950 < reports[-1].rate < 1050
     assert (reports[-1].packets, reports[-1].refused) == (500, 0)
@@ -80,7 +80,7 @@ def test_packets_leave_in_order_each_at_its_time_and_none_is_missing(
         return struct.pack("<d", t)
 
     start = time.perf_counter()
-    send(packet_at, to, rate=500, duration=0.1)
+    send(paced(packet_at, 500, 0.1), to)
     assert made == [k / 500 for k in range(50)]
     assert [struct.unpack("<d", listener.recv(100))[0] for _ in range(50)] == made
     # The next packet is made when the one before has left: none leaves before its time.
@@ -98,7 +98,7 @@ def test_lateness_is_reported(to: UdpSink) -> None:
             time.sleep(0.02)  # a motion that takes longer to compute than there is time
         return b""
 
-    report = send(packet_at, to, rate=100, duration=0.1)
+    report = send(paced(packet_at, 100, 0.1), to)
     assert report.packets == 10
     assert report.jitter_p50 < 0.03 < report.jitter_p99
     assert report.rate < 80
@@ -108,23 +108,19 @@ def test_refused_packets_are_counted_and_do_not_stop_it(
     listener: socket.socket, to: UdpSink
 ) -> None:
     # No UDP packet is that long: the system refuses every other one.
-    report = send(
-        lambda t: bytes(70_000 if round(t * 1000) % 2 else 8),
-        to,
-        rate=1000,
-        duration=0.02,
-    )
+    packets = paced(lambda t: bytes(70_000 if round(t * 1000) % 2 else 8), 1000, 0.02)
+    report = send(packets, to)
     assert (report.packets, report.refused) == (20, 10)
     assert [len(listener.recv(100)) for _ in range(10)] == [8] * 10
 
 
 def test_nobody_needs_to_listen(listener: socket.socket, to: UdpSink) -> None:
     listener.close()
-    assert send(lambda t: b"1", to, rate=1000, duration=0.02).packets == 20
+    assert send(paced(lambda t: b"1", 1000, 0.02), to).packets == 20
 
 
 def test_at_least_one_packet_is_sent(to: UdpSink) -> None:
-    assert send(lambda t: b"1", to, rate=10, duration=1e-6).packets == 1
+    assert send(paced(lambda t: b"1", 10, 1e-6), to).packets == 1
 
 
 @pytest.mark.parametrize("duration", [None, 100.0])
@@ -134,7 +130,7 @@ def test_an_interrupt_ends_it_with_a_report(to: UdpSink, duration: float | None)
             raise KeyboardInterrupt
         return b"1"
 
-    report = send(packet_at, to, rate=1000, duration=duration)
+    report = send(paced(packet_at, 1000, duration), to)
     assert report.packets == 10
     assert report.seconds < 5
 
@@ -143,14 +139,8 @@ def test_an_interrupt_before_the_first_packet_is_a_report_too(to: UdpSink) -> No
     def packet_at(t: float) -> bytes:
         raise KeyboardInterrupt
 
-    report = send(packet_at, to, rate=1000)
+    report = send(paced(packet_at, 1000), to)
     assert (report.packets, report.refused, report.jitter_p99) == (0, 0, 0.0)
-
-
-def test_progress_is_told_ten_times_a_second(to: UdpSink) -> None:
-    told: list[int] = []
-    send(lambda t: b"1", to, rate=1000, duration=0.3, on_progress=told.append)
-    assert told == [100, 200, 300]
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "x" * 70])
@@ -168,7 +158,7 @@ def test_packets_go_to_ipv6() -> None:
             pytest.skip("no IPv6 here")
         sock.settimeout(5.0)
         with UdpSink("::1", sock.getsockname()[1]) as to:
-            send(lambda t: b"six", to, rate=10, duration=0.1)
+            send(paced(lambda t: b"six", 10, 0.1), to)
         assert sock.recv(100) == b"six"
 
 

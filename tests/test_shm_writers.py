@@ -194,7 +194,7 @@ def test_a_torn_packet_is_never_applied(
         assert len(good) > 20
         assert good == sorted(set(good))
     else:  # it never stops writing: that is told
-        assert reader.counters.torn > 20
+        assert reader.counters.torn > 0
 
 
 def exists(block: str) -> bool:

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ..errors import UsageError
-from . import send_fri
+from . import send_fri, send_play
 from .arguments import Commands, add_command, not_negative, port, positive, read_scene_or_model
 
 if TYPE_CHECKING:
@@ -24,10 +24,16 @@ examples:
   sero-mj send lwr --structure 7F7F --port 32000
   sero-mj send my_scene.toml --host 192.168.0.7
   sero-mj send lwr_shm --rate 10000           to the shared memory that the scene reads
+  sero-mj send lwr_udp --play REC.mcap --loop what was recorded, as it came
+  sero-mj send lwr_udp --play TABLE.csv --rate 500
 
 Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
 robot's name the packet is its joint angles and its torques. Above 1 kHz values
 go along straight lines between packets of 1 kHz. Ctrl-C stops.
+
+A recording is sent bit for bit, at the times at which it came, where the scene's structure is the
+recorded one; else its events are packed anew, by their names. The columns of a table are called
+like the numbers of the packet (`values0[0]`, as export-csv has them), or are all of them in order.
 """
 
 
@@ -58,23 +64,18 @@ def add_to(commands: Commands) -> None:
         "--shm", metavar="NAME", help="write to this shared memory (default: the scene's)"
     )
     parser.add_argument(
-        "--amplitude", type=not_negative, default=1.0, metavar="A", help="0 still to 1 (default)"
+        "--amplitude", type=not_negative, metavar="A", help="0 still to 1 (default)"
     )
+    send_play.add_options(parser)
     send_fri.add_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
-    import gc
-
-    from ..drive.ahead import Ahead
-    from ..drive.play import MotionPackets
-    from ..drive.send import send
     from ..receive.structure import Structure
 
-    rate = 1000.0 if options.rate is None else options.rate
-    if rate > FASTEST:
-        raise UsageError(f"--rate {rate:g}: expected at most {FASTEST:g} packets/s")
+    if (options.rate or 0.0) > FASTEST:
+        raise UsageError(f"--rate {options.rate:g}: expected at most {FASTEST:g} packets/s")
     if options.shm is not None and (options.host is not None or options.port is not None):
         raise UsageError("--shm and --host or --port: packets go to one of the two; choose")
     if options.structure is not None:
@@ -82,11 +83,24 @@ def run(options: argparse.Namespace) -> int:
     scene = read_scene_or_model(options.scene)
     if not scene.sources and len(scene.robots) == 1:
         _declare_source(scene, options)
+    if options.play is not None:
+        return send_play.send_file(options, scene, _sink)
+    send_play.refuse_options(options)
     controller = send_fri.source_of(scene, options.source)
     if controller is not None:
         return send_fri.send(options, scene, controller)
     send_fri.refuse_options(options)
-    packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
+    return _send_motion(options, scene)
+
+
+def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
+    from ..drive.ahead import Ahead
+    from ..drive.play import MotionPackets
+    from ..drive.send import paced, send
+
+    rate = 1000.0 if options.rate is None else options.rate
+    amplitude = 1.0 if options.amplitude is None else options.amplitude
+    packets = MotionPackets(scene, options.source, options.structure, amplitude)
     structure, source = packets.structure, packets.source
     has = structure.events
     ahead = Ahead(
@@ -103,13 +117,8 @@ def run(options: argparse.Namespace) -> int:
             f"at {rate:g} Hz; Ctrl-C stops",
             flush=True,
         )
-        gc.freeze()  # else all that was imported is looked through in between, for 50 ms at a time
-        report = send(ahead.at, sink, rate=rate, duration=options.duration, idle=ahead.idle)
-    print(
-        f"sent {report.packets} packets in {report.seconds:.2f} s ({report.rate:.1f} Hz), "
-        f"late by {report.jitter_p50 * 1e6:.0f} us (median), {report.jitter_p99 * 1e6:.0f} us (p99)"
-        + (f", {report.refused} refused by the system" if report.refused else "")
-    )
+        report = send(paced(ahead.at, rate, options.duration), sink, idle=ahead.idle)
+    print(report)
     return 0
 
 

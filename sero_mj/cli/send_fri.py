@@ -85,7 +85,7 @@ def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
         scene.robots[_robot(scene, source.name)],
         cycle=cycle if options.cycle is None else options.cycle / 1e3,
         quality=options.quality or (None if source.answer else "ok"),
-        amplitude=options.amplitude,
+        amplitude=1.0 if options.amplitude is None else options.amplitude,
         faults=Faults(loss=options.loss or 0.0, seed=options.seed or 0),
     )
     to_port = options.port or source.udpport

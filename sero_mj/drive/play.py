@@ -18,12 +18,37 @@ from ..receive.structure import Structure
 from .backwards import Backwards
 from .motion import InverseDynamics, SineMotion
 from .route import wire
-from .wiring import Route
+from .wiring import Route, Wiring
 
 Array = NDArray[np.float64]
 LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
 _SWITCHED_AFTER = 4.0  # s
 _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}
+
+
+def choose_source(wiring: Wiring, name: str | None = None) -> Receiver:
+    """The receiver of this name, or the only one.
+
+    Raises:
+        UsageError: there is none, or several are there to choose from.
+    """
+    receivers = {name: one for name, one in wiring.sources.items() if isinstance(one, Receiver)}
+    if name is None and len(receivers) == 1:
+        name = next(iter(receivers))
+    if name in receivers:
+        return receivers[name]
+    if name is not None or not receivers:
+        named = f" '{name}'" if name else ""
+        raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', receivers)}")
+    names = ", ".join(receivers)
+    raise UsageError(f"the scene has several sources; choose with --source: {names}")
+
+
+def structure_for(source: Receiver, text: str | None = None) -> Structure:
+    """The structure of packets for a source, or another one of the same types."""
+    if text is None:
+        return source.layout
+    return Structure(text, is_double=source.is_double, column_major=source.column_major)
 
 
 class MotionPackets:
@@ -54,31 +79,11 @@ class MotionPackets:
         wiring = wire(scene)
         if wiring.problems:
             raise DeclarationError(scene.located(wiring.problems))
-        receivers = {
-            name: found for name, found in wiring.sources.items() if isinstance(found, Receiver)
-        }
-        if source is None and len(receivers) == 1:
-            source = next(iter(receivers))
-        if source not in receivers:
-            if source is not None or not receivers:
-                near = did_you_mean(source or "", receivers)
-                named = f" '{source}'" if source else ""
-                raise UsageError(f"the scene has no source{named}{near}")
-            names = ", ".join(receivers)
-            raise UsageError(f"the scene has several sources; choose with --source: {names}")
-        self.source: Receiver = receivers[source]
-        self.structure = (
-            self.source.layout
-            if structure is None
-            else Structure(
-                structure,
-                is_double=self.source.is_double,
-                column_major=self.source.column_major,
-            )
-        )
-        routes = _connected(wiring.routes, source, self.structure.events)
+        self.source = choose_source(wiring, source)
+        self.structure = structure_for(self.source, structure)
+        routes = _connected(wiring.routes, self.source.name, self.structure.events)
         if not routes:
-            raise UsageError(f"no route leads from '{source}': there is nothing to send")
+            raise UsageError(f"no route leads from '{self.source.name}': there is nothing to send")
         for route in routes:
             self._check_size(route)
         self._scene = scene

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
+import itertools
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
@@ -86,36 +88,53 @@ class SendReport:
         """Packets per second."""
         return self.packets / self.seconds if self.seconds > 0 else 0.0
 
+    def __str__(self) -> str:
+        late = f"{self.jitter_p50 * 1e6:.0f} us (median), {self.jitter_p99 * 1e6:.0f} us (p99)"
+        refused = f", {self.refused} refused by the system" if self.refused else ""
+        sent = f"sent {self.packets} packets in {self.seconds:.2f} s ({self.rate:.1f} Hz)"
+        return f"{sent}, late by {late}{refused}"
 
-def send(
-    packet_at: Callable[[float], bytes],
-    to: Sink,
-    *,
-    rate: float,
-    duration: float | None = None,
-    on_progress: Callable[[int], None] | None = None,
-    idle: Callable[[float], bool] | None = None,
-) -> SendReport:
-    """Sends packets at an exact rate until the duration is over or the user interrupts.
+
+def paced(
+    packet_at: Callable[[float], bytes], rate: float, duration: float | None = None
+) -> Iterator[tuple[float, bytes]]:
+    """Packets at equal intervals.
 
     Args:
         packet_at: makes the packet of a time (s).
-        to: where to.
         rate: packets per second.
-        duration: s; None sends until interrupted.
-        on_progress: called about ten times a second with the packets sent so far.
+        duration: s; None goes on for ever.
+
+    Returns:
+        When each packet is due, s, and the packet, made when it is asked for.
+    """
+    for number in itertools.count():
+        if duration is not None and number >= max(round(duration * rate), 1):
+            return
+        yield number / rate, packet_at(number / rate)
+
+
+def send(
+    packets: Iterable[tuple[float, bytes]],
+    to: Sink,
+    *,
+    idle: Callable[[float], bool] | None = None,
+) -> SendReport:
+    """Sends packets at exact times until there are no more or the user interrupts.
+
+    Args:
+        packets: when each one is due, s from now on, never decreasing, and its bytes.
+        to: where to.
         idle: called with the time that is left (s) until a packet leaves, again and again while it
             returns that it has done something; for what can be done ahead.
     """
-    total = None if duration is None else max(round(duration * rate), 1)
-    every = max(round(rate / 10), 1)
     late: list[float] = []
     refused = sent = 0
+    gc.freeze()  # else all that was imported is looked through in between, for 50 ms at a time
     start = time.perf_counter()
     try:
-        while total is None or sent < total:
-            packet = packet_at(sent / rate)
-            late.append(wait_until(start + sent / rate, idle))
+        for due, packet in packets:
+            late.append(wait_until(start + due, idle))
             try:
                 to.put(packet)
             except OSError:  # nobody listens yet, or the network is away: a robot goes on
@@ -123,10 +142,10 @@ def send(
             sent += 1
             if len(late) > 100_000:
                 del late[:50_000]
-            if on_progress is not None and sent % every == 0:
-                on_progress(sent)
     except KeyboardInterrupt:
         pass
+    finally:
+        gc.unfreeze()
     seconds = time.perf_counter() - start
     p50, p99 = np.percentile(late, [50, 99]) if late else (0.0, 0.0)
     return SendReport(sent, seconds, refused, float(p50), float(p99))

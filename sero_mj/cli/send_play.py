@@ -1,0 +1,113 @@
+"""`sero-mj send SCENE --play FILE`: a recording or a table instead of a motion."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import DeclarationError, UsageError
+from .arguments import positive
+
+if TYPE_CHECKING:
+    from ..assemble.scene import Scene
+    from ..drive.playback import Playback
+    from ..receive.receiver import Receiver
+    from ..receive.structure import Structure
+
+_OPTIONS = ("speed", "loop", "recorded")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds what is for files."""
+    group = parser.add_argument_group("for a recording or a table")
+    group.add_argument(
+        "--play", type=Path, metavar="FILE", help="REC.mcap or TABLE.csv, instead of a motion"
+    )
+    group.add_argument("--speed", type=positive, metavar="X", help="2 is twice as fast")
+    group.add_argument("--loop", action="store_true", default=None, help="again and again")
+    group.add_argument(
+        "--recorded",
+        metavar="NAME",
+        help="which source of the recording (default: the one of the same name, or the only one)",
+    )
+
+
+def refuse_options(options: argparse.Namespace) -> None:
+    """Refuses these options for a motion.
+
+    Raises:
+        UsageError: one of them is given.
+    """
+    for name in _OPTIONS:
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name} is for --play FILE")
+
+
+def send_file(
+    options: argparse.Namespace, scene: Scene, sink: Callable[..., AbstractContextManager[Any]]
+) -> int:
+    """Sends what is in the file; returns 0.
+
+    Args:
+        options: of the command.
+        scene: whose source is fed.
+        sink: makes what takes the packets, from options, source and structure.
+
+    Raises:
+        UsageError: the options do not suit the file.
+    """
+    from ..drive.play import choose_source, structure_for
+    from ..drive.playback import timed
+    from ..drive.route import wire
+    from ..drive.send import send
+    from ..receive.shm import ShmReader
+
+    if options.amplitude is not None:
+        raise UsageError("--amplitude is for a motion; it does nothing with --play")
+    wiring = wire(scene)
+    if wiring.problems:
+        raise DeclarationError(scene.located(wiring.problems))
+    source = choose_source(wiring, options.source)
+    structure = structure_for(source, options.structure)
+    to_shm = options.shm is not None or (isinstance(source, ShmReader) and options.port is None)
+    playback = _open(options, source, structure, to_shm)
+    with sink(options, source, structure) as to:
+        print(
+            f"sending {playback.about}: {playback.count} packets, {playback.duration:.2f} s, "
+            f"to {to.place}; Ctrl-C stops",
+            flush=True,
+        )
+        packets = timed(
+            playback,
+            speed=options.speed or 1.0,
+            loop=bool(options.loop),
+            duration=options.duration,
+        )
+        report = send(packets, to)
+    print(report)
+    if playback.skipped:
+        print(f"{playback.skipped} could not be sent in '{structure.text}'")
+    return 0
+
+
+def _open(
+    options: argparse.Namespace, source: Receiver, structure: Structure, to_shm: bool
+) -> Playback:
+    from ..drive.playback import RecordedPackets, TablePackets
+    from ..receive.recording import Recording
+
+    file: Path = options.play
+    if file.suffix.lower() == ".csv":
+        if options.recorded is not None:
+            raise UsageError(f"--recorded is for recordings; {file} is a table")
+        return TablePackets(file, structure, options.rate)
+    if options.rate is not None:
+        raise UsageError("--rate: a recording has its own times; --speed changes them")
+    name = options.recorded or ""
+    if not name:
+        with Recording(file) as recording:
+            name = source.name if source.name in recording.sources else ""
+    return RecordedPackets(file, name, structure, only_whole=to_shm)

@@ -1,0 +1,267 @@
+"""Recordings and tables sent again, to real sockets and shared memory."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from polling import until
+from recordings import begin, record
+
+from sero_mj.cli import main
+from sero_mj.drive.playback import RecordedPackets, TablePackets, timed
+from sero_mj.errors import CsvError, RecordingError, UsageError
+from sero_mj.receive.shm import ShmReader
+from sero_mj.receive.structure import Structure
+
+LAYOUT = Structure("2F1V1M")  # what `recordings` declares
+PACKETS = [
+    LAYOUT.encode({"values0": [k, -k], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
+    for k in range(5)
+]
+SCENE = """
+[robots.two]
+dh_convention = "craig"
+dh_params = [[0, 0.3, 0, 0], [0, 0.3, 0, 0]]
+
+[sources.arm]
+kind = "udp"
+port = {port}
+structure = "{structure}"
+
+[routes]
+"two.joint_angles" = "arm.values0"
+"""
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "rec.mcap"
+    record(path, PACKETS)
+    return path
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(5.0)
+        yield sock
+
+
+def send(*arguments: object) -> int | str | None:
+    with pytest.raises(SystemExit) as caught:
+        main(["send", *map(str, arguments)])
+    return caught.value.code
+
+
+def scene_file(tmp_path: Path, sock: socket.socket, structure: str = "2F1V1M") -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE.format(port=sock.getsockname()[1], structure=structure))
+    return path
+
+
+# ---- recordings
+
+
+def test_a_recording_is_sent_bit_for_bit_at_its_times(recording: Path) -> None:
+    found = RecordedPackets(recording, structure=LAYOUT)
+    assert found.is_raw and (found.count, found.skipped) == (5, 0)
+    times, packets = zip(*found.packets(), strict=True)
+    assert list(packets) == PACKETS
+    assert times == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4], abs=1e-6)
+    assert found.duration == pytest.approx(0.4, abs=1e-6)
+
+
+def test_in_another_structure_events_keep_their_names(recording: Path) -> None:
+    other = Structure(">1H=7 values0:2f extra:1d".replace("values0:", ""))
+    found = RecordedPackets(recording, structure=other)
+    assert not found.is_raw
+    assert found.about == f"{recording}, source arm, its values0"
+    assert [packet for _, packet in found.packets()] == [
+        struct.pack(">H2fd", 7, k, -k, 0.0) for k in range(5)
+    ]
+
+
+def test_the_same_bytes_that_mean_something_else_are_packed_anew(recording: Path) -> None:
+    by_rows = Structure(LAYOUT.text, column_major=False)
+    found = RecordedPackets(recording, structure=by_rows)
+    assert not found.is_raw
+    for (_, sent), packet in zip(found.packets(), PACKETS, strict=True):
+        decoded, before = by_rows.decode(sent), LAYOUT.decode(packet)
+        for event, values in before.items():
+            assert decoded[event].tolist() == values.tolist()
+
+
+def test_what_cannot_be_decoded_or_packed_is_counted(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    huge = LAYOUT.encode({"values0": [1e300, 0], "matrices0": np.eye(4)})
+    record(path, [PACKETS[1], b"short", PACKETS[2], huge])
+    again = RecordedPackets(path, structure=Structure("2f"))
+    assert len(list(again.packets())) == 2  # 1e300 is no float32
+    raw = RecordedPackets(path, structure=LAYOUT)
+    assert [len(packet) for _, packet in raw.packets()] == [168, 5, 168, 168]
+    whole = RecordedPackets(path, structure=LAYOUT, only_whole=True)
+    assert [len(packet) for _, packet in whole.packets()] == [168, 168, 168]
+    assert (again.skipped, raw.skipped, whole.skipped) == (2, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("structure", "message"),
+    [
+        (
+            "joints:2F",
+            "'arm' in {file} has values0, vectors0, matrices0; 'joints:2F' has joints: nothing to "
+            "send",
+        ),
+        ("3F", "values0 of 'arm' in {file} is 2; '3F' expects 3"),
+    ],
+)
+def test_what_does_not_fit_is_told(recording: Path, structure: str, message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        RecordedPackets(recording, structure=Structure(structure))
+    assert str(caught.value) == message.format(file=recording)
+
+
+def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    begin(path, "arm", "hand").close()
+    with pytest.raises(UsageError, match=r"two.mcap has several sources: arm, hand; choose one"):
+        RecordedPackets(path)
+    with pytest.raises(UsageError, match=r"no source 'amr' in .*two.mcap; did you mean 'arm'\?"):
+        RecordedPackets(path, "amr")
+    with pytest.raises(RecordingError, match=r"two.mcap: has no packet of 'arm'"):
+        RecordedPackets(path, "arm")
+
+
+# ---- tables
+
+
+def test_columns_are_called_like_the_numbers_of_a_packet(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("values0[1],time,vectors0[0][2]\n1,5.0,2\n3,5.25,4\n")
+    found = TablePackets(path, Structure("2F1V"))
+    (first, one), (second, two) = found.packets()
+    assert (first, second, found.duration) == (0.0, 0.25, 0.25)
+    assert struct.unpack("<5d", one) == (0, 1, 0, 0, 2)
+    assert struct.unpack("<5d", two) == (0, 3, 0, 0, 4)
+
+
+@pytest.mark.parametrize("head", ["", "left,right,force\n"])
+def test_other_names_and_none_are_all_numbers_in_order(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(f"{head}1,2,3\n4,5,6\n")
+    found = TablePackets(path, Structure("2F1h"), rate=50)
+    assert [(t, *struct.unpack("<ddh", packet)) for t, packet in found.packets()] == [
+        (0.0, 1, 2, 3),
+        (0.02, 4, 5, 6),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a,b\n1,2\n", "found 2 columns beside time: a, b, ...; expected 3 for '3F', or "
+         "values0[0], values0[1], values0[2], ..."),
+        ("values0[0],values0[7]\n1,2\n", "'3F' has no such number; did you mean 'values0[2]'?"),
+    ],
+)  # fmt: skip
+def test_columns_that_do_not_fit_are_told(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(CsvError) as caught:
+        TablePackets(path, Structure("3F"), rate=1)
+    assert message in str(caught.value) and str(path) in str(caught.value)
+
+
+# ---- times
+
+
+def test_speed_loop_and_duration(recording: Path) -> None:
+    found = RecordedPackets(recording, structure=LAYOUT)
+    twice = [due for due, _ in timed(found, speed=2.0)]
+    assert twice == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2], abs=1e-6)
+    assert len(list(timed(found, duration=0.15))) == 2
+    looped = list(itertools.islice(timed(found, loop=True), 12))
+    assert [due for due, _ in looped] == pytest.approx(np.arange(12) * 0.1, abs=1e-6)
+    assert [packet for _, packet in looped] == [PACKETS[k % 5] for k in range(12)]
+    assert len(list(timed(found, loop=True, duration=1.05))) == 11
+
+
+# ---- the command
+
+
+def test_the_command_sends_a_recording(
+    recording: Path, tmp_path: Path, listener: socket.socket, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = scene_file(tmp_path, listener)
+    assert send(scene, "--play", recording, "--speed", 20, "--loop", "--duration", 0.03) == 0
+    assert [listener.recv(1000) for _ in range(6)] == [*PACKETS, PACKETS[0]]
+    out = capsys.readouterr().out
+    assert f"sending {recording}, source arm, bit for bit: 5 packets, 0.40 s, to UDP" in out
+    assert re.search(r"^sent 6 packets in 0\.\d+ s .* late by \d+ us \(median\)", out, re.MULTILINE)
+
+
+def test_the_command_sends_a_table_that_it_has_exported(
+    recording: Path, tmp_path: Path, listener: socket.socket
+) -> None:
+    table = tmp_path / "rec.csv"
+    with pytest.raises(SystemExit):
+        main(["export-csv", str(recording), str(table)])
+    scene = scene_file(tmp_path, listener)
+    assert send(scene, "--play", table, "--speed", 20) == 0
+    assert [listener.recv(1000) for _ in range(5)] == PACKETS
+
+
+def test_the_command_writes_a_recording_to_shared_memory(tmp_path: Path, listener) -> None:
+    recording = tmp_path / "rec.mcap"
+    record(recording, [PACKETS[1], b"short", PACKETS[3]])
+    got: list[list[float]] = []
+    with ShmReader(
+        block="sero_test_play", structure=LAYOUT.text, only_latest_packet=False
+    ) as reader:
+        scene = scene_file(tmp_path, listener)
+        assert send(scene, "--play", recording, "--shm", "sero_test_play") == 0
+
+        def came() -> bool:
+            packets = reader.take()
+            got.extend([] if packets is None else packets.values["values0"].tolist())
+            return len(got) == 2
+
+        assert until(came)
+        assert reader.counters.malformed == 0
+    assert got == [[1, -1], [3, -3]]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--speed", "2"], "--speed is for --play FILE"),
+        (["--loop"], "--loop is for --play FILE"),
+        (["--play", "REC", "--rate", "5"], "--rate: a recording has its own times; --speed"),
+        (["--play", "REC", "--amplitude", "0"], "--amplitude is for a motion"),
+        (["--play", "none.csv"], "none.csv"),
+        (["--play", "none.mcap"], "none.mcap"),
+        (["--play", "REC", "--recorded", "amr"], "no source 'amr' in"),
+        (["--play", "REC", "--source", "amr"], "the scene has no source 'amr'; did you mean 'arm'"),
+        (["--play", "t.csv", "--recorded", "arm"], "--recorded is for recordings; t.csv is a"),
+    ],
+)
+def test_options_that_do_not_fit_are_told(
+    recording: Path,
+    tmp_path: Path,
+    listener: socket.socket,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    message: str,
+) -> None:
+    scene = scene_file(tmp_path, listener)
+    arguments = [str(recording) if option == "REC" else option for option in options]
+    assert send(scene, *arguments) == 2
+    assert message in capsys.readouterr().err
