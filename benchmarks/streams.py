@@ -28,12 +28,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
+from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, ShmReader, UdpReceiver
+from sero_mj.receive.receiver import Receiver
 from sero_mj.receive.structure import Structure
 
 Row = tuple[str, str, str, str, str]
 HERE = Path(__file__).parent
 STRUCTURE = "count:1F sent:1F joints:7F 5F"
+SHM_STRUCTURE = "lock:1Q sent:1F joints:7F 5F"
 PACKET_BYTES = 112
 RATES = (20_000, 50_000, 100_000, 150_000, 200_000, 300_000, 400_000)  # packets/s
 FPS = 30
@@ -47,14 +49,16 @@ def compile_c(folder: Path) -> dict[str, str]:
     for source in HERE.glob("*.c"):
         programs[source.stem] = str(folder / source.stem)
         compiler = os.environ.get("CC", "cc")
-        subprocess.run([compiler, "-O2", "-o", programs[source.stem], str(source)], check=True)
+        subprocess.run(
+            [compiler, "-O2", "-o", programs[source.stem], str(source), "-lrt"], check=True
+        )
     return programs
 
 
-def mirror_of(source: UdpReceiver) -> Mirror:
+def mirror_of(source: Receiver) -> Mirror:
     robot = SerialRobot.from_model("lwr", show_arrows=True)
-    routes = {"lwr.joint_angles": "udp.joints"}
-    return Mirror(Scene(robots=[robot], sources={"udp": source}, routes=routes))
+    routes = {"lwr.joint_angles": "stream.joints"}
+    return Mirror(Scene(robots=[robot], sources={"stream": source}, routes=routes))
 
 
 @contextmanager
@@ -174,35 +178,50 @@ def throughput(programs: dict[str, str], seconds: float) -> list[Row]:
 
 def latency(programs: dict[str, str], seconds: float) -> list[Row]:
     """From sending to MjData at 1 kHz, waiting for packets; and to pixels at 30 frames a second."""
-    source = UdpReceiver(structure=STRUCTURE)
-    to_data, to_pixels = [], []
-    with mirror_of(source) as mirror:
-        command = [programs["udp_flood"], str(source.port), "1000", str(int(1000 * seconds))]
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sender:
-            while mirror.wait_next(1.0) or sender.poll() is None:
-                if mirror.advance():
-                    now = time.monotonic()
-                    to_data.append(now - float(source.latest().values["sent"][0]))  # type: ignore
-        with HeadlessRenderer(mirror.world, 640, 480) as renderer:
-            pixels = np.empty((480, 640, 3), np.uint8)
-            renderer.render(mirror.data, out=pixels)
-            with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sender:
-                due = time.monotonic()
-                while sender.poll() is None:
-                    time.sleep(max(due - time.monotonic(), 0.0))
-                    due += 1 / FPS
-                    if mirror.advance():
-                        sent = float(source.latest().values["sent"][0])  # type: ignore[union-attr]
-                        renderer.render(mirror.data, out=pixels)
-                        to_pixels.append(time.monotonic() - sent)
+    udp = UdpReceiver(structure=STRUCTURE)
+    block = f"/sero_bench_{os.getpid()}"
+    shm = ShmReader(block=block, structure=SHM_STRUCTURE, lock="lock")
     rows: list[Row] = []
-    for name, times, goal in (
-        ("UDP packet to MjData, 1 kHz", to_data, "p99 under 1 ms"),
-        ("UDP packet to pixels, 640x480, 30 fps", to_pixels, ""),
-    ):
-        p50, p99 = np.percentile(times, [50, 99]) * 1e3
-        rows.append((name, f"p50 {p50:.3f} ms", f"p99 {p99:.3f} ms", "", goal))
+    for kind, source in (("UDP", udp), ("shared memory", shm)):
+        applied: list[float] = [0.0]  # when the packet that is shown was sent
+        with mirror_of(source) as mirror:
+            mirror.listen(lambda _, packets: applied.append(packets.values["sent"][-1, 0]))
+            program, to = ("udp_flood", udp.port) if source is udp else ("shm_beat", block)
+            command = [programs[program], str(to), "1000", str(int(1000 * seconds))]
+            to_data = _to_data(mirror, applied, command)
+            to_pixels = _to_pixels(mirror, applied, command)
+        for what, times, goal in (
+            ("to MjData, 1 kHz", to_data, "p99 under 1 ms"),
+            ("to pixels, 640x480, 30 fps", to_pixels, ""),
+        ):
+            p50, p99 = np.percentile(times, [50, 99]) * 1e3
+            rows.append((f"{kind} {what}", f"p50 {p50:.3f} ms", f"p99 {p99:.3f} ms", "", goal))
     return rows
+
+
+def _to_data(mirror: Mirror, applied: list[float], command: list[str]) -> list[float]:
+    ages = []
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sender:
+        while mirror.wait_next(0.5) or sender.poll() is None:
+            if mirror.advance():
+                ages.append(time.monotonic() - applied[-1])
+    return ages
+
+
+def _to_pixels(mirror: Mirror, applied: list[float], command: list[str]) -> list[float]:
+    ages = []
+    with HeadlessRenderer(mirror.world, 640, 480) as renderer:
+        pixels = np.empty((480, 640, 3), np.uint8)
+        renderer.render(mirror.data, out=pixels)
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sender:
+            due = time.monotonic()
+            while sender.poll() is None:
+                time.sleep(max(due - time.monotonic(), 0.0))
+                due += 1 / FPS
+                if mirror.advance():
+                    renderer.render(mirror.data, out=pixels)
+                    ages.append(time.monotonic() - applied[-1])
+    return ages
 
 
 def decoding() -> list[Row]:
