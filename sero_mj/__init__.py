@@ -39,9 +39,12 @@ if TYPE_CHECKING:
     from .drive.mirror import Mirror as Mirror
     from .drive.mirror import load_scene as load_scene
     from .drive.place import Placer as Placer
+    from .drive.record_sources import record_sources as record_sources
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
     from .receive.fri import FriReceiver as FriReceiver
+    from .receive.recording import Recording as Recording
+    from .receive.replay import Replay as Replay
     from .receive.shm import ShmReader as ShmReader
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
@@ -67,9 +70,12 @@ _HOME = {
     "Mirror": "drive.mirror",
     "load_scene": "drive.mirror",
     "Placer": "drive.place",
+    "record_sources": "drive.record_sources",
     "DeclarationError": "errors",
     "SeroError": "errors",
     "FriReceiver": "receive.fri",
+    "Recording": "receive.recording",
+    "Replay": "receive.replay",
     "ShmReader": "receive.shm",
     "Structure": "receive.structure",
     "UdpReceiver": "receive.udp",

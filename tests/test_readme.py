@@ -60,7 +60,7 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         for process in background:
             process.terminate()
             process.wait()
-    assert ran == {"bash": 6, "python": 3, "toml": 7}
+    assert ran == {"bash": 9, "python": 3, "toml": 9}
     made = {path.name for path in (tmp_path / "out").iterdir()}
     assert made == {
         "now.png",
@@ -70,6 +70,10 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         "gripper.png",
         "mirrored.png",
         "two_arms.png",
+        "run.mcap",
+        "run.csv",
+        "again.mp4",
+        "replayed.mp4",
     }
 
 
