@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..errors import DeclarationError, Problem
 from .inputs import moving
 from .mjcf_double import add_double
+from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
 from .mjcf_geoms import (
     SITE_GROUP,
     joint_axis_frame,
@@ -43,8 +44,12 @@ _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": 
 _STILL = {"contype": 0, "conaffinity": 0}  # what only mirrors a robot does not collide
 
 
-def build_mjcf(scene: Scene) -> mjcf.RootElement:
+def build_mjcf(scene: Scene, *, dynamic: bool = False) -> mjcf.RootElement:
     """Returns the scene as one MJCF tree, names scoped by robot (`lwr/link1`).
+
+    Args:
+        scene: what to build.
+        dynamic: whether robots have masses, friction and collisions.
 
     Raises:
         DeclarationError: an MJCF piece cannot be read, or a file is missing.
@@ -53,6 +58,8 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
     _set_up(root)
     moved = moving(scene)
     _surroundings(root, scene, moved)
+    if dynamic:
+        set_up_dynamics(root)
     problems = _clashes(scene)
     if problems:
         raise DeclarationError(scene.located(problems))
@@ -66,9 +73,7 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
             problems += [problem.inside(f"objects.{item.name}") for problem in error.problems]
     for name, robot in scene.robots.items():
         try:
-            base = root.attach(build_robot_mjcf(robot))
-            base.mocap = True
-            set_pose(base, robot.base_frame)
+            _add_robot(root, robot, dynamic)
         except DeclarationError as error:
             problems += [problem.inside(f"robots.{name}") for problem in error.problems]
     if problems:
@@ -82,6 +87,17 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
         if arrow.site is not None:
             root.worldbody.add("site", name=arrow.site, pos=arrow.at, group=SITE_GROUP)
     return root
+
+
+def _add_robot(root: mjcf.RootElement, robot: SerialRobot, dynamic: bool) -> None:
+    piece = build_robot_mjcf(robot)
+    if dynamic:
+        add_dynamics(piece, robot)
+    base = root.attach(piece)
+    base.mocap = True
+    set_pose(base, robot.base_frame)
+    if dynamic:
+        exclude_neighbours(root, base, robot)
 
 
 def moved_body(name: str) -> str:

@@ -34,8 +34,14 @@ Ints = NDArray[np.intp]
 class World:
     """A compiled scene.
 
+    Args:
+        scene: what to compile.
+        dynamic: whether it is to be simulated: links have masses and collide, joints have
+            friction and may be elastic (see `assemble.mjcf_dynamics`).
+
     Attributes:
         scene: what it was compiled from.
+        dynamic: whether it is to be simulated.
         model: the `MjModel`.
         robots: `RobotPart` by name.
         doubles: `DoublePart` by name.
@@ -52,14 +58,15 @@ class World:
         DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, dynamic: bool = False) -> None:
         self.scene = scene
+        self.dynamic = dynamic
         problems = scene.problems()  # also of what was added since the scene was made
         if problems:
             raise DeclarationError(scene.located(problems))
         self.inputs = list_inputs(scene)
         self.slots, self.flags = userdata_slots(scene)
-        root = build_mjcf(scene)
+        root = _build(scene, dynamic)
         root.size.nuserdata = len(self.flags) + sum(
             slot.stop - slot.start for slot in self.slots.values()
         )
@@ -282,11 +289,24 @@ class World:
         return parts
 
 
+def _build(scene: Scene, dynamic: bool) -> Any:
+    try:
+        return build_mjcf(scene, dynamic=dynamic)
+    except DeclarationError:
+        raise
+    except ValueError as error:  # by MuJoCo, from the hull of a mesh
+        raise _not_compiled(scene, error) from error
+
+
 def _compile(root: Any, scene: Scene) -> mujoco.MjModel:
     try:
         return mujoco.MjModel.from_xml_string(xml_text(root), root.get_assets())
     except ValueError as error:
-        problems = mesh_problems(scene)
-        if not problems:
-            problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
-        raise DeclarationError(scene.located(problems)) from error
+        raise _not_compiled(scene, error) from error
+
+
+def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
+    problems = mesh_problems(scene)
+    if not problems:
+        problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
+    return DeclarationError(scene.located(problems))
