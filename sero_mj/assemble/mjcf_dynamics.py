@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .inertia import principal
 from .robot import SerialRobot
-from .robot_dynamics import RobotDynamics, robot_dynamics
+from .robot_dynamics import RobotDynamics
 from .shapes import housing_radii
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ PAYLOAD = "payload"  # a body at the flange that weighs nothing until something 
 _ONE_HOUSING = 4.0
 # Coulomb friction that holds creeps by no more than 1e-6 rad/s (the default: 1e-4).
 _FRICTION = {"solreffriction": [0.004, 1.0], "solimpfriction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
+# Stops, floors and tables are stiffer than by default; not beyond what a step can follow.
+_STIFF = [0.005, 1.0]
 # Springs that swing faster than this in one step, rad, are taken to the end of the step.
 _FAST = 1.4
 
@@ -38,27 +40,21 @@ def set_up_dynamics(root: mjcf.RootElement) -> None:
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
     root.option.timestep = TIMESTEP
     root.option.integrator = "Euler"
-    # Stops, floors and tables are stiffer than by default; not beyond what a step can follow.
-    root.default.geom.solref = [0.005, 1.0]
-    root.default.joint.solreflimit = [0.005, 1.0]
+    root.default.geom.solref = _STIFF
     floor = root.find("geom", "floor")
     if floor is not None:
         # Links that are built into the floor do not feel it, see _collide.
         floor.contype, floor.conaffinity = 0, 1
 
 
-def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot) -> RobotDynamics:
+def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDynamics) -> None:
     """Gives a robot its masses, joints and collisions, before it is attached to its scene.
 
     Args:
         piece: what `build_robot_mjcf` returned.
         robot: which robot that is.
-
-    Raises:
-        DeclarationError: a mesh file cannot be read, or joints are elastic without an inertia.
-        ValueError: MuJoCo cannot compile a mesh.
+        dynamics: of it.
     """
-    dynamics = robot_dynamics(robot)
     for i in range(robot.n):
         body = piece.find("body", f"link{i + 1}")
         moments, axes = principal(dynamics.tensors[i + 1])
@@ -69,6 +65,7 @@ def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot) -> RobotDynamics:
         joint = piece.find("joint", robot.names[i])
         joint.armature = dynamics.motor_inertias[i]
         joint.damping = dynamics.viscous_friction[i]
+        joint.solreflimit = _STIFF
         joint.frictionloss = dynamics.coulomb_friction[i]
         for key, value in _FRICTION.items():
             setattr(joint, key, value)
@@ -78,7 +75,6 @@ def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot) -> RobotDynamics:
     # A body without mass must not move by itself; this one is part of the last link.
     flange = piece.find("body", "flange")
     flange.add("body", name=PAYLOAD)
-    return dynamics
 
 
 def deflection_joint(name: str) -> str:
@@ -141,7 +137,7 @@ def _add_deflection(
         joint.limited = False
         stop = piece.tendon.add(
             "fixed", name=f"{robot.names[i]}-stop", limited=True,
-            range=robot.position_limits[i], solreflimit=[0.005, 1.0],
+            range=robot.position_limits[i], solreflimit=_STIFF,
         )  # fmt: skip
         stop.add("joint", joint=joint, coef=1.0)
         stop.add("joint", joint=name, coef=1.0)
@@ -152,14 +148,15 @@ def _add_hulls(piece: mjcf.RootElement, robot: SerialRobot, hulls: list[Array | 
     sunk = _in_the_floor(robot)
     for i in range(robot.n + 1):
         body = piece.find("body", f"link{i}") if i else piece.worldbody
-        touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1}
+        touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1, "solref": _STIFF}
         hull = hulls[i]
         if hull is not None:
             asset = piece.asset.add("mesh", name=f"hull{i}", vertex=hull.ravel(), inertia="convex")
             body.add("geom", type="mesh", mesh=asset, group=HULL_GROUP, mass=0, **touches)
         elif not robot.filenames:
             for geom in body.geom:
-                geom.contype, geom.conaffinity = touches["contype"], touches["conaffinity"]
+                for key, value in touches.items():
+                    setattr(geom, key, value)
 
 
 def _in_the_floor(robot: SerialRobot) -> NDArray[np.bool_]:
