@@ -32,10 +32,11 @@ Index = slice | NDArray[np.intp]
 
 def as_slice(indices: NDArray[np.intp]) -> Index:
     """Indices with equal steps as a slice, which numpy reads in place; others as they are."""
+    if not len(indices):
+        return slice(0, 0)
     steps = np.unique(np.diff(indices))
-    if len(indices) and len(steps) <= 1 and (steps > 0).all():
-        step = int(steps[0]) if len(steps) else 1
-        return slice(int(indices[0]), int(indices[-1]) + 1, step)
+    if len(steps) <= 1 and (steps > 0).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1, int(steps[0]) if len(steps) else 1)
     return indices
 
 
@@ -89,7 +90,7 @@ class JointModel:
         nv = self._model.nv
         self._torque, self._change = np.zeros((2, nv))
         # Where joints stand in equal steps these are views, which are always up to date.
-        self._copies: list[tuple[Array, Index, Array]] = []
+        self._copies: list[tuple[Array, NDArray[np.intp], Array]] = []
         self._motor_angles = self._watch(self._qpos, self._motor_q)
         self._motor_speeds = self._watch(self._qvel, self.motor_dofs)
         self._sensed = self._watch(self._torque, self.sensor_dofs)
@@ -170,18 +171,20 @@ class JointModel:
 
     def friction(self) -> Array:
         """Coulomb friction in the last step, of the degrees of freedom that have it, Nm."""
-        data = self._data
-        first = data.ne  # rows of friction stand behind those of equality constraints
-        forces: Array = data.efc_force[first : first + self._rubs]
-        return forces
+        forces: Array = self._data.efc_force
+        if len(forces) == self._rubs:
+            return forces
+        # Rows of friction stand behind those of equality constraints, and before all others.
+        first = self._data.ne
+        return forces[first : first + self._rubs]
 
-    def external(self, motor_torques: Array) -> Array:
+    def external(self, pushes: Array) -> Array:
         """Torques on the links from outside in the last step, (n,), Nm: pushes, contacts, stops.
 
         Args:
-            motor_torques: what `begin` got, (nv,).
+            pushes: what acted by pushes, (nv,).
         """
-        outer = self._data.qfrc_applied - motor_torques + self._data.qfrc_constraint
+        outer = pushes + self._data.qfrc_constraint
         if self._rubs:
             outer[self._rubbing] -= self.friction()
         return np.asarray(outer[self.sensor_dofs])

@@ -77,9 +77,10 @@ class Plant:
         self._rows = tuple(self.actual)  # views
         self.measured = self.sensors.measured
         self._pushes: list[Push] = []
-        self._motor = np.zeros(self.model.nv)
+        self._pushed = False  # whether any acts, or did in the last step
+        self._motor = self.data.qfrc_applied
         self._motor_dofs = self.joints.motor_dofs
-        self._applied = self.data.qfrc_applied
+        self._outer = np.zeros(self.model.nv)  # torques of pushes in the last step
         self._warned = self.data.warning.number
         self._settle()
 
@@ -96,7 +97,7 @@ class Plant:
     @property
     def motor_torques(self) -> Array:
         """What acted on the motors in the last step, (n,), Nm."""
-        return np.asarray(self._motor[self._motor_dofs])
+        return np.asarray((self._motor - self._outer)[self._motor_dofs])
 
     def reset(self, joint_angles: Any | None = None) -> None:
         """Puts the robots where they are declared to be, at rest, and ends pushes.
@@ -108,7 +109,7 @@ class Plant:
         """
         self.world.reset(self.data)
         self._pushes.clear()
-        self._motor[:] = 0.0
+        self._motor[:] = self._outer[:] = 0.0
         if joint_angles is not None:
             angles = np.asarray(joint_angles, np.float64)
             for part in self.world.robots.values():
@@ -139,18 +140,22 @@ class Plant:
             SimulationError: a torque is no number, or the motion has become unstable; names the
                 joint and the time. `measured` and `actual` are those before.
         """
-        motor, model, data = self._motor, self.model, self.data
+        motor, model, data, joints = self._motor, self.model, self.data, self.joints
+        if self._pushed:
+            motor[:] = self._outer[:] = 0.0
         motor[self._motor_dofs] = motor_torques
-        if not np.vdot(motor, motor) < _TOO_MUCH:
+        if not motor.dot(motor) < _TOO_MUCH:
             self._stop_for_torque()
-        np.copyto(self._applied, motor)
-        for push in self._pushes:
-            push.apply(model, data)
-        joints, warned = self.joints, self._warned
         joints.begin(motor)
+        if self._pushed:
+            for push in self._pushes:
+                push.apply(model, data, self._outer)
+            np.add(motor, self._outer, motor)
+            self._pushed = bool(self._pushes)
         mujoco.mj_step2(model, data)
         joints.end()
         mujoco.mj_step1(model, data)
+        warned = self._warned
         if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
             self._stop_for_motion()
         joints.read(*self._rows)
@@ -182,6 +187,7 @@ class Plant:
         """
         push = Push(self.world, frame, force, torque, expressed_in, at)
         self._pushes.append(push)
+        self._pushed = True
         return push
 
     def release(self, push: Push) -> None:
@@ -194,7 +200,7 @@ class Plant:
 
         Of pushes, contacts and stops; a payload is a part of its robot.
         """
-        return self.joints.external(self._motor)
+        return self.joints.external(self._outer)
 
     def set_friction(
         self, robot: str, viscous: ArrayLike | None = None, coulomb: ArrayLike | None = None

@@ -51,8 +51,8 @@ class Push:
         self._body = int(world.model.site_bodyid[self._site])
         self._axes = None if expressed_in == "world" else _site(world, expressed_in)
 
-    def apply(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Adds what it does at the joints to `qfrc_applied`; `data` has its kinematics."""
+    def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
+        """Adds what it does at the joints to torques (nv,); `data` has its kinematics."""
         force, torque = self.force, self.torque
         if self._axes is not None:
             axes = data.site_xmat[self._axes].reshape(3, 3)
@@ -60,7 +60,7 @@ class Push:
         point = data.site_xpos[self._site]
         if self._at.any():
             point = point + data.site_xmat[self._site].reshape(3, 3) @ self._at
-        mujoco.mj_applyFT(model, data, force, torque, point, self._body, data.qfrc_applied)
+        mujoco.mj_applyFT(model, data, force, torque, point, self._body, torques)
 
 
 def _three(name: str, value: ArrayLike) -> Array:
