@@ -179,9 +179,10 @@ def exclude_neighbours(root: mjcf.RootElement, base: Any, robot: SerialRobot) ->
     tools = [flange, *flange.find_all("body")]
     near = _ONE_HOUSING * housing_radii(robot.dh, robot.flange_frame)[0]
     steps = np.abs(robot.dh.a) + np.abs(robot.dh.d)
+    ends_before = robot.dh_convention == "standard"
     for i, k in combinations(range(robot.n + 1), 2):
-        # Link i ends at joint i + 1, link k begins at joint k.
-        if k - i <= 2 or steps[i + 1 : k].sum() < near:
+        # Link i ends at joint i + 1, link k begins at joint k: the offsets between are these.
+        if k - i <= 2 or steps[i + 1 : k - ends_before].sum() < near:
             pairs = [bodies[k], *(tools if k == robot.n else [])]
             for other in pairs:
                 root.contact.add("exclude", body1=bodies[i], body2=other)
