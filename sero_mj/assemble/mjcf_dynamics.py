@@ -31,8 +31,7 @@ _ONE_HOUSING = 4.0
 _FRICTION = {"solreffriction": [0.004, 1.0], "solimpfriction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
 # Stops, floors and tables are stiffer than by default; not beyond what a step can follow.
 _STIFF = [0.005, 1.0]
-# Springs that swing faster than this in one step, rad, are taken to the end of the step.
-_FAST = 1.4
+_STOP = {"solreflimit": _STIFF, "solimplimit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
 
 def set_up_dynamics(root: mjcf.RootElement) -> None:
@@ -65,9 +64,8 @@ def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDyn
         joint = piece.find("joint", robot.names[i])
         joint.armature = dynamics.motor_inertias[i]
         joint.damping = dynamics.viscous_friction[i]
-        joint.solreflimit = _STIFF
         joint.frictionloss = dynamics.coulomb_friction[i]
-        for key, value in _FRICTION.items():
+        for key, value in {**_FRICTION, **_STOP}.items():
             setattr(joint, key, value)
         if robot.elastic_joints:
             _add_deflection(piece, body, joint, robot, dynamics, i)
@@ -82,40 +80,22 @@ def deflection_joint(name: str) -> str:
     return f"{name}-deflection"
 
 
-def spring_damping(robot: SerialRobot, dynamics: RobotDynamics, timestep: float) -> Array:
+def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
     """Damping of the deflections that the model has, (n,), Nm s/rad.
 
-    MuJoCo takes damping at the end of a step and springs at its start. What a spring adds there
-    is its stiffness times the step: with it a spring counts at the end of the step as well
-    (implicit Euler) and no step is too long for it. It swings out sooner, so only those springs
-    have it that would swing by more than 1.4 rad a step against their link alone.
+    MuJoCo takes springs at the start of a step and damping at its end, and so a light link on a
+    stiff spring is unstable without damping (an LWR's wrist at 1 kHz). Damping of half the
+    stiffness times the step makes it stable for all stiffnesses, links and steps: the spring
+    counts in the middle of the step. So what is declared counts if it is more, and else this.
 
     Args:
-        robot: of n joints.
-        dynamics: of it.
+        dynamics: of n joints.
         timestep: s.
 
-    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, 1993, II.16
-        (symplectic Euler is stable below 2 rad a step), and II, 1996, IV.3 (implicit Euler).
+    Source: the theta scheme of Hairer and Wanner, Solving Ordinary Differential Equations II,
+        1996, IV.3, with theta = 1/2 for the spring and the velocity at the step's end.
     """
-    k = dynamics.joint_stiffness
-    fast = timestep * np.sqrt(k / _own_inertias(robot, dynamics)) > _FAST
-    return np.asarray(dynamics.joint_damping + np.where(fast, timestep * k, 0.0))
-
-
-def _own_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> Array:
-    """Inertia of every link alone about its joint's axis, (n,): it moves with no less."""
-    # The axes in the frames of their own links: at zero angles these are parallel to the base's
-    # by `frames`.
-    at_zero = robot.dh.frames(np.zeros(robot.n))
-    axes, points = robot.dh.joint_axes(at_zero)
-    own = dynamics.masses[1:].copy()
-    for i in np.flatnonzero(robot.dh.revolute):
-        T = at_zero[i + 1]
-        axis = T[:3, :3].T @ axes[i]
-        lever = np.cross(axis, dynamics.centers[i + 1] - T[:3, :3].T @ (points[i] - T[:3, 3]))
-        own[i] = axis @ dynamics.tensors[i + 1] @ axis + dynamics.masses[i + 1] * lever @ lever
-    return own
+    return np.maximum(dynamics.joint_damping, 0.5 * timestep * dynamics.joint_stiffness)
 
 
 def _add_deflection(
@@ -131,13 +111,13 @@ def _add_deflection(
     body.add(
         "joint", name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False,
         stiffness=dynamics.joint_stiffness[i],
-        damping=spring_damping(robot, dynamics, TIMESTEP)[i],
+        damping=spring_damping(dynamics, TIMESTEP)[i],
     )  # fmt: skip
     if robot.position_limits is not None:  # of the link, not of the motor
         joint.limited = False
         stop = piece.tendon.add(
             "fixed", name=f"{robot.names[i]}-stop", limited=True,
-            range=robot.position_limits[i], solreflimit=_STIFF,
+            range=robot.position_limits[i], **_STOP,
         )  # fmt: skip
         stop.add("joint", joint=joint, coef=1.0)
         stop.add("joint", joint=name, coef=1.0)

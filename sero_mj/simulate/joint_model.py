@@ -13,6 +13,9 @@ Both are what acted during the last step, to rounding: accelerations are differe
 viscous friction and spring act as MuJoCo's integrator took them (velocities at the step's end,
 angles at its start), and Coulomb friction is what its solver found, also where it holds.
 
+With the LWR's assumed springs, motors that are shaken by 8 Nm, and steps of 1 ms, angles are within
+2e-5 rad and torques within 0.1 Nm of those with steps of 10 us.
+
 Source: Albu-Schaeffer, Ott, Hirzinger, A Unified Passivity-based Control Framework for Position,
 Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007, eq. 1-3.
 """
@@ -88,7 +91,7 @@ class JointModel:
         self._spring_dofs = as_slice(np.array(sensor, np.intp)[self._elastic_rows])
         self._qpos, self._qvel = data.qpos, data.qvel
         nv = self._model.nv
-        self._torque, self._change = np.zeros((2, nv))
+        self._torque, self._change, self._before_step = np.zeros((3, nv))
         # Where joints stand in equal steps these are views, which are always up to date.
         self._copies: list[tuple[Array, NDArray[np.intp], Array]] = []
         self._motor_angles = self._watch(self._qpos, self._motor_q)
@@ -110,7 +113,7 @@ class JointModel:
         model = self._model
         for name, part in self._world.robots.items():
             if part.robot.elastic_joints:
-                damping = spring_damping(part.robot, self._world.dynamics[name], model.opt.timestep)
+                damping = spring_damping(self._world.dynamics[name], model.opt.timestep)
                 dofs = [
                     self._model.joint(f"{name}/{deflection_joint(j)}") for j in part.robot.names
                 ]
@@ -146,7 +149,7 @@ class JointModel:
         Args:
             motor_torques: what acts on all degrees of freedom but from outside, (nv,), Nm.
         """
-        torque = self._torque
+        torque = self._before_step
         np.multiply(self._qvel, self._before, torque)
         np.add(torque, motor_torques, torque)
         if not self.elastic:
@@ -161,16 +164,19 @@ class JointModel:
         """Notes what the sensors need from a step, behind `mj_step2`."""
         torque = self._torque
         np.multiply(self._qvel, self._after, self._change)
-        np.subtract(torque, self._change, torque)
+        np.subtract(self._before_step, self._change, torque)
         if self._rubs:
-            friction = self.friction()
+            friction = self._friction()
             if self._rubs_everywhere:
                 np.add(torque, friction, torque)
             else:
                 torque[self._rubbing] += friction
 
-    def friction(self) -> Array:
-        """Coulomb friction in the last step, of the degrees of freedom that have it, Nm."""
+    def _friction(self) -> Array:
+        """Coulomb friction in a step, of the degrees of freedom that have it, Nm.
+
+        It is there until `mj_step1` of the next.
+        """
         forces: Array = self._data.efc_force
         if len(forces) == self._rubs:
             return forces
@@ -184,9 +190,8 @@ class JointModel:
         Args:
             pushes: what acted by pushes, (nv,).
         """
-        outer = pushes + self._data.qfrc_constraint
-        if self._rubs:
-            outer[self._rubbing] -= self.friction()
+        friction = self._torque - (self._before_step - self._change)
+        outer = pushes + self._data.qfrc_constraint - friction
         return np.asarray(outer[self.sensor_dofs])
 
     def read(self, angles: Array, velocities: Array, torques: Array) -> None:

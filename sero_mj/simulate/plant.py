@@ -281,16 +281,19 @@ class Plant:
     def _stop_for_torque(self) -> NoReturn:
         torques = self.motor_torques.copy()
         self._motor[:] = 0.0
-        row = int(np.argmax(~(np.abs(torques) < np.sqrt(_TOO_MUCH) / self.n)))
-        reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one"
+        row = int(np.argmax(~(np.abs(torques) < np.sqrt(_TOO_MUCH / self.n))))
+        reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
         raise SimulationError(self.time, self._joint_name(row), reason)
 
     def _stop_for_motion(self) -> NoReturn:
         acceleration = self.data.qacc[self._motor_dofs]
         broken = ~(np.abs(acceleration) < mujoco.mjMAXVAL)
+        parts = self.world.robots.values()
+        revolute = np.concatenate([part.dh.revolute for part in parts])
         row = int(np.argmax(broken) if broken.any() else np.argmax(np.abs(acceleration)))
+        unit = "rad/s2" if revolute[row] else "m/s2"
         reason = (
-            f"found an acceleration of {acceleration[row]:g} rad/s2; the motion is unstable: "
+            f"found an acceleration of {acceleration[row]:g} {unit}; the motion is unstable: "
             f"expected lower gains, or a timestep below {self.timestep:g} s"
         )
         raise SimulationError(self.time, self._joint_name(row), reason)
