@@ -143,13 +143,16 @@ class Sensors:
         self._plan()
 
     def delay(self, signal: Signal, steps: int) -> None:
-        """Delays a signal by so many steps from now on; what was read before is kept."""
+        """Delays a signal by so many steps from now on.
+
+        What was read before is kept; before the first delay only what was read last.
+        """
         self._delays[_row(signal)] = steps
-        length = max(self._delays) + 1
-        old = len(self._past)
+        length, old = max(self._delays) + 1, len(self._past)
         past = np.empty((length, 3, self.n))
-        for age in range(length):  # 0 for the last one
-            past[(self._k - 1 - age) % length] = self._past[(self._k - 1 - min(age, old - 1)) % old]
+        past[:] = self.measured
+        for age in range(min(length, old) if self._delayed else 0):
+            past[(self._k - 1 - age) % length] = self._past[(self._k - 1 - age) % old]
         self._past = past
         self._plan()
 
