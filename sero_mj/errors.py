@@ -8,6 +8,7 @@
     ├── SourceError           a source that cannot be opened (a port in use, say)
     ├── RecordingError        a recording that cannot be written on, or read
     ├── CsvError              a table of comma-separated values that cannot be read or written
+    ├── ControlError          a controller asks for what no robot can do
     ├── RenderError           no picture can be made (no GL, no room for the file)
     └── UsageError            a command line that asks for something impossible
 
@@ -185,6 +186,24 @@ class CsvError(SeroError, ValueError):
         self.column = column
         place = str(path) if line is None else f"{path}:{line}"
         super().__init__(": ".join(part for part in (place, column, reason) if part))
+
+
+class ControlError(SeroError, RuntimeError):
+    """A controller asks for what no robot can do, or its robot has left what it can compute.
+
+    Attributes:
+        robot: its name.
+        joint: the name of the joint at fault.
+        time: s since the start.
+        reason: what was found and what would be right.
+    """
+
+    def __init__(self, robot: str, joint: str, time: float, reason: str) -> None:
+        self.robot = robot
+        self.joint = joint
+        self.time = time
+        self.reason = reason
+        super().__init__(f"robot '{robot}', joint {joint}, t = {time:.3f} s: {reason}")
 
 
 class RenderError(SeroError, RuntimeError):

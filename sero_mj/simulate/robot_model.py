@@ -12,6 +12,17 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from mujoco import (
+    mj_comPos,
+    mj_comVel,
+    mj_crb,
+    mj_fullM,
+    mj_jacBody,
+    mj_jacSite,
+    mj_kinematics,
+    mj_makeM,
+    mj_rne,
+)
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
@@ -74,8 +85,8 @@ class RobotModel:
         self._weightless.opt.gravity[:] = 0.0
         self._moving = mujoco.MjData(self._weightless)
         self._swapped = mujoco.MjData(self._weightless)
-        mujoco.mj_kinematics(model, self._data)
-        mujoco.mj_comPos(model, self._data)
+        mj_kinematics(model, self._data)
+        mj_comPos(model, self._data)
         self._take_views(first, int(model.jnt_qposadr[ids[0]]), site, body)
 
     def _take_views(self, first: int, start: int, site: int | None, body: int | None) -> None:
@@ -132,18 +143,18 @@ class RobotModel:
         self._qpos[:] = angles
         self._velocities = velocities
         self._is_moving = self._has_mass = False
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
+        mj_kinematics(self._model, self._data)
+        mj_comPos(self._model, self._data)
 
     def gravity(self) -> Array:
         """g(q), (n,): the torques that hold the robot still."""
-        mujoco.mj_rne(self._model, self._data, 0, self._results[0])
+        mj_rne(self._model, self._data, 0, self._results[0])
         return self._gravity
 
     def coriolis(self) -> Array:
         """C(q, dq) dq, (n,)."""
         self._move()
-        mujoco.mj_rne(self._weightless, self._moving, 0, self._results[1])
+        mj_rne(self._weightless, self._moving, 0, self._results[1])
         return self._coriolis
 
     def bias(self) -> Array:
@@ -160,8 +171,8 @@ class RobotModel:
         results = self._results[1], self._results[2]
         for combine, result in zip((np.add, np.subtract), results, strict=True):
             combine(self._velocities, velocities, self._qvel)
-            mujoco.mj_comVel(self._weightless, self._moving)
-            mujoco.mj_rne(self._weightless, self._moving, 0, result)
+            mj_comVel(self._weightless, self._moving)
+            mj_rne(self._weightless, self._moving, 0, result)
         self._is_moving = False  # it moves, but at another velocity
         np.subtract(self._coriolis, self._other, self._other)
         return np.multiply(self._other, 0.25, self._other)
@@ -177,22 +188,22 @@ class RobotModel:
         """
         self._swap()
         self._swapped_cdof[:] = self._moving_cdof_dot
-        mujoco.mj_rne(self._weightless, self._swapped, 0, self._results[3])
+        mj_rne(self._weightless, self._swapped, 0, self._results[3])
         return self._transposed
 
     def link_momentum(self) -> Array:
         """M_link(q) dq, (n,): the generalised momentum of the links, without the motors'."""
         self._swap()
         self._swapped_cdof[:] = self._cdof
-        mujoco.mj_rne(self._weightless, self._swapped, 0, self._results[4])
+        mj_rne(self._weightless, self._swapped, 0, self._results[4])
         return self._momentum
 
     def mass(self) -> Array:
         """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
         if not self._has_mass:
-            mujoco.mj_crb(self._model, self._data)
-            mujoco.mj_makeM(self._model, self._data)
-            mujoco.mj_fullM(self._model, self._data, self._mass_all)
+            mj_crb(self._model, self._data)
+            mj_makeM(self._model, self._data)
+            mj_fullM(self._model, self._data, self._mass_all)
             self._has_mass = True
         return self._mass
 
@@ -206,9 +217,9 @@ class RobotModel:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
         linear, angular = self._jacobian_rows
         if self._body is None:
-            mujoco.mj_jacSite(self._model, self._data, linear, angular, self._site)
+            mj_jacSite(self._model, self._data, linear, angular, self._site)
         else:
-            mujoco.mj_jacBody(self._model, self._data, linear, angular, self._body)
+            mj_jacBody(self._model, self._data, linear, angular, self._body)
         return self._jacobian
 
     def flange(self) -> Array:
@@ -230,7 +241,7 @@ class RobotModel:
         if not self._is_moving:
             self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
             self._qvel[:] = self._velocities
-            mujoco.mj_comVel(self._weightless, self._moving)
+            mj_comVel(self._weightless, self._moving)
             self._is_moving = True
 
     def _swap(self) -> None:
