@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import DeclarationError, Problem
+
 Array = NDArray[np.float64]
 
 
@@ -63,3 +65,9 @@ def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: floa
     if np.abs(values[worst]) <= 1.0 + 1e-7:
         return None
     return int(np.argmax(np.abs(vectors[n:, worst])))
+
+
+def too_stiff(joint: str, gain: str, timestep: float) -> DeclarationError:
+    """The error for gains that a time step cannot hold, by the joint that shakes most."""
+    found = f"joint {joint} is unstable{gain} with a time step of {1e3 * timestep:g} ms"
+    return DeclarationError([Problem("stiffness", f"{found}; expected less, or a shorter step")])

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..errors import DeclarationError, Problem
-from .damping import design_damping, unstable_joint
+from .damping import design_damping, too_stiff, unstable_joint
 from .gains import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
 from .robot_model import RobotModel
 from .state import Sensed, Target
@@ -143,8 +142,8 @@ class JointImpedanceController:
     'PD+' controller for robot manipulators, Int. J. Control 47). To a resting target the robot
     moves as springs and dampers on its own inertia would make it: the energy
     1/2 dq M dq + 1/2 e K e falls by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A
-    Unified Passivity-based Control Framework, IJRR 26). D is designed from M(q), motors' inertia included, every
-    `damping_every`, and held: any positive semidefinite D takes energy.
+    Unified Passivity-based Control Framework, IJRR 26). D is designed from M(q), motors' inertia
+    included, every `damping_every`, and held: any positive semidefinite D takes energy.
 
     Args:
         model: for itself.
@@ -211,9 +210,5 @@ class JointImpedanceController:
         damping = design_damping(mass, self.stiffness, self._ratio)
         joint = unstable_joint(mass, self.stiffness, damping, self._timestep)
         if joint is not None:
-            found = (
-                f"joint {model.joint_names[joint]} is unstable at {self.stiffness[joint, joint]:g}"
-            )
-            step = f"{1e3 * self._timestep:g} ms"
-            message = f"{found} Nm/rad with a time step of {step}; expected less, or a shorter step"
-            raise DeclarationError([Problem("stiffness", message)])
+            gain = f" at {self.stiffness[joint, joint]:g} Nm/rad"
+            raise too_stiff(model.joint_names[joint], gain, self._timestep)
