@@ -119,7 +119,7 @@ class RobotModel:
         self._moving_cdof_dot = moving.cdof_dot
         self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
         self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel[dofs]
-        self._is_moving = self._has_mass = False
+        self._is_moving = self._is_swapped = self._has_mass = False
 
     @classmethod
     def of(cls, robot: SerialRobot) -> RobotModel:
@@ -142,7 +142,7 @@ class RobotModel:
         """
         self._qpos[:] = angles
         self._velocities = velocities
-        self._is_moving = self._has_mass = False
+        self._is_moving = self._is_swapped = self._has_mass = False
         mj_kinematics(self._model, self._data)
         mj_comPos(self._model, self._data)
 
@@ -245,6 +245,9 @@ class RobotModel:
             self._is_moving = True
 
     def _swap(self) -> None:
+        """Fills the data in which velocities stand where accelerations do."""
         self._move()
-        self._swapped_cinert[:], self._swapped_cdof_dot[:] = self._cinert, self._cdof
-        self._swapped_qvel[:] = self._velocities
+        if not self._is_swapped:
+            self._swapped_cinert[:], self._swapped_cdof_dot[:] = self._cinert, self._cdof
+            self._swapped_qvel[:] = self._velocities
+            self._is_swapped = True
