@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DeclarationError, Problem, did_you_mean
+from ..errors import DeclarationError, Problem
 from .cartesian_control import CartesianImpedance
 from .gains import ControllerDeclaration
 from .joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
+from .kinds import by_kind
 from .robot_model import RobotModel
 from .torque_limits import Controller, LimitedController
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 CONTROLLERS: dict[str, type[ControllerDeclaration]] = {
     "gravity_compensation": GravityCompensation,
@@ -37,26 +36,6 @@ def controller_from(table: Any) -> ControllerDeclaration:
         DeclarationError: there is no such kind, or fields are wrong.
     """
     return by_kind(table, CONTROLLERS, ControllerDeclaration)
-
-
-def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
-    """Builds the declaration that a table's `kind` names; one of class `base` is one already.
-
-    Raises:
-        DeclarationError: there is no such kind, or fields are wrong.
-    """
-    if isinstance(table, base):
-        return table
-    if not isinstance(table, Mapping):
-        raise DeclarationError([Problem("", f"found {table!r}; expected a table with `kind`")])
-    fields = dict(table)
-    kind = fields.get("kind")
-    if kind is None:
-        raise DeclarationError([Problem("kind", f"is required; expected {_listed(kinds)}")])
-    if not isinstance(kind, str) or kind not in kinds:
-        near = did_you_mean(str(kind), kinds)
-        raise DeclarationError([Problem("kind", f"no kind {kind!r}{near}")])
-    return kinds[kind](**fields)
 
 
 def make_controller(
@@ -104,8 +83,3 @@ def _lower(own: Array, robots: Array, names: list[str]) -> Array:
     if problems:
         raise DeclarationError(problems)
     return own
-
-
-def _listed(kinds: Mapping[str, Any]) -> str:
-    names = [repr(kind) for kind in kinds]
-    return f"{', '.join(names[:-1])} or {names[-1]}"
