@@ -82,19 +82,46 @@ def trapezoid_duration(speed: float, acceleration: float) -> tuple[float, float]
     return 1.0 / speed + speed / acceleration, speed / acceleration
 
 
-def trapezoid_blend(duration: float, acceleration: float | None) -> float:
-    """Blend, s, with which a way of one takes the duration; a third of it without acceleration.
+def trapezoid_blend(duration: float, acceleration: float) -> float:
+    """Blend, s, with which a way of one takes the duration; a third of it with an infinite one.
 
     Raises:
         ValueError: the acceleration (1/s2) is too low for the duration.
     """
-    if acceleration is None or not np.isfinite(acceleration):
+    if not np.isfinite(acceleration):
         return duration * _THIRD
     least = 4.0 / duration**2
     if acceleration < least * (1.0 - 1e-9):
         raise ValueError(f"{least / acceleration:.3g} times the acceleration would be needed")
     root = np.sqrt(max(duration**2 - 4.0 / acceleration, 0.0))
     return float((duration - root) / 2.0)
+
+
+def schedule(
+    speeds: Array, accelerations: Array, time_law: TimeLaw, dwell: float
+) -> tuple[Array, Array, Array | None]:
+    """When ways that follow each other start, and how long they take, as fast as is allowed.
+
+    Args:
+        speeds: (m,), 1/s; infinite where there is no way to go.
+        accelerations: (m,), 1/s2; likewise.
+        time_law: of all of them.
+        dwell: s between two.
+
+    Returns:
+        starts, durations and, for trapezoids, blends, (m,) each, s.
+    """
+    durations: Array = np.zeros(len(speeds))
+    blends: Array = np.zeros(len(speeds))
+    for way, (speed, rate) in enumerate(zip(speeds, accelerations, strict=True)):
+        if not np.isfinite(speed):
+            continue
+        if time_law == "quintic":
+            durations[way] = quintic_duration(speed, rate)
+        else:
+            durations[way], blends[way] = trapezoid_duration(speed, rate)
+    starts: Array = np.hstack([0.0, np.cumsum(durations + dwell)[:-1]])
+    return starts, durations, None if time_law == "quintic" else blends
 
 
 def along(

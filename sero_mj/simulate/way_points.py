@@ -13,15 +13,10 @@ from ..assemble.robot import SerialRobot
 from ..errors import DeclarationError, Problem
 from .gains import MaybePerJoint
 from .law import Law, Motion
-from .time_laws import (
-    TimeLaw,
-    along,
-    quintic_duration,
-    trapezoid_blend,
-    trapezoid_duration,
-)
+from .time_laws import TimeLaw, along, schedule, trapezoid_blend
 
 Array = NDArray[np.float64]
+_NOTHING = 1e-12  # s: ways that no joint needs more for are none
 _Rows = Annotated[Array | None, of_shape(None, None)]
 
 
@@ -136,25 +131,9 @@ class WayPoints(Law):
             hint = "times" if limits is None else "accelerations"
             message = f"robot '{robot.name}' has no {lacks}; expected {hint} here"
             raise DeclarationError([Problem("speed", message)])
-        durations, blends = [], []
-        for line in lines:
-            if not line.any():
-                durations.append(0.0)
-                blends.append(0.0)
-                continue
-            speed = self._share(line, float(self.speed or 1.0) * limits)
-            rate = self._share(line, rates)
-            assert speed is not None
-            assert rate is not None
-            if self.time_law == "quintic":
-                durations.append(quintic_duration(speed, rate))
-            else:
-                duration, blend = trapezoid_duration(speed, rate)
-                durations.append(duration)
-                blends.append(blend)
-        lengths = np.array(durations)
-        starts = np.hstack([0.0, np.cumsum(lengths + self.dwell)[:-1]])
-        return starts, lengths, np.array(blends) if self.time_law == "trapezoidal" else None
+        speeds = np.array([self._share(line, float(self.speed or 1.0) * limits) for line in lines])
+        shares = np.array([self._share(line, rates) for line in lines])
+        return schedule(speeds, shares, self.time_law, self.dwell)
 
     def _accelerations(self, robot: SerialRobot) -> Array | None:
         if self.accelerations is not None:
@@ -167,7 +146,7 @@ class WayPoints(Law):
         return np.zeros(len(line)) if limits is None else np.abs(line) / limits
 
     @classmethod
-    def _share(cls, line: Array, limits: Array | None) -> float | None:
-        """The limit on the way (0 to 1) that the joint with the least room sets."""
+    def _share(cls, line: Array, limits: Array | None) -> float:
+        """The limit on the way (0 to 1) that the joint with the least room sets; inf for none."""
         most = float(cls._shares(line, limits).max())
-        return None if limits is None or most == 0.0 else 1.0 / most
+        return 1.0 / most if most > _NOTHING else np.inf
