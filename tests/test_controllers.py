@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from simulated import START, lwr_model, lwr_robot
 
-from sero_mj.errors import ControlError, DeclarationError
+from sero_mj.errors import DeclarationError, SimulationError
 from sero_mj.simulate.controllers import CONTROLLERS, controller_from, make_controller
 from sero_mj.simulate.joint_control import JointImpedance
 from sero_mj.simulate.state import Sensed, Target
@@ -118,6 +118,20 @@ def test_own_limits_stand_below_the_robot_s() -> None:
         make_controller(zero, MODEL, 1e-3, LIMITS)
 
 
+def test_what_is_sensed_may_lie_in_another_s_array() -> None:
+    values = np.zeros((3, 2))
+    sensed = Sensed(2, values)
+    values[:] = [[1, 2], [3, 4], [5, 6]]
+    assert sensed.state.tolist() == [1, 2, 3, 4]
+    assert (sensed.angles.tolist(), sensed.velocities.tolist()) == ([1, 2], [3, 4])
+    assert sensed.torques.tolist() == [5, 6]
+    message = r"^found \(3, 2\); expected \(3, 2\) float64, row after row$"
+    with pytest.raises(ValueError, match=message):
+        Sensed(2, np.zeros((3, 4))[:, ::2])
+    with pytest.raises(ValueError, match=r"^found \(2, 2\)"):
+        Sensed(2, np.zeros((2, 2)))
+
+
 class Wave:
     """A controller of a user's."""
 
@@ -135,7 +149,7 @@ def test_a_user_s_controller_is_limited_and_watched() -> None:
     control.torques(sensed, target, out)
     assert out[0] == 5.0 * np.sin(1.0)
     sensed.time = 2.5
-    with pytest.raises(ControlError, match=r"^robot 'lwr', joint A3, t = 2\.500 s: the controller"):
+    with pytest.raises(SimulationError, match=r"^lwr/A3 at 2\.5000 s: the controller asks for nan"):
         control.torques(sensed, target, out)
     with pytest.raises(DeclarationError, match=r"expected a method torques\(sensed, target, out\)"):
         make_controller(object(), MODEL, 1e-3, LIMITS)  # type: ignore[arg-type]

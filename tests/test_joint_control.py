@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
-from sero_mj.errors import ControlError, DeclarationError
+from sero_mj.errors import DeclarationError, SimulationError
 from sero_mj.simulate.damping import design_damping, unstable_joint
 from sero_mj.simulate.joint_control import (
     GravityCompensation,
@@ -264,10 +264,12 @@ def test_what_is_no_torque_stops_with_robot_joint_and_time(
     control, _ = limited(*bad)
     sensed = Sensed(2)
     sensed.time = 1.2345
-    message = f"robot 'lwr', joint {joint}, t = 1.234 s: the controller asks for {found} Nm; "
-    with pytest.raises(ControlError, match=f"^{re.escape(message)}expected a finite torque$") as e:
+    message = f"lwr/{joint} at 1.2345 s: the controller asks for {found} Nm; "
+    with pytest.raises(
+        SimulationError, match=f"^{re.escape(message)}expected a finite torque$"
+    ) as e:
         control.torques(sensed, Target(2), np.zeros(2))
-    assert (e.value.robot, e.value.joint, e.value.time) == ("lwr", joint, 1.2345)
+    assert (e.value.joint, e.value.time) == (f"lwr/{joint}", 1.2345)
 
 
 def test_limits_of_zero_name_the_joint() -> None:

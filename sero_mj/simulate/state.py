@@ -13,23 +13,33 @@ class Sensed:
 
     Args:
         n: number of joints.
+        values: (3, n), row after row in memory, to be used in place: what a simulation or a
+            receiver writes is then seen without a copy.
 
     Attributes:
         time: s since the start.
-        state: (2n,), angles, then velocities; one array, so that one operation takes both.
-        angles: (n,), rad or m; the first half of `state`, not a copy.
-        velocities: (n,), per second; the second half of `state`.
+        values: (3, n): angles, velocities, torques; the others are views of it.
+        state: (2n,), angles, then velocities, so that one operation takes both.
+        angles: (n,), rad or m.
+        velocities: (n,), per second.
         torques: (n,), Nm or N, as the sensors on the link side of the gears read them.
+
+    Raises:
+        ValueError: the values are not (3, n), float64 and row after row.
     """
 
-    __slots__ = ("angles", "state", "time", "torques", "velocities")
+    __slots__ = ("angles", "state", "time", "torques", "values", "velocities")
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, values: Array | None = None) -> None:
         self.time = 0.0
-        self.state: Array = np.zeros(2 * n)
-        self.angles: Array = self.state[:n]
-        self.velocities: Array = self.state[n:]
-        self.torques: Array = np.zeros(n)
+        self.values: Array = np.zeros((3, n)) if values is None else values
+        fits = self.values.shape == (3, n) and self.values.dtype == np.float64
+        if not fits or not self.values.flags.c_contiguous:
+            raise ValueError(f"found {self.values.shape}; expected (3, {n}) float64, row after row")
+        self.state: Array = self.values[:2].reshape(2 * n)
+        self.angles: Array = self.values[0]
+        self.velocities: Array = self.values[1]
+        self.torques: Array = self.values[2]
 
 
 class Target:

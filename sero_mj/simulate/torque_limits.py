@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ControlError, DeclarationError, Problem
+from ..errors import DeclarationError, Problem, SimulationError
 from .state import Sensed, Target
 
 Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ class LimitedController:
         """Writes what the drives get, (n,), and which joints are `saturated`.
 
         Raises:
-            ControlError: a torque is NaN or infinite.
+            SimulationError: a torque is NaN or infinite.
         """
         asked = self.asked
         self.controller.torques(sensed, target, asked)
@@ -111,11 +111,11 @@ class LimitedController:
         """Forgets the last torques, as after a reset."""
         self._last = None
 
-    def _not_finite(self, time: float) -> ControlError:
+    def _not_finite(self, time: float) -> SimulationError:
         bad = ~np.isfinite(self.asked)
         joint = int(np.argmax(bad if bad.any() else np.abs(self.asked)))
-        found = f"the controller asks for {self.asked[joint]:g} Nm; expected a finite torque"
-        return ControlError(self._robot, self._names[joint], time, found)
+        reason = f"the controller asks for {self.asked[joint]:g} Nm; expected a finite torque"
+        return SimulationError(time, f"{self._robot}/{self._names[joint]}", reason)
 
 
 def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) -> list[Problem]:
