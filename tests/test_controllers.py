@@ -125,7 +125,7 @@ def test_what_is_sensed_may_lie_in_another_s_array() -> None:
     assert sensed.state.tolist() == [1, 2, 3, 4]
     assert (sensed.angles.tolist(), sensed.velocities.tolist()) == ([1, 2], [3, 4])
     assert sensed.torques.tolist() == [5, 6]
-    message = r"^found \(3, 2\); expected \(3, 2\) float64, row after row$"
+    message = r"^found \(3, 2\) float64 with gaps; expected \(3, 2\) float64 without$"
     with pytest.raises(ValueError, match=message):
         Sensed(2, np.zeros((3, 4))[:, ::2])
     with pytest.raises(ValueError, match=r"^found \(2, 2\)"):

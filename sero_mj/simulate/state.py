@@ -33,9 +33,10 @@ class Sensed:
     def __init__(self, n: int, values: Array | None = None) -> None:
         self.time = 0.0
         self.values: Array = np.zeros((3, n)) if values is None else values
-        fits = self.values.shape == (3, n) and self.values.dtype == np.float64
-        if not fits or not self.values.flags.c_contiguous:
-            raise ValueError(f"found {self.values.shape}; expected (3, {n}) float64, row after row")
+        shape, kind = self.values.shape, self.values.dtype
+        if shape != (3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
+            strides = "" if self.values.flags.c_contiguous else " with gaps"
+            raise ValueError(f"found {shape} {kind}{strides}; expected (3, {n}) float64 without")
         self.state: Array = self.values[:2].reshape(2 * n)
         self.angles: Array = self.values[0]
         self.velocities: Array = self.values[1]
