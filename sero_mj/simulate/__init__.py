@@ -1,1 +1,1 @@
-"""Torque-controlled robots: what moves them, what they are told to do, and what they feel."""
+"""Motor torques in, measured angles, velocities and torques out: the robot that is simulated."""
