@@ -113,18 +113,21 @@ def test_what_is_no_robot_is_refused() -> None:
             RobotModel(model, joints, **both)
 
 
-def test_a_model_may_hold_more_than_the_robot_and_a_site_as_flange() -> None:
+def test_other_things_in_the_model_are_left_out_and_other_joints_rigid() -> None:
     xml = """<mujoco><worldbody>
       <body pos="3 0 0"><freejoint/><geom size=".1"/></body>
       <body><joint name="r/A" axis="0 1 0" armature=".5"/><geom size=".1" pos=".5 0 0" mass="2"/>
         <body pos="1 0 0"><joint name="r/B" axis="0 0 1"/><geom size=".1" pos=".2 0 0" mass="1"/>
+          <body pos=".1 0 0"><joint name="gripper"/><geom size=".01" mass=".001"/></body>
           <site name="tip" pos=".4 0 0"/></body></body>
     </worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(xml)
     robot = RobotModel(model, [1, 2], site=0, name="r")
     assert robot.joint_names == ["A", "B"]
     robot.update(np.zeros(2), np.array([0.3, 0.0]))
-    np.testing.assert_allclose(robot.gravity(), [-9.81 * (2 * 0.5 + 1.2), 0.0], atol=1e-12)
-    np.testing.assert_allclose(robot.mass()[1, 1], 0.4 * 0.01 + 0.04, atol=1e-12)
+    np.testing.assert_allclose(robot.gravity(), [-9.81 * (2 * 0.5 + 1.2 + 0.0011), 0.0], atol=1e-12)
+    np.testing.assert_allclose(robot.mass()[1, 1], 0.4 * 0.01 + 0.04 + 1e-5 + 4e-8, atol=1e-12)
     np.testing.assert_allclose(robot.jacobian()[:, 0], [0, 0, -1.4, 0, 1, 0], atol=1e-12)
+    with pytest.raises(ValueError, match=r"^found joints \[0, 1\]; expected those of one robot"):
+        RobotModel(model, [0, 1], site=0)
     assert robot.link_mass()[0, 0] == pytest.approx(robot.mass()[0, 0] - 0.5)

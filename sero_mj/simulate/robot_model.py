@@ -17,7 +17,6 @@ from mujoco import (
     mj_comVel,
     mj_crb,
     mj_fullM,
-    mj_jacBody,
     mj_jacSite,
     mj_kinematics,
     mj_makeM,
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
+from .skeleton import skeleton
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,8 @@ class RobotModel:
     Christoffel symbols (Siciliano et al. 2009, Robotics, 7.2), so that dM/dt = C + C^T.
 
     Args:
-        model: a model with this robot alone; it is not changed.
+        model: where the robot's masses are taken from, at once; other robots, payloads fixed later
+            and contacts are not. Other joints of the robot (a gripper's, elastic ones) are rigid.
         joints: ids of the robot's hinge and slide joints, base to flange.
         site: id of the site at the flange. One of site and body is needed.
         body: id of the body whose frame is the flange's.
@@ -57,7 +58,7 @@ class RobotModel:
         flange_rotation: (3, 3), R_world_flange, likewise.
 
     Raises:
-        ValueError: the joints do not follow each other in the model, or there is no flange.
+        ValueError: the joints are not those of one robot in their order, or there is no flange.
     """
 
     def __init__(
@@ -73,52 +74,49 @@ class RobotModel:
             raise ValueError("expected a site or a body for the flange, and not both")
         ids = [int(joint) for joint in joints]
         n = len(ids)
-        first = int(model.jnt_dofadr[ids[0]]) if ids else 0
-        if not ids or model.jnt_dofadr[ids].tolist() != [*range(first, first + n)]:
+        sliding_or_turning = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+        trees = set(model.body_rootid[model.jnt_bodyid[ids]].tolist())
+        kinds = set(model.jnt_type[ids].tolist())
+        if ids != sorted(set(ids)) or len(trees) != 1 or not kinds <= sliding_or_turning:
             raise ValueError(f"found joints {ids}; expected those of one robot, base to flange")
         self.n, self.name = n, name
         self.joint_names = [model.joint(joint).name.rpartition("/")[2] for joint in ids]
-        self._model, self._data = model, mujoco.MjData(model)
+        self._model = skeleton(model, ids, site, body)
+        self._data = mujoco.MjData(self._model)
         # mj_rne reads velocities from cvel and cdof_dot. They stay zero in `_data`, so there it
         # gives gravity alone; in the others gravity is zero.
-        self._weightless = copy.copy(model)
+        self._weightless = copy.copy(self._model)
         self._weightless.opt.gravity[:] = 0.0
         self._moving = mujoco.MjData(self._weightless)
         self._swapped = mujoco.MjData(self._weightless)
-        mj_kinematics(model, self._data)
-        mj_comPos(model, self._data)
-        self._take_views(first, int(model.jnt_qposadr[ids[0]]), site, body)
+        mj_kinematics(self._model, self._data)
+        mj_comPos(self._model, self._data)
+        self._take_views()
 
-    def _take_views(self, first: int, start: int, site: int | None, body: int | None) -> None:
+    def _take_views(self) -> None:
         """Views into MuJoCo's arrays: to look one up costs as much as to compute with it."""
-        n, nv, data = self.n, self._model.nv, self._data
-        dofs = self._dofs = slice(first, first + n)
-        self._qpos: Array = data.qpos[start : start + n]
-        self._qvel: Array = self._moving.qvel[dofs]
-        self._results = [np.zeros(nv) for _ in range(5)]
-        self._gravity, self._coriolis, self._other, self._transposed, self._momentum = (
-            result[dofs] for result in self._results
+        n, data = self.n, self._data
+        self._qpos: Array = data.qpos
+        self._qvel: Array = self._moving.qvel
+        self._gravity, self._coriolis, self._other, self._transposed, self._momentum = np.zeros(
+            (5, n)
         )
         self._bias: Array = np.zeros(n)
         self._velocities: Array = np.zeros(n)
-        self._mass_all: Array = np.zeros((nv, nv))
-        self._mass: Array = self._mass_all[dofs, dofs]
+        self._mass: Array = np.zeros((n, n))
         self._link_mass: Array = np.zeros((n, n))
         self._link_diagonal: Array = self._link_mass.reshape(-1)[:: n + 1]
-        self.motor_inertia: Array = self._model.dof_armature[dofs].copy()
-        rows: Array = np.zeros((6, nv))
-        self._jacobian: Array = rows[:, dofs]
-        self._jacobian_rows = (rows[:3], rows[3:])
-        self._site, self._body = site, body
-        self.flange_position: Array = data.site_xpos[site] if body is None else data.xpos[body]
-        xmat = data.site_xmat[site] if body is None else data.xmat[body]
-        self.flange_rotation: Array = xmat.reshape(3, 3)
+        self.motor_inertia: Array = self._model.dof_armature.copy()
+        self._jacobian: Array = np.zeros((6, n))
+        self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
+        self.flange_position: Array = data.site_xpos[0]
+        self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
         moving, swapped = self._moving, self._swapped
         self._cinert, self._cdof = data.cinert, data.cdof
         self._moving_cinert, self._moving_cdof = moving.cinert, moving.cdof
         self._moving_cdof_dot = moving.cdof_dot
         self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
-        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel[dofs]
+        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
         self._is_moving = self._is_swapped = self._has_mass = False
 
     @classmethod
@@ -148,13 +146,13 @@ class RobotModel:
 
     def gravity(self) -> Array:
         """g(q), (n,): the torques that hold the robot still."""
-        mj_rne(self._model, self._data, 0, self._results[0])
+        mj_rne(self._model, self._data, 0, self._gravity)
         return self._gravity
 
     def coriolis(self) -> Array:
         """C(q, dq) dq, (n,)."""
         self._move()
-        mj_rne(self._weightless, self._moving, 0, self._results[1])
+        mj_rne(self._weightless, self._moving, 0, self._coriolis)
         return self._coriolis
 
     def bias(self) -> Array:
@@ -168,7 +166,7 @@ class RobotModel:
         C(q, a + b)(a + b) - C(q, a - b)(a - b).
         """
         self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
-        results = self._results[1], self._results[2]
+        results = self._coriolis, self._other
         for combine, result in zip((np.add, np.subtract), results, strict=True):
             combine(self._velocities, velocities, self._qvel)
             mj_comVel(self._weightless, self._moving)
@@ -188,14 +186,14 @@ class RobotModel:
         """
         self._swap()
         self._swapped_cdof[:] = self._moving_cdof_dot
-        mj_rne(self._weightless, self._swapped, 0, self._results[3])
+        mj_rne(self._weightless, self._swapped, 0, self._transposed)
         return self._transposed
 
     def link_momentum(self) -> Array:
         """M_link(q) dq, (n,): the generalised momentum of the links, without the motors'."""
         self._swap()
         self._swapped_cdof[:] = self._cdof
-        mj_rne(self._weightless, self._swapped, 0, self._results[4])
+        mj_rne(self._weightless, self._swapped, 0, self._momentum)
         return self._momentum
 
     def mass(self) -> Array:
@@ -203,7 +201,7 @@ class RobotModel:
         if not self._has_mass:
             mj_crb(self._model, self._data)
             mj_makeM(self._model, self._data)
-            mj_fullM(self._model, self._data, self._mass_all)
+            mj_fullM(self._model, self._data, self._mass)
             self._has_mass = True
         return self._mass
 
@@ -215,11 +213,7 @@ class RobotModel:
 
     def jacobian(self) -> Array:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
-        linear, angular = self._jacobian_rows
-        if self._body is None:
-            mj_jacSite(self._model, self._data, linear, angular, self._site)
-        else:
-            mj_jacBody(self._model, self._data, linear, angular, self._body)
+        mj_jacSite(self._model, self._data, self._linear, self._angular, 0)
         return self._jacobian
 
     def flange(self) -> Array:
