@@ -1,0 +1,87 @@
+"""What a controller sees of its robot, and what it is asked to do, at one instant."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Sensed:
+    """What the sensors of one robot say; the buffers are the same ones at every step.
+
+    Args:
+        n: number of joints.
+        values: (3, n), row after row in memory, to be used in place: what a simulation or a
+            receiver writes is then seen without a copy.
+
+    Attributes:
+        time: s since the start.
+        values: (3, n): angles, velocities, torques; the others are views of it.
+        state: (2n,), angles, then velocities, so that one operation takes both.
+        angles: (n,), rad or m.
+        velocities: (n,), per second.
+        torques: (n,), Nm or N, as the sensors on the link side of the gears read them.
+
+    Raises:
+        ValueError: the values are not (3, n), float64 and row after row.
+    """
+
+    __slots__ = ("angles", "state", "time", "torques", "values", "velocities")
+
+    def __init__(self, n: int, values: Array | None = None) -> None:
+        self.time = 0.0
+        self.values: Array = np.zeros((3, n)) if values is None else values
+        shape, kind = self.values.shape, self.values.dtype
+        if shape != (3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
+            strides = "" if self.values.flags.c_contiguous else " with gaps"
+            raise ValueError(f"found {shape} {kind}{strides}; expected (3, {n}) float64 without")
+        self.state: Array = self.values[:2].reshape(2 * n)
+        self.angles: Array = self.values[0]
+        self.velocities: Array = self.values[1]
+        self.torques: Array = self.values[2]
+
+
+class Target:
+    """What one robot is asked to do; a controller reads what it needs and ignores the rest.
+
+    Write into the arrays (`target.angles[:] = ...`): controllers keep them.
+
+    Args:
+        n: number of joints.
+
+    Attributes:
+        state: (2n,), angles, then velocities, like that of `Sensed`.
+        angles: (n,), rad or m; the first half of `state`.
+        velocities: (n,), per second; the second half of `state`.
+        accelerations: (n,), per second squared.
+        torques: (n,), Nm or N, added to what the controller computes.
+        pose: (4, 4), T_world_flange, m.
+        twist: (6,), of the flange in world axes: m/s, then rad/s.
+        wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
+        posture: (n,), rad or m, where the null space is drawn to.
+    """
+
+    __slots__ = (
+        "accelerations",
+        "angles",
+        "pose",
+        "posture",
+        "state",
+        "torques",
+        "twist",
+        "velocities",
+        "wrench",
+    )
+
+    def __init__(self, n: int) -> None:
+        self.state: Array = np.zeros(2 * n)
+        self.angles: Array = self.state[:n]
+        self.velocities: Array = self.state[n:]
+        self.accelerations: Array = np.zeros(n)
+        self.torques: Array = np.zeros(n)
+        self.pose: Array = np.eye(4)
+        self.twist: Array = np.zeros(6)
+        self.wrench: Array = np.zeros(6)
+        self.posture: Array = np.zeros(n)
