@@ -11,8 +11,8 @@ Conventions, everywhere in this package:
   arrays are (n,). Joint values are rad for revolute and m for prismatic joints, efforts Nm and N.
 - Pixels are counted from the lower left corner; pictures are (height, width, 3), uint8, top row
   first.
-- The data moves one way: assemble, receive, drive, decor, show. A file imports only from folders
-  above its own in that list.
+- The data moves one way: assemble, receive, drive, simulate, decor, show. A file
+  imports only from folders above its own in that list.
 
 The public names are imported when they are first used, because `import mujoco` takes a while and
 fixes the OpenGL backend. Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .assemble.cartesian import SmartArrow as SmartArrow
     from .assemble.dh import DhTable as DhTable
     from .assemble.double import Double as Double
+    from .assemble.dynamics import Dynamics as Dynamics
     from .assemble.looks import Camera as Camera
     from .assemble.looks import Light as Light
     from .assemble.looks import View as View
@@ -41,11 +42,15 @@ if TYPE_CHECKING:
     from .drive.place import Placer as Placer
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
+    from .errors import SimulationError as SimulationError
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
     from .show.capture import render_film as render_film
     from .show.capture import render_picture as render_picture
     from .show.headless import HeadlessRenderer as HeadlessRenderer
+    from .simulate.plant import Plant as Plant
+    from .simulate.sensors import SensorErrors as SensorErrors
+    from .simulate.sensors import Sensors as Sensors
 
 __version__ = "0.1.0"
 
@@ -54,6 +59,7 @@ _HOME = {
     "SmartArrow": "assemble.cartesian",
     "DhTable": "assemble.dh",
     "Double": "assemble.double",
+    "Dynamics": "assemble.dynamics",
     "Object": "assemble.objects",
     "SerialRobot": "assemble.robot",
     "Camera": "assemble.looks",
@@ -67,8 +73,12 @@ _HOME = {
     "Placer": "drive.place",
     "DeclarationError": "errors",
     "SeroError": "errors",
+    "SimulationError": "errors",
     "Structure": "receive.structure",
     "UdpReceiver": "receive.udp",
+    "Plant": "simulate.plant",
+    "SensorErrors": "simulate.sensors",
+    "Sensors": "simulate.sensors",
     "render_film": "show.capture",
     "render_picture": "show.capture",
     "HeadlessRenderer": "show.headless",

@@ -226,7 +226,7 @@ class Plant:
                 if (friction < 0).any():
                     raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
                 target[dofs] = friction
-        self._changed()
+        self.refresh()
 
     def attach_payload(
         self,
@@ -250,7 +250,7 @@ class Plant:
         """
         self._part(robot)
         attach_payload(self.model, robot, mass, center_of_mass, inertia)
-        self._changed()
+        self.refresh()
 
     def detach_payload(self, robot: str) -> None:
         """Takes a robot's payload away.
@@ -260,10 +260,10 @@ class Plant:
         """
         self._part(robot)
         detach_payload(self.model, robot)
-        self._changed()
+        self.refresh()
 
-    def _changed(self) -> None:
-        """Lets what follows from the model follow from it as it is now; no time passes."""
+    def refresh(self) -> None:
+        """Lets all follow from `model` and `data` as they were changed; no time passes."""
         self.joints.refresh()
         mujoco.mj_step1(self.model, self.data)
 
