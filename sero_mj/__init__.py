@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .assemble.cartesian import SmartArrow as SmartArrow
     from .assemble.dh import DhTable as DhTable
     from .assemble.double import Double as Double
+    from .assemble.dynamics import Dynamics as Dynamics
     from .assemble.looks import Camera as Camera
     from .assemble.looks import Light as Light
     from .assemble.looks import View as View
@@ -46,11 +47,15 @@ if TYPE_CHECKING:
     from .receive.recording import Recording as Recording
     from .receive.replay import Replay as Replay
     from .receive.shm import ShmReader as ShmReader
+    from .errors import SimulationError as SimulationError
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
     from .show.capture import render_film as render_film
     from .show.capture import render_picture as render_picture
     from .show.headless import HeadlessRenderer as HeadlessRenderer
+    from .simulate.plant import Plant as Plant
+    from .simulate.sensors import SensorErrors as SensorErrors
+    from .simulate.sensors import Sensors as Sensors
 
 __version__ = "0.1.0"
 
@@ -59,6 +64,7 @@ _HOME = {
     "SmartArrow": "assemble.cartesian",
     "DhTable": "assemble.dh",
     "Double": "assemble.double",
+    "Dynamics": "assemble.dynamics",
     "Object": "assemble.objects",
     "SerialRobot": "assemble.robot",
     "Camera": "assemble.looks",
@@ -77,8 +83,12 @@ _HOME = {
     "Recording": "receive.recording",
     "Replay": "receive.replay",
     "ShmReader": "receive.shm",
+    "SimulationError": "errors",
     "Structure": "receive.structure",
     "UdpReceiver": "receive.udp",
+    "Plant": "simulate.plant",
+    "SensorErrors": "simulate.sensors",
+    "Sensors": "simulate.sensors",
     "render_film": "show.capture",
     "render_picture": "show.capture",
     "HeadlessRenderer": "show.headless",

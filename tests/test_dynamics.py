@@ -28,7 +28,7 @@ RAIL = {
 }
 ROBOTS = {
     "lwr": lambda: SerialRobot.from_model("lwr"),
-    "lwr without figures": lambda: SerialRobot.from_model("lwr", dynamics={}),
+    "lwr without figures": lambda: SerialRobot.from_model("lwr", dynamics=Dynamics()),
     "rail": lambda: SerialRobot(**RAIL),
 }
 
@@ -133,7 +133,7 @@ def test_the_variant_to_look_at_stays_as_it_was(lwr, lwr_world):
 
 @pytest.mark.parametrize("name", paths.list_models())
 def test_shipped_robots_are_physical_as_declared_and_as_estimated(name):
-    for robot in (SerialRobot.from_model(name), SerialRobot.from_model(name, dynamics={})):
+    for robot in (SerialRobot.from_model(name), SerialRobot.from_model(name, dynamics=Dynamics())):
         check_physical(robot)
 
 
@@ -161,7 +161,7 @@ def test_estimates_are_physical_for_any_table(rows, convention):
 
 def test_estimates_of_the_lwr_are_near_its_figures(lwr):
     declared = robot_dynamics(lwr)
-    estimated = robot_dynamics(SerialRobot.from_model("lwr", dynamics={}))
+    estimated = robot_dynamics(SerialRobot.from_model("lwr", dynamics=Dynamics()))
     assert set(estimated.estimated) == {
         "masses", "motor_inertias", "viscous_friction", "coulomb_friction", "joint_stiffness",
         "joint_damping",
@@ -277,6 +277,22 @@ def test_wrong_figures_in_a_file_have_file_and_line(tmp_path):
     assert str(caught.value) == (
         f"{file}:4: dynamics.motor_inertias: joint 1: found -1; expected 0 or more"
     )
+
+
+def test_one_figure_over_the_files_leaves_the_others(lwr, tmp_path):
+    robot = SerialRobot.from_model("lwr", dynamics={"coulomb_friction": [0.0] * 7})
+    assert not robot.dynamics.coulomb_friction.any()
+    np.testing.assert_array_equal(robot.dynamics.masses, lwr.dynamics.masses)
+    file = tmp_path / "robot.toml"
+    file.write_text(
+        'dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.1]]\n[dynamics]\nmotor_inertias = [-1]\n'
+    )
+    with pytest.raises(DeclarationError) as caught:
+        build_robot({"dynamics": {"coulomb_friction": [-2]}}, file)
+    assert str(caught.value).splitlines() == [
+        f"{file}:4: dynamics.motor_inertias: joint 1: found -1; expected 0 or more",
+        "dynamics.coulomb_friction: joint 1: found -2; expected 0 or more",
+    ]
 
 
 def test_elastic_joints_need_motors():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from .inertia import link_name, not_physical, tensors_from
 LINK_DENSITY = 840.0
 
 _INERTIAL = ("masses", "centers_of_mass", "inertias")
+_FRAMES = ("frames", "frame_origins", "mass_scale")
 _PER_LINK = (*_INERTIAL, "frame_origins")
 _PER_JOINT = (
     "motor_inertias",
@@ -134,3 +136,27 @@ class Dynamics(Declaration):
                     problems.append(Problem(key, message))
         if problems:
             raise DeclarationError(problems)
+
+
+def merged_tables(below: Any, over: Any) -> Any:
+    """Puts single figures over a robot file's `[dynamics]`; else one would cost all others.
+
+    Masses, centres and tensors that come together bring the frame that they are in along.
+
+    Args:
+        below: the file's table.
+        over: what stands over it; a `Dynamics` is whole and replaces it.
+    """
+    if not (isinstance(below, Mapping) and isinstance(over, Mapping)):
+        return over
+    whole = set(_INERTIAL) <= set(over)
+    return {**{key: below[key] for key in below if not (whole and key in _FRAMES)}, **over}
+
+
+def is_over(key: str, fields: Mapping[str, Any]) -> bool:
+    """Whether a robot's dotted key is one of those fields that stand over its file's."""
+    name, _, inner = key.partition(".")
+    table = fields.get(name)
+    if name == "dynamics" and isinstance(table, Mapping) and inner:
+        return inner.partition(".")[0] in table
+    return name in fields

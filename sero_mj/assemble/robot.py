@@ -20,7 +20,7 @@ from .. import paths
 from ..errors import DeclarationError
 from .declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
 from .dh import COLUMNS, DhTable
-from .dynamics import Dynamics
+from .dynamics import Dynamics, is_over, merged_tables
 from .objects import set_directory
 from .robot_parts import (
     IN_DEGREES,
@@ -309,7 +309,7 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
     """Builds a robot from its fields, over those of a robot file when one is given.
 
     Args:
-        fields: fields of `SerialRobot` that stand over the file's.
+        fields: fields of `SerialRobot` that stand over the file's; those of `dynamics` singly.
         model: the robot file; its folder is where its `directory` starts from.
 
     Raises:
@@ -325,15 +325,18 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)
+    whole = {**below, **fields}
+    if "dynamics" in below and "dynamics" in fields:
+        whole["dynamics"] = merged_tables(below["dynamics"], fields["dynamics"])
     try:
-        robot = SerialRobot(**{**below, **fields})
+        robot = SerialRobot(**whole)
         robot._model = model
         return robot
     except DeclarationError as error:
         lines = key_lines(model)
         raise DeclarationError(
             [
-                problem if problem.key.split(".")[0] in fields else located(problem, model, lines)
+                problem if is_over(problem.key, fields) else located(problem, model, lines)
                 for problem in error.problems
             ]
         ) from None

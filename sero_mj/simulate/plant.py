@@ -140,26 +140,26 @@ class Plant:
             SimulationError: a torque is no number, or the motion has become unstable; names the
                 joint and the time. `measured` and `actual` are those before.
         """
-        motor, model, data, joints = self._motor, self.model, self.data, self.joints
-        if self._pushed:
-            motor[:] = self._outer[:] = 0.0
+        motor = self._motor
+        pushes = self._gather_pushes() if self._pushed else None
         motor[self._motor_dofs] = motor_torques
-        if not motor.dot(motor) < _TOO_MUCH:
+        if not motor.dot(motor) < _TOO_MUCH:  # nor is NaN
             self._stop_for_torque()
-        joints.begin(motor)
-        if self._pushed:
-            for push in self._pushes:
-                push.apply(model, data, self._outer)
-            np.add(motor, self._outer, motor)
-            self._pushed = bool(self._pushes)
-        mujoco.mj_step2(model, data)
-        joints.end()
-        mujoco.mj_step1(model, data)
+        joints = self.joints
+        joints.advance(motor, pushes)
         warned = self._warned
         if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
             self._stop_for_motion()
         joints.read(*self._rows)
         return self.sensors.measure(self.actual)
+
+    def _gather_pushes(self) -> Array:
+        """What pushes do at the joints now, (nv,), Nm; also clears what they did before."""
+        self._motor[:] = self._outer[:] = 0.0
+        for push in self._pushes:
+            push.apply(self.model, self.data, self._outer)
+        self._pushed = bool(self._pushes)
+        return self._outer
 
     def push(
         self,
@@ -226,7 +226,7 @@ class Plant:
                 if (friction < 0).any():
                     raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
                 target[dofs] = friction
-        self._changed()
+        self.refresh()
 
     def attach_payload(
         self,
@@ -250,7 +250,7 @@ class Plant:
         """
         self._part(robot)
         attach_payload(self.model, robot, mass, center_of_mass, inertia)
-        self._changed()
+        self.refresh()
 
     def detach_payload(self, robot: str) -> None:
         """Takes a robot's payload away.
@@ -260,10 +260,10 @@ class Plant:
         """
         self._part(robot)
         detach_payload(self.model, robot)
-        self._changed()
+        self.refresh()
 
-    def _changed(self) -> None:
-        """Lets what follows from the model follow from it as it is now; no time passes."""
+    def refresh(self) -> None:
+        """Lets all follow from `model` and `data` as they were changed; no time passes."""
         self.joints.refresh()
         mujoco.mj_step1(self.model, self.data)
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy import add, copyto, divide, multiply, rint
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -182,6 +183,7 @@ class Sensors:
         self._perfect = not (
             self._scaled or self._biased or self._noisy or self._quantised or self._faulty
         )
+        self._transparent = self._perfect and not self._delayed
 
     def measure(self, actual: Array) -> Array:
         """Reads all sensors.
@@ -192,16 +194,16 @@ class Sensors:
         Returns:
             `measured`, (3, n).
         """
-        if self._perfect and not self._delayed:
-            np.copyto(self.measured, actual)
+        if self._transparent:
+            copyto(self.measured, actual)
             self._k += 1
             return self.measured
         value = self._value
-        np.copyto(value, actual)
+        copyto(value, actual)
         if not self._perfect:
             self._falsify(value)
         if not self._delayed:
-            np.copyto(self.measured, value)
+            copyto(self.measured, value)
         else:
             length = len(self._past)
             self._past[self._k % length] = value
@@ -212,23 +214,23 @@ class Sensors:
 
     def _falsify(self, value: Array) -> None:
         if self._scaled:
-            np.multiply(value, self._errors["gain"], value)
+            multiply(value, self._errors["gain"], value)
         if self._biased:
-            np.add(value, self._errors["bias"], value)
+            add(value, self._errors["bias"], value)
         if self._noisy:
             k = self._k % _BLOCK
             if k == 0:
                 self._rng.standard_normal(out=self._noise_block)
-            np.multiply(self._noise_block[k], self._errors["noise"], self._steps)
-            np.add(value, self._steps, value)
+            multiply(self._noise_block[k], self._errors["noise"], self._steps)
+            add(value, self._steps, value)
         if self._quantised:
-            np.divide(value, self._grid, self._steps)
-            np.rint(self._steps, self._steps)
-            np.multiply(self._steps, self._grid, self._steps)
-            np.copyto(value, self._steps, where=self._coarse)
+            divide(value, self._grid, self._steps)
+            rint(self._steps, self._steps)
+            multiply(self._steps, self._grid, self._steps)
+            copyto(value, self._steps, where=self._coarse)
         if self._faulty:
-            np.copyto(value, self._held, where=self._frozen)
-            np.copyto(value, 0.0, where=self._dead)
+            copyto(value, self._held, where=self._frozen)
+            copyto(value, 0.0, where=self._dead)
 
 
 def _row(signal: str) -> int:
