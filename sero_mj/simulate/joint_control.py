@@ -176,7 +176,6 @@ class JointImpedanceController:
         self._gains: Array = np.hstack([self.stiffness, np.zeros((n, n))])
         self.damping: Array = self._gains[:, n:]
         self._error: Array = np.zeros(2 * n)
-        self._inertial: Array = np.zeros(n)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
@@ -188,12 +187,12 @@ class JointImpedanceController:
         self._left -= 1
         np.subtract(target.state, sensed.state, self._error)
         self._gains.dot(self._error, out)
-        np.add(out, model.gravity(), out)
-        np.add(out, target.torques, out)
         if self._feed_forward:
-            model.mass().dot(target.accelerations, self._inertial)
-            np.add(out, self._inertial, out)
-            np.add(out, model.coriolis_times(target.velocities), out)
+            own = model.inverse_dynamics(target.velocities, target.accelerations)
+        else:
+            own = model.gravity()
+        np.add(out, own, out)
+        np.add(out, target.torques, out)
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long.
