@@ -123,14 +123,14 @@ class GravityCompensator:
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         if self._compensate:
-            self.model.update(sensed.angles, sensed.velocities)
+            self.model.update(sensed.motor_angles, sensed.motor_velocities)
             out[:] = self.model.gravity()
         else:
             out[:] = 0.0
         if self._feed_forward:
             np.add(out, target.torques, out)
         if self._damping is not None:
-            np.multiply(self._damping, sensed.velocities, self._resisting)
+            np.multiply(self._damping, sensed.motor_velocities, self._resisting)
             np.subtract(out, self._resisting, out)
 
 
@@ -144,6 +144,9 @@ class JointImpedanceController:
     1/2 dq M dq + 1/2 e K e falls by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A
     Unified Passivity-based Control Framework, IJRR 26). D is designed from M(q), motors' inertia
     included, every `damping_every`, and held: any positive semidefinite D takes energy.
+
+    Where joints are elastic, q and dq are the motors', and the links hang below their targets by
+    what gravity bends.
 
     Args:
         model: for itself.
@@ -180,12 +183,12 @@ class JointImpedanceController:
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         model = self.model
-        model.update(sensed.angles, sensed.velocities)
+        model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._left == 0:
             self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
             self._left = self._every
         self._left -= 1
-        np.subtract(target.state, sensed.state, self._error)
+        np.subtract(target.state, sensed.motor_state, self._error)
         self._gains.dot(self._error, out)
         if self._feed_forward:
             own = model.inverse_dynamics(target.velocities, target.accelerations)
