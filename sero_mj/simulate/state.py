@@ -54,8 +54,8 @@ class Sensed:
         self.values: Array = np.zeros((3, n)) if values is None else values
         shape, kind = self.values.shape, self.values.dtype
         if shape != (3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
-            strides = "" if self.values.flags.c_contiguous else " with gaps"
-            raise ValueError(f"found {shape} {kind}{strides}; expected (3, {n}) float64 without")
+            gaps = "" if self.values.flags.c_contiguous else " with gaps"
+            raise ValueError(f"found {shape} {kind}{gaps}; expected (3, {n}) float64 without gaps")
         self.state: Array = self.values[:2].reshape(2 * n)
         self.angles: Array = self.values[0]
         self.velocities: Array = self.values[1]
