@@ -11,8 +11,8 @@ Conventions, everywhere in this package:
   arrays are (n,). Joint values are rad for revolute and m for prismatic joints, efforts Nm and N.
 - Pixels are counted from the lower left corner; pictures are (height, width, 3), uint8, top row
   first.
-- The data moves one way: assemble, receive, drive, simulate, decor, show. A file imports only from
-  folders above its own in that list.
+- The data moves one way: assemble, receive, drive, decor, show. A file imports only from folders
+  above its own in that list.
 
 The public names are imported when they are first used, because `import mujoco` takes a while and
 fixes the OpenGL backend. Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet

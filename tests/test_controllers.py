@@ -125,11 +125,20 @@ def test_what_is_sensed_may_lie_in_another_s_array() -> None:
     assert sensed.state.tolist() == [1, 2, 3, 4]
     assert (sensed.angles.tolist(), sensed.velocities.tolist()) == ([1, 2], [3, 4])
     assert sensed.torques.tolist() == [5, 6]
-    message = r"^found \(3, 2\) float64 with gaps; expected \(3, 2\) float64 without$"
+    message = r"^found \(3, 2\) float64 with gaps; expected \(3, 2\) float64 without gaps$"
     with pytest.raises(ValueError, match=message):
         Sensed(2, np.zeros((3, 4))[:, ::2])
     with pytest.raises(ValueError, match=r"^found \(2, 2\)"):
         Sensed(2, np.zeros((2, 2)))
+
+
+def test_gains_are_checked_through_the_limits_and_users_have_none_to_check() -> None:
+    stiff = make_controller(controller_from({"kind": "joint_position"}), MODEL, 0.02, LIMITS)
+    with pytest.raises(
+        DeclarationError, match=r"^stiffness: joint A\d is unstable at 10000 Nm/rad"
+    ):
+        stiff.check(START)
+    make_controller(Wave(), MODEL, 0.02, LIMITS).check(START)
 
 
 class Wave:

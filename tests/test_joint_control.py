@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,6 +21,7 @@ from sero_mj.simulate.joint_control import (
     JointPosition,
     Torque,
 )
+from sero_mj.simulate.robot_model import RobotModel
 from sero_mj.simulate.state import Sensed, Target
 from sero_mj.simulate.torque_limits import LimitedController
 
@@ -191,6 +193,33 @@ def test_torque_control_adds_gravity_to_what_is_asked_or_not() -> None:
     np.testing.assert_array_equal(out, np.arange(7))
     Torque().make(loop.robot, 1e-3).torques(loop.sensed, target, out)
     np.testing.assert_allclose(out - np.arange(7), loop.robot.gravity(), atol=1e-12)
+
+
+@pytest.mark.parametrize("on_motor", [True, False])
+def test_an_elastic_joint_is_held_by_its_motor_s_angle(on_motor: bool) -> None:
+    xml = """<mujoco><option timestep=".0005"/><worldbody><body>
+      <joint name="r/A" axis="0 1 0" armature=".4"/><inertial pos="0 0 0" mass=".01"
+        diaginertia="1e-5 1e-5 1e-5"/>
+      <body><joint name="r/bend" axis="0 1 0" stiffness="8000" damping="1"/>
+        <geom size=".1" pos=".5 0 0" mass="4"/></body></body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    robot = RobotModel(model, [0], body=2)
+    control = JointImpedance(stiffness=2000.0).make(robot, 5e-4)
+    motor = np.zeros(2)
+    sensed = Sensed(1, motor_state=motor if on_motor else None)
+    target, out = Target(1), np.zeros(1)
+    data.qvel[0] = 0.1
+    for _ in range(8000):
+        motor[:] = data.qpos[0], data.qvel[0]
+        sensed.state[:] = data.qpos.sum(), data.qvel.sum()
+        control.torques(sensed, target, out)
+        data.qfrc_applied[0] = np.clip(out[0], -200, 200)
+        mujoco.mj_step(model, data)
+    swings = np.abs(data.qvel).max()
+    assert swings < 1e-3 if on_motor else swings > 0.1
+    if on_motor:
+        assert data.qpos.sum() == pytest.approx(9.81 * 4 * 0.5 / 8000, rel=0.02)
 
 
 class Fixed:

@@ -69,7 +69,9 @@ def test_coriolis_terms_are_those_of_the_christoffel_symbols(seed: int) -> None:
     matrix = symbols @ dq
     MODEL.update(q, dq)
     np.testing.assert_allclose(MODEL.coriolis(), matrix @ dq, atol=1e-7)
-    np.testing.assert_allclose(MODEL.coriolis_times(other), matrix @ other, atol=1e-7)
+    acceleration = state(seed + 2)[1]
+    inverse = MODEL.mass() @ acceleration + matrix @ other + MODEL.gravity()
+    np.testing.assert_allclose(MODEL.inverse_dynamics(other, acceleration), inverse, atol=1e-7)
     np.testing.assert_allclose(MODEL.transposed_coriolis(), matrix.T @ dq, atol=1e-7)
     np.testing.assert_allclose(MODEL.coriolis(), matrix @ dq, atol=1e-7)  # in any order
 

@@ -296,13 +296,13 @@ class SerialRobot(Declaration):
         return np.zeros(self.n) if self.joint_angles is None else self.joint_angles
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
-        """T_base_flange (4, 4) by `dh`, translation in m.
+        """T_base_flange by `dh`, (..., 4, 4), translation in m.
 
         Args:
-            joint_angles: (n,), rad or m; the declared ones when None.
+            joint_angles: (..., n), rad or m; the declared ones when None.
         """
         q = self.home if joint_angles is None else joint_angles
-        return np.asarray(self.dh.frames(q)[-1] @ self.flange_frame)
+        return np.asarray(self.dh.frames(q)[..., -1, :, :] @ self.flange_frame)
 
 
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:

@@ -142,7 +142,8 @@ class CartesianImpedanceController:
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         model = self.model
-        model.update(sensed.angles, sensed.velocities)
+        angles, velocities = sensed.motor_angles, sensed.motor_velocities
+        model.update(angles, velocities)
         jacobian = model.jacobian()
         back = np.linalg.inv(model.mass()).dot(jacobian.T)  # M^-1 J^T
         mobility = jacobian.dot(back)
@@ -154,16 +155,16 @@ class CartesianImpedanceController:
         felt = np.linalg.inv(mobility)
 
         twist, wrench = self._twist, self._wrench
-        jacobian.dot(sensed.velocities, twist)
+        jacobian.dot(velocities, twist)
         np.subtract(target.twist, twist, wrench)
         wrench[:] = self.damping.dot(wrench)
         wrench += self.spring_wrench(target.pose)
         wrench += target.wrench
 
         # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0)
-        held = sensed.velocities - back.dot(felt.dot(twist))  # P^T dq
+        held = velocities - back.dot(felt.dot(twist))  # P^T dq
         inner = self._nullspace
-        np.subtract(target.posture, sensed.angles, inner)
+        np.subtract(target.posture, angles, inner)
         np.multiply(inner, self._spring, inner)
         inner -= self._damper * held
         wrench -= felt.dot(inner.dot(back))

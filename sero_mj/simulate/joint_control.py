@@ -123,14 +123,14 @@ class GravityCompensator:
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         if self._compensate:
-            self.model.update(sensed.angles, sensed.velocities)
+            self.model.update(sensed.motor_angles, sensed.motor_velocities)
             out[:] = self.model.gravity()
         else:
             out[:] = 0.0
         if self._feed_forward:
             np.add(out, target.torques, out)
         if self._damping is not None:
-            np.multiply(self._damping, sensed.velocities, self._resisting)
+            np.multiply(self._damping, sensed.motor_velocities, self._resisting)
             np.subtract(out, self._resisting, out)
 
 
@@ -144,6 +144,9 @@ class JointImpedanceController:
     1/2 dq M dq + 1/2 e K e falls by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A
     Unified Passivity-based Control Framework, IJRR 26). D is designed from M(q), motors' inertia
     included, every `damping_every`, and held: any positive semidefinite D takes energy.
+
+    Where joints are elastic, q and dq are the motors', and the links hang below their targets by
+    what gravity bends.
 
     Args:
         model: for itself.
@@ -176,24 +179,23 @@ class JointImpedanceController:
         self._gains: Array = np.hstack([self.stiffness, np.zeros((n, n))])
         self.damping: Array = self._gains[:, n:]
         self._error: Array = np.zeros(2 * n)
-        self._inertial: Array = np.zeros(n)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         model = self.model
-        model.update(sensed.angles, sensed.velocities)
+        model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._left == 0:
             self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
             self._left = self._every
         self._left -= 1
-        np.subtract(target.state, sensed.state, self._error)
+        np.subtract(target.state, sensed.motor_state, self._error)
         self._gains.dot(self._error, out)
-        np.add(out, model.gravity(), out)
-        np.add(out, target.torques, out)
         if self._feed_forward:
-            model.mass().dot(target.accelerations, self._inertial)
-            np.add(out, self._inertial, out)
-            np.add(out, model.coriolis_times(target.velocities), out)
+            own = model.inverse_dynamics(target.velocities, target.accelerations)
+        else:
+            own = model.gravity()
+        np.add(out, own, out)
+        np.add(out, target.torques, out)
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long.

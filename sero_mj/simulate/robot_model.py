@@ -98,9 +98,10 @@ class RobotModel:
         n, data = self.n, self._data
         self._qpos: Array = data.qpos
         self._qvel: Array = self._moving.qvel
-        self._gravity, self._coriolis, self._other, self._transposed, self._momentum = np.zeros(
-            (5, n)
-        )
+        self._qacc: Array = self._moving.qacc
+        self._gravity, self._coriolis, self._transposed, self._momentum = np.zeros((4, n))
+        self._inverse: Array = np.zeros(n)
+        self._other: Array = np.zeros(n)
         self._bias: Array = np.zeros(n)
         self._velocities: Array = np.zeros(n)
         self._mass: Array = np.zeros((n, n))
@@ -159,21 +160,30 @@ class RobotModel:
         """C(q, dq) dq + g(q), (n,)."""
         return np.add(self.coriolis(), self.gravity(), self._bias)
 
-    def coriolis_times(self, velocities: Array) -> Array:
-        """C(q, dq) v, (n,), for other velocities v (n,), as tracking needs it.
+    def inverse_dynamics(self, velocities: Array, accelerations: Array) -> Array:
+        """M(q) a + C(q, dq) v + g(q), (n,): what tracking of v and a takes.
 
-        C(q, a) b is linear in both and the same when they change places, so it is a quarter of
-        C(q, a + b)(a + b) - C(q, a - b)(a - b).
+        C(q, dq) v is linear in both and the same when they change places, so with c(x) = C(q, x) x
+        it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
+
+        Args:
+            velocities: v, (n,), per second.
+            accelerations: a, (n,), per second squared.
         """
+        moving, qvel, result = self._moving, self._qvel, self._inverse
         self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
-        results = self._coriolis, self._other
-        for combine, result in zip((np.add, np.subtract), results, strict=True):
-            combine(self._velocities, velocities, self._qvel)
-            mj_comVel(self._weightless, self._moving)
-            mj_rne(self._weightless, self._moving, 0, result)
+        self._qacc[:] = accelerations
+        np.add(self._velocities, velocities, qvel)
+        np.multiply(qvel, 0.5, qvel)
+        mj_comVel(self._model, moving)
+        mj_rne(self._model, moving, 1, result)
+        np.subtract(qvel, velocities, qvel)
+        mj_comVel(self._model, moving)
+        mj_rne(self._weightless, moving, 0, self._other)
         self._is_moving = False  # it moves, but at another velocity
-        np.subtract(self._coriolis, self._other, self._other)
-        return np.multiply(self._other, 0.25, self._other)
+        np.subtract(result, self._other, result)
+        np.multiply(self.motor_inertia, accelerations, self._other)
+        return np.add(result, self._other, result)
 
     def transposed_coriolis(self) -> Array:
         """C(q, dq)^T dq, (n,): the slope of the kinetic energy along the angles, dq held.

@@ -15,6 +15,8 @@ class Sensed:
         n: number of joints.
         values: (3, n), row after row in memory, to be used in place: what a simulation or a
             receiver writes is then seen without a copy.
+        motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
+            used in place; those of the links when None.
 
     Attributes:
         time: s since the start.
@@ -23,24 +25,44 @@ class Sensed:
         angles: (n,), rad or m.
         velocities: (n,), per second.
         torques: (n,), Nm or N, as the sensors on the link side of the gears read them.
+        motor_state: (2n,), angles, then velocities of the motors, on the link's side of the gear.
+            Springs and dampers act on these: on the links' they would make energy, because between
+            them and the motors the joint swings (Ott 2008).
+        motor_angles: (n,), the first half of it.
+        motor_velocities: (n,), the second.
 
     Raises:
         ValueError: the values are not (3, n), float64 and row after row.
     """
 
-    __slots__ = ("angles", "state", "time", "torques", "values", "velocities")
+    __slots__ = (
+        "angles",
+        "motor_angles",
+        "motor_state",
+        "motor_velocities",
+        "state",
+        "time",
+        "torques",
+        "values",
+        "velocities",
+    )
 
-    def __init__(self, n: int, values: Array | None = None) -> None:
+    def __init__(
+        self, n: int, values: Array | None = None, motor_state: Array | None = None
+    ) -> None:
         self.time = 0.0
         self.values: Array = np.zeros((3, n)) if values is None else values
         shape, kind = self.values.shape, self.values.dtype
         if shape != (3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
-            strides = "" if self.values.flags.c_contiguous else " with gaps"
-            raise ValueError(f"found {shape} {kind}{strides}; expected (3, {n}) float64 without")
+            gaps = "" if self.values.flags.c_contiguous else " with gaps"
+            raise ValueError(f"found {shape} {kind}{gaps}; expected (3, {n}) float64 without gaps")
         self.state: Array = self.values[:2].reshape(2 * n)
         self.angles: Array = self.values[0]
         self.velocities: Array = self.values[1]
         self.torques: Array = self.values[2]
+        self.motor_state: Array = self.state if motor_state is None else motor_state
+        self.motor_angles: Array = self.motor_state[:n]
+        self.motor_velocities: Array = self.motor_state[n:]
 
 
 class Target:

@@ -107,6 +107,19 @@ class LimitedController:
             self._last[:] = out
         np.not_equal(out, asked, self.saturated)
 
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long, where the controller can tell.
+
+        Args:
+            angles: (n,), rad or m, where the robot starts.
+
+        Raises:
+            DeclarationError: names the joint that would shake most.
+        """
+        check = getattr(self.controller, "check", None)
+        if check is not None:
+            check(angles)
+
     def restart(self) -> None:
         """Forgets the last torques, as after a reset."""
         self._last = None
