@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     from .drive.record_sources import record_sources as record_sources
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
+    from .errors import SimulationError as SimulationError
     from .receive.fri import FriReceiver as FriReceiver
     from .receive.recording import Recording as Recording
     from .receive.replay import Replay as Replay
     from .receive.shm import ShmReader as ShmReader
-    from .errors import SimulationError as SimulationError
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
     from .show.capture import render_film as render_film

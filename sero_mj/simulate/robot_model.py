@@ -127,7 +127,7 @@ class RobotModel:
         Raises:
             DeclarationError: MuJoCo cannot compile the robot.
         """
-        world = World(Scene(robots=[robot], floor=False))
+        world = World(Scene(robots=[robot], floor=False), dynamic=True)
         part = world.robots[robot.name]
         joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
         return cls(world.model, joints, body=part.flange_body, name=robot.name)
