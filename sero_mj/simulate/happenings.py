@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .disturbances import Force, Payload
+from .faults import Fault
 from .plant import Plant
 from .push import Push
 from .run_log import event_of
@@ -43,14 +45,14 @@ class Happenings:
         self._growing: list[tuple[Push, Force, Array]] = []
         self._carried: dict[str, tuple[str, Array]] = {}  # object to robot and T_flange_object
         self._objects: dict[str, Array] = {}  # where objects that are picked up are
-        times = np.arange(self.steps + 1) * self.plant.timestep
+        times: Array = np.arange(self.steps + 1) * self.plant.timestep
         for disturbance in self.scenario.disturbances.values():
             if isinstance(disturbance, Force):
                 self._plan_force(disturbance, times)
             elif isinstance(disturbance, Payload):
                 self._plan_payload(disturbance)
         for fault in self.scenario.faults.values():
-            self._at(fault.begin, lambda fault=fault: self._break(fault))
+            self._at(fault.begin, partial(self._break, fault))
         self._due.sort(key=lambda entry: entry[0])
         self._next = 0
 
@@ -154,6 +156,6 @@ class Happenings:
         angles = self.plant.actual[0, declared.joints]
         return np.asarray(declared.robot.base_frame @ declared.robot.fwd_kin_base_to_flange(angles))
 
-    def _break(self, fault: object) -> None:
-        fault.happen(self.plant, self.gains)  # type: ignore[attr-defined]
+    def _break(self, fault: Fault) -> None:
+        fault.happen(self.plant, self.gains)
         self.is_tampered = bool((self.gains != 1.0).any())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,7 @@ class Run(Declaration):
         seed: of everything that is random.
         elastic: whether joints are elastic, for all robots; as they are declared when None.
         show_targets: whether transparent doubles show where robots are commanded to be.
+        show_paths: whether rows of doubles show the way there.
         observer_gain: of the momentum observer, 1/s.
     """
 
@@ -64,6 +66,7 @@ class Run(Declaration):
     seed: int = Field(0, ge=0, lt=2**32)
     elastic: bool | None = None
     show_targets: bool = True
+    show_paths: bool = False
     observer_gain: float = Field(50.0, gt=0, le=1e4)
 
     @property
@@ -91,6 +94,7 @@ class Scenario:
 
     Attributes:
         run: how it is run.
+        file: that it was read from.
 
     Raises:
         DeclarationError: everything that is wrong, at once.
@@ -113,6 +117,7 @@ class Scenario:
     ) -> None:
         self.problems: list[Problem] = []
         self.scene, self.name, self.description = scene, name, description
+        self.file: Path | None = scene.file
         self.run: Run = self._read("run", lambda: Run(**run)) or Run()
         self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
             "controllers", controllers, _controller

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..errors import DeclarationError, Problem
 from .controllers import make_controller
@@ -80,8 +81,16 @@ class Simulation:
             for robot in scene.robots.values():
                 robot.elastic_joints = run.elastic
         sensors = scenario.make_sensors(run.seed if seed is None else seed)
-        self.plant = Plant(World(scene, dynamic=True), sensors, run.timestep)
-        times = np.arange(run.steps + 1) * run.timestep
+        # Doubles, arrows and cameras take no part, and would cost time in every step.
+        stripped = Scene(
+            robots=list(scene.robots.values()),
+            objects=scene.objects,
+            floor=scene.floor,
+            name=scene.name,
+            file=scene.file,
+        )
+        self.plant = Plant(World(stripped, dynamic=True), sensors, run.timestep)
+        times: Array = np.arange(run.steps + 1) * run.timestep
         plans = self._plans(times)
         self._happenings = Happenings(scenario, self.plant, run.steps)
         others = self._happenings.others()
