@@ -45,7 +45,7 @@ class Happenings:
         self._growing: list[tuple[Push, Force, Array]] = []
         self._carried: dict[str, tuple[str, Array]] = {}  # object to robot and T_flange_object
         self._objects: dict[str, Array] = {}  # where objects that are picked up are
-        times: Array = np.arange(self.steps + 1) * self.plant.timestep
+        times = np.arange(self.steps + 1, dtype=np.float64) * self.plant.timestep
         for disturbance in self.scenario.disturbances.values():
             if isinstance(disturbance, Force):
                 self._plan_force(disturbance, times)

@@ -90,7 +90,7 @@ class Simulation:
             file=scene.file,
         )
         self.plant = Plant(World(stripped, dynamic=True), sensors, run.timestep)
-        times: Array = np.arange(run.steps + 1) * run.timestep
+        times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         plans = self._plans(times)
         self._happenings = Happenings(scenario, self.plant, run.steps)
         others = self._happenings.others()
