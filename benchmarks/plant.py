@@ -39,9 +39,10 @@ def measure(elastic: bool) -> None:
         velocities=SensorErrors(noise=1e-3),
         torques=SensorErrors(noise=0.05, bias=0.1, delay=1),
     )
-    plants = [Plant(world), Plant(world, real)]
-    data = Plant(world).data
+    plants = [Plant(world), Plant(world, real), Plant(world)]
     torques = plants[0].actual[2].copy()
+    plants[2].step(torques)  # it is held as well, and falls on no floor
+    data = plants[2].data
     works: list[Callable[[], object]] = [
         lambda: mujoco.mj_step(world.model, data),
         lambda: plants[0].step(torques),
