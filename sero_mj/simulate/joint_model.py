@@ -58,6 +58,7 @@ class JointModel:
         n: number of joints of all robots together.
         elastic: whether any of them is.
         motor_dofs: index of every motor in `qvel`, (n,).
+        motor_positions: likewise in `qpos`.
         sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
             together with the motor, or the deflection.
     """
@@ -86,7 +87,7 @@ class JointModel:
         self.elastic = bool(spring_q)
         self.motor_dofs = as_slice(np.array(motor, np.intp))
         self.sensor_dofs = as_slice(np.array(sensor, np.intp))
-        self._motor_q = as_slice(np.array(motor_q, np.intp))
+        self.motor_positions = as_slice(np.array(motor_q, np.intp))
         self._spring_q = as_slice(np.array(spring_q, np.intp))
         self._rows = as_slice(np.array(self._elastic_rows, np.intp))
         self._all_elastic = len(self._elastic_rows) == self.n
@@ -96,7 +97,7 @@ class JointModel:
         self._torque, self._change, self._before_step = np.zeros((3, nv))
         # Where joints stand in equal steps these are views, which are always up to date.
         self._copies: list[tuple[Array, NDArray[np.intp], Array]] = []
-        self._motor_angles = self._watch(self._qpos, self._motor_q)
+        self._motor_angles = self._watch(self._qpos, self.motor_positions)
         self._motor_speeds = self._watch(self._qvel, self.motor_dofs)
         self._sensed = self._watch(self._torque, self.sensor_dofs)
         self._spring_angles = self._watch(self._qpos, self._spring_q)
@@ -142,7 +143,7 @@ class JointModel:
     def load_springs(self) -> None:
         """Lets the springs hold the links where they are, at rest; `data` has its bias torques."""
         deflection = -self._data.qfrc_bias[self._spring_dofs] / self._spring_stiffness
-        motors = np.arange(len(self._qpos))[self._motor_q][self._rows]
+        motors = np.arange(len(self._qpos))[self.motor_positions][self._rows]
         angles = self._qpos[motors] + self._qpos[self._spring_q]
         self._qpos[self._spring_q] = deflection
         self._qpos[motors] = angles - deflection

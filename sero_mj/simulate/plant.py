@@ -99,6 +99,11 @@ class Plant:
         """What acted on the motors in the last step, (n,), Nm."""
         return np.asarray((self._motor - self._outer)[self._motor_dofs])
 
+    @property
+    def motor_angles(self) -> Array:
+        """True angles of the motors, (n,), rad: before the spring of an elastic joint."""
+        return np.array(self.data.qpos[self.joints.motor_positions])
+
     def reset(self, joint_angles: Any | None = None) -> None:
         """Puts the robots where they are declared to be, at rest, and ends pushes.
 
@@ -106,12 +111,17 @@ class Plant:
 
         Args:
             joint_angles: (n,), of all robots, rad; the declared ones when None.
+
+        Raises:
+            ValueError: not n finite numbers.
         """
         self.world.reset(self.data)
         self._pushes.clear()
         self._motor[:] = self._outer[:] = 0.0
         if joint_angles is not None:
-            angles = np.asarray(joint_angles, np.float64)
+            angles = numbers(joint_angles)
+            if angles.shape != (self.n,):
+                raise ValueError(f"joint_angles: found {angles.size} numbers; expected {self.n}")
             for part in self.world.robots.values():
                 self.data.qpos[part.qpos] = angles[part.joints]
         self._settle()
@@ -214,7 +224,7 @@ class Plant:
 
         Raises:
             UnknownName: no such robot.
-            ValueError: a friction below zero.
+            ValueError: a friction below zero, or neither one nor n.
         """
         dofs = self._part(robot).dofs
         for name, value, target in (
@@ -222,7 +232,11 @@ class Plant:
             ("coulomb", coulomb, self.model.dof_frictionloss),
         ):
             if value is not None:
-                friction = numbers(value)
+                friction = np.atleast_1d(numbers(value))
+                if friction.shape not in ((1,), dofs.shape):
+                    raise ValueError(
+                        f"{name}: found {friction.size} numbers; expected 1 or {len(dofs)}"
+                    )
                 if (friction < 0).any():
                     raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
                 target[dofs] = friction
