@@ -21,6 +21,7 @@ from . import (
     record,
     render,
     send,
+    simulate,
     status,
     structure,
 )
@@ -83,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     for module in (
         render,
         send,
+        simulate,
         status,
         structure,
         record,

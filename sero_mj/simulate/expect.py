@@ -117,7 +117,7 @@ class Expect(Declaration):
             problems += [
                 Problem("measure", f"robot '{robot}' has no target; expected [targets.{robot}]")
                 for robot in self._robots(list(robots))
-                if robot in robots and robot not in scenario.targets
+                if robot in robots and not scenario.has_target(robot)
             ]
         if self.after >= scenario.run.duration:
             message = f"found {self.after:g} s; the run ends at {scenario.run.duration:g} s"

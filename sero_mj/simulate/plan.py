@@ -11,7 +11,7 @@ from ..assemble.robot import SerialRobot
 from .cartesian_control import CartesianImpedance
 from .cartesian_laws import CartesianLaw, CartesianMotion
 from .gains import ControllerDeclaration
-from .joint_control import GravityCompensation
+from .joint_control import GravityCompensation, Torque
 from .law import Law, Motion
 from .laws import Constant
 from .reach import follow_poses
@@ -69,7 +69,7 @@ def make_plan(
     """
     start = np.asarray(robot.home, np.float64)
     is_cartesian = isinstance(controller, CartesianImpedance)
-    if law is None and isinstance(controller, GravityCompensation):
+    if law is None and isinstance(controller, GravityCompensation | Torque):
         return Plan(None, None, moves=False)
     if isinstance(law, CartesianLaw):
         first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)

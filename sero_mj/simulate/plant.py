@@ -104,6 +104,11 @@ class Plant:
         """True angles of the motors, (n,), rad: before the spring of an elastic joint."""
         return np.array(self.data.qpos[self.joints.motor_positions])
 
+    @property
+    def motor_velocities(self) -> Array:
+        """Likewise their velocities, (n,), rad/s."""
+        return np.array(self.data.qvel[self.joints.motor_dofs])
+
     def reset(self, joint_angles: Any | None = None) -> None:
         """Puts the robots where they are declared to be, at rest, and ends pushes.
 

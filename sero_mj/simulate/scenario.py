@@ -19,6 +19,7 @@ from .disturbances import Disturbance, Force, Payload, disturbance_from
 from .expect import Expect
 from .faults import Fault, fault_from
 from .gains import ControllerDeclaration
+from .joint_control import GravityCompensation, Torque
 from .kinds import by_kind
 from .law import Law
 from .laws import LAWS
@@ -188,6 +189,11 @@ class Scenario:
             if value is not None and value not in names:
                 message = f"no {what} '{value}'{did_you_mean(value, names)}"
                 self.problems.append(Problem(f"{place}.{key}", message))
+
+    def has_target(self, robot: str) -> bool:
+        """Whether a robot is to be somewhere: by its law, or where a spring holds it."""
+        controller = self.controllers.get(robot, GravityCompensation())
+        return robot in self.targets or not isinstance(controller, GravityCompensation | Torque)
 
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from ..errors import SimulationError
 from ..receive.receiver import Receiver
@@ -34,6 +34,13 @@ class SimulatedSource(Receiver):
 
     _shown: int = PrivateAttr(-1)
     _error: SimulationError | None = PrivateAttr(None)
+
+    @field_validator("structure")
+    @classmethod
+    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
+        if text:
+            raise ValueError("is what the simulation logs; leave it out")
+        return text
 
     @cached_property
     def layout(self) -> Structure:

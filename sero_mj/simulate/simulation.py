@@ -45,7 +45,9 @@ class _Arm:
         )
         # Of one robot alone what the plant measures is seen in place.
         self.copies = shares is None
-        self.sensed = Sensed(robot.n, shares)
+        # Elastic joints are controlled over their motors, which encoders of their own measure.
+        self.motors: Array | None = np.zeros(2 * robot.n) if robot.elastic_joints else None
+        self.sensed = Sensed(robot.n, shares, self.motors)
         self.target = Target(robot.n)
         self.target.posture[:] = robot.home
         self.observer = MomentumObserver(
@@ -211,13 +213,22 @@ class Simulation:
             self._make_step(k)
             self.step = k
 
+    def _sense(self, arm: _Arm) -> None:
+        """Lets a controller see what was measured."""
+        plant = self.plant
+        if arm.copies:
+            np.copyto(arm.sensed.values, plant.measured[:, arm.joints])
+        if arm.motors is not None:
+            n = len(arm.motors) // 2
+            arm.motors[:n] = plant.motor_angles[arm.joints]
+            arm.motors[n:] = plant.motor_velocities[arm.joints]
+
     def _make_step(self, k: int) -> None:
         happenings, plant, commanded = self._happenings, self.plant, self._commanded
         if happenings.next_step < k:
             happenings.before(k - 1)
         for arm in self._arms:
-            if arm.copies:
-                np.copyto(arm.sensed.values, plant.measured[:, arm.joints])
+            self._sense(arm)
             arm.sensed.time = plant.data.time
             if arm.plan.moves:
                 arm.plan.load(arm.target, k - 1)
@@ -228,8 +239,7 @@ class Simulation:
             driven = np.multiply(commanded, happenings.gains, self._driven)
         plant.step(driven)
         for arm in self._arms:
-            if arm.copies:
-                np.copyto(arm.sensed.values, plant.measured[:, arm.joints])
+            self._sense(arm)
             self._external[arm.joints] = arm.observer.update(arm.sensed)
         self._write(k)
         if happenings.carries:
