@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..errors import DeclarationError, Problem
+from .contacts import Contacts
 from .controllers import make_controller
+from .disturbances import Payload
 from .expect import Outcome
 from .happenings import Happenings
 from .joint_control import GravityCompensation
@@ -26,6 +28,7 @@ from .torque_limits import LimitedController
 
 Array = NDArray[np.float64]
 
+OBSERVED_EVERY = 0.004  # s; a fifth of the observer's time constant, and a fifth of the cost
 MOST_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
 
@@ -51,7 +54,9 @@ class _Arm:
         self.target = Target(robot.n)
         self.target.posture[:] = robot.home
         self.observer = MomentumObserver(
-            RobotModel.of(robot), scenario.run.observer_gain, scenario.run.timestep
+            RobotModel.of(robot),
+            scenario.run.observer_gain,
+            scenario.run.timestep * simulation._observed_every,
         )
 
 
@@ -83,10 +88,15 @@ class Simulation:
             for robot in scene.robots.values():
                 robot.elastic_joints = run.elastic
         sensors = scenario.make_sensors(run.seed if seed is None else seed)
-        # Doubles, arrows and cameras take no part, and would cost time in every step.
+        # Doubles, arrows and cameras take no part, and would cost time in every step. What is
+        # carried is a mass of the flange, and nothing to run into.
+        carried = {
+            each.object for each in scenario.disturbances.values() if isinstance(each, Payload)
+        }
+        obstacles = [each for each in scene.objects if each.name not in carried]
         stripped = Scene(
             robots=list(scene.robots.values()),
-            objects=scene.objects,
+            objects=obstacles,
             floor=scene.floor,
             name=scene.name,
             file=scene.file,
@@ -96,6 +106,10 @@ class Simulation:
         plans = self._plans(times)
         self._happenings = Happenings(scenario, self.plant, run.steps)
         others = self._happenings.others()
+        self._contacts = None
+        if obstacles or len(plans) > 1:
+            self._contacts = Contacts(self.plant.world, self.plant.data)
+            others |= {event_of(name, "contact_force"): "1V" for name in plans}
         for name, plan in plans.items():
             if plan.flange is not None:
                 others[event_of(name, "target_pose")] = "1M"
@@ -110,16 +124,20 @@ class Simulation:
         self.rows[:, 0] = times
         self._fill_targets(plans)
         self._happenings.fill(self.layout.columns, self.rows)
+        self._observed_every = max(round(OBSERVED_EVERY / run.timestep), 1)
         self._commanded: Array = np.zeros(self.plant.n)
         self._driven: Array = np.zeros(self.plant.n)
         self._saturated: Array = np.zeros(self.plant.n)
-        self._external: Array = np.zeros(self.plant.n)
         self._arms = self._make_arms(plans)
         self._measured_log = self.rows[:, self.layout.block(MEASURED)]
         self._actual_log = self.rows[:, self.layout.block(ACTUAL)]
         self._driven_log = self.rows[:, self.layout.block(DRIVEN)]
         self._estimated_log = self.rows[:, self.layout.block(ESTIMATED)]
-        self._write(0)
+        self._measured_log[0] = self.plant.measured.reshape(-1)
+        self._actual_log[0] = self.plant.actual.reshape(-1)
+        self._driven_log[0, : self.plant.n] = self.plant.actual[2]  # what holds it at rest
+        for arm in self._arms:
+            arm.observer.update(arm.sensed)
 
     def _plans(self, times: Array) -> dict[str, Plan]:
         plans, problems = {}, []
@@ -206,12 +224,91 @@ class Simulation:
         Raises:
             SimulationError: it cannot go on; the log ends with the step before.
         """
+        first, stop = self.step + 1, min(to_step, self.steps)
+        if first > stop:
+            return
         for arm in self._arms:
-            if not arm.plan.moves:
-                arm.plan.load(arm.target, 0)
-        for k in range(self.step + 1, min(to_step, self.steps) + 1):
-            self._make_step(k)
+            arm.plan.load(arm.target, first - 1)
+        try:
+            if len(self._arms) == 1:
+                self._advance_alone(self._arms[0], first, stop)
+            else:
+                self._advance_all(first, stop)
+        finally:
+            self._observe(first)
+
+    def _advance_alone(self, arm: _Arm, first: int, stop: int) -> None:
+        """The loop for one robot, with nothing looked up twice: it runs at up to 100 kHz."""
+        happenings, step = self._happenings, self.plant.step
+        torques, saturated = arm.controller.torques, arm.controller.saturated
+        sensed, target, commanded = arm.sensed, arm.target, self._commanded
+        measured, actual = self.plant.measured.reshape(-1), self.plant.actual.reshape(-1)
+        moves, is_elastic, load = arm.plan.moves, arm.motors is not None, arm.plan.load
+        n, data = self.plant.n, self.plant.data
+        part = slice(first, stop + 1)
+        rows = zip(
+            range(first, stop + 1),
+            self.rows[first - 1 : stop, 0].tolist(),
+            self._measured_log[part],
+            self._actual_log[part],
+            self._driven_log[part, :n],
+            self._driven_log[part, n:],
+            strict=True,
+        )
+        due = happenings.next_step
+        for k, time, measured_row, actual_row, commanded_row, saturated_row in rows:
+            if due < k:
+                happenings.before(k - 1)
+                due = happenings.next_step
+            sensed.time = time
+            if is_elastic:
+                self._sense(arm)
+            if moves:
+                load(target, k - 1)
+            torques(sensed, target, commanded)
+            if happenings.is_tampered:
+                step(np.multiply(commanded, happenings.gains, self._driven))
+            else:
+                step(commanded)
+            measured_row[:] = measured
+            actual_row[:] = actual
+            commanded_row[:] = commanded
+            saturated_row[:] = saturated
             self.step = k
+            if data.ncon or happenings.carries:
+                self._note_surroundings(k)
+
+    def _advance_all(self, first: int, stop: int) -> None:
+        """The same for several robots."""
+        happenings, plant = self._happenings, self.plant
+        n = plant.n
+        for k in range(first, stop + 1):
+            if happenings.next_step < k:
+                happenings.before(k - 1)
+            for arm in self._arms:
+                self._sense(arm)
+                arm.sensed.time = float(self.rows[k - 1, 0])
+                if arm.plan.moves:
+                    arm.plan.load(arm.target, k - 1)
+                arm.controller.torques(arm.sensed, arm.target, self._commanded[arm.joints])
+                self._saturated[arm.joints] = arm.controller.saturated
+            plant.step(np.multiply(self._commanded, happenings.gains, self._driven))
+            self._measured_log[k] = plant.measured.reshape(-1)
+            self._actual_log[k] = plant.actual.reshape(-1)
+            self._driven_log[k, :n], self._driven_log[k, n:] = self._commanded, self._saturated
+            self.step = k
+            if plant.data.ncon or happenings.carries:
+                self._note_surroundings(k)
+
+    def _note_surroundings(self, k: int) -> None:
+        """Writes what touches robots, and what they carry."""
+        if self._contacts is not None:
+            forces = self._contacts.update()
+            for number, arm in enumerate(self._arms):
+                columns = self.layout.columns[event_of(arm.model.name, "contact_force")]
+                self.rows[k, columns] = forces[number]
+        if self._happenings.carries:
+            self._happenings.place_objects(self.layout.columns, self.rows[k])
 
     def _sense(self, arm: _Arm) -> None:
         """Lets a controller see what was measured."""
@@ -223,36 +320,24 @@ class Simulation:
             arm.motors[:n] = plant.motor_angles[arm.joints]
             arm.motors[n:] = plant.motor_velocities[arm.joints]
 
-    def _make_step(self, k: int) -> None:
-        happenings, plant, commanded = self._happenings, self.plant, self._commanded
-        if happenings.next_step < k:
-            happenings.before(k - 1)
-        for arm in self._arms:
-            self._sense(arm)
-            arm.sensed.time = plant.data.time
-            if arm.plan.moves:
-                arm.plan.load(arm.target, k - 1)
-            arm.controller.torques(arm.sensed, arm.target, commanded[arm.joints])
-            self._saturated[arm.joints] = arm.controller.saturated
-        driven = commanded
-        if happenings.is_tampered:
-            driven = np.multiply(commanded, happenings.gains, self._driven)
-        plant.step(driven)
-        for arm in self._arms:
-            self._sense(arm)
-            self._external[arm.joints] = arm.observer.update(arm.sensed)
-        self._write(k)
-        if happenings.carries:
-            happenings.place_objects(self.layout.columns, self.rows[k:])
+    def _observe(self, first: int) -> None:
+        """Estimates the external torques of the new rows, every `OBSERVED_EVERY` s.
 
-    def _write(self, k: int) -> None:
-        n = self.plant.n
-        self._measured_log[k] = self.plant.measured.reshape(-1)
-        self._actual_log[k] = self.plant.actual.reshape(-1)
-        driven = self._driven_log[k]
-        driven[:n] = self._commanded
-        driven[n:] = self._saturated
-        self._estimated_log[k] = self._external
+        In between the estimate stands; the observer gets the mean of the torques since it was last
+        asked, which is what momentum asks for.
+        """
+        last, every = self.step, self._observed_every
+        for arm in self._arms:
+            log = self._estimated_log[:, arm.joints]
+            angles, velocities, torques = (
+                self.rows[:, self.layout.columns[event_of(arm.model.name, signal)]]
+                for signal in MEASURED
+            )
+            log[first : min(first + every, last + 1)] = arm.observer.external
+            for k in range(-(-first // every) * every, last + 1, every):
+                mean = np.add.reduce(torques[k - every + 1 : k + 1]) / every
+                arm.observer.model.update(angles[k], velocities[k])
+                log[k : min(k + every, last + 1)] = arm.observer.update_with(velocities[k], mean)
 
     @property
     def log(self) -> RunLog:
