@@ -10,54 +10,21 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..errors import DeclarationError, Problem
+from .arm import Arm
 from .contacts import Contacts
-from .controllers import make_controller
 from .disturbances import Payload
 from .expect import Outcome
 from .happenings import Happenings
 from .joint_control import GravityCompensation
 from .monitor import Finding
-from .observer import MomentumObserver
 from .plan import Plan, make_plan
 from .plant import Plant
-from .robot_model import RobotModel
-from .run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, RunLayout, RunLog, event_of
+from .run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
 from .scenario import Scenario
-from .state import Sensed, Target
-from .torque_limits import LimitedController
 
 Array = NDArray[np.float64]
 
-OBSERVED_EVERY = 0.004  # s; a fifth of the observer's time constant, and a fifth of the cost
 MOST_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
-
-
-class _Arm:
-    """One robot with its controller, and what that sees and is asked for."""
-
-    def __init__(
-        self, name: str, simulation: Simulation, joints: slice, plan: Plan, shares: Array | None
-    ) -> None:
-        scenario = simulation.scenario
-        robot = scenario.scene.robots[name]
-        self.joints, self.plan = joints, plan
-        self.model = RobotModel.of(robot)
-        declared = scenario.controllers.get(name, GravityCompensation())
-        self.controller: LimitedController = make_controller(
-            declared, self.model, scenario.run.timestep, robot.torque_limits
-        )
-        # Of one robot alone what the plant measures is seen in place.
-        self.copies = shares is None
-        # Elastic joints are controlled over their motors, which encoders of their own measure.
-        self.motors: Array | None = np.zeros(2 * robot.n) if robot.elastic_joints else None
-        self.sensed = Sensed(robot.n, shares, self.motors)
-        self.target = Target(robot.n)
-        self.target.posture[:] = robot.home
-        self.observer = MomentumObserver(
-            RobotModel.of(robot),
-            scenario.run.observer_gain,
-            scenario.run.timestep * simulation._observed_every,
-        )
 
 
 class Simulation:
@@ -84,6 +51,7 @@ class Simulation:
         self.scenario = scenario
         self.step = 0
         scene = scenario.scene
+        _check_size(scenario)
         if run.elastic is not None:
             for robot in scene.robots.values():
                 robot.elastic_joints = run.elastic
@@ -116,15 +84,10 @@ class Simulation:
         targets = tuple(name for name, plan in plans.items() if plan.joints is not None)
         joints = {name: robot.n for name, robot in scene.robots.items()}
         self.layout = RunLayout(joints, targets, others)
-        if (size := 8 * len(times) * self.layout.width) > MOST_BYTES:
-            found = f"found {run.steps} steps, a log of {size / 2**30:.1f} GiB"
-            message = f"{found}; expected up to {MOST_BYTES / 2**30:.0f} GiB"
-            raise DeclarationError([Problem("run.duration", message)])
         self.rows: Array = np.zeros((len(times), self.layout.width))
         self.rows[:, 0] = times
         self._fill_targets(plans)
         self._happenings.fill(self.layout.columns, self.rows)
-        self._observed_every = max(round(OBSERVED_EVERY / run.timestep), 1)
         self._commanded: Array = np.zeros(self.plant.n)
         self._driven: Array = np.zeros(self.plant.n)
         self._saturated: Array = np.zeros(self.plant.n)
@@ -151,31 +114,19 @@ class Simulation:
             raise DeclarationError(self.scenario.scene.located(problems))
         return plans
 
-    def _make_arms(self, plans: dict[str, Plan]) -> list[_Arm]:
+    def _make_arms(self, plans: dict[str, Plan]) -> list[Arm]:
         arms, problems, first = [], [], 0
-        alone = len(plans) == 1
         for name, plan in plans.items():
             n = self.scenario.scene.robots[name].n
             joints = slice(first, first + n)
             first += n
             try:
-                arm = _Arm(name, self, joints, plan, self.plant.measured if alone else None)
-                self._check_gains(name, arm)
+                arms.append(Arm(name, self.scenario, plan, self.plant, joints))
             except DeclarationError as error:
                 problems += [problem.inside(f"controllers.{name}") for problem in error.problems]
-                continue
-            arms.append(arm)
         if problems:
             raise DeclarationError(self.scenario.scene.located(problems))
         return arms
-
-    def _check_gains(self, name: str, arm: _Arm) -> None:
-        """Refuses gains that the timestep is too long for, where the controller can tell."""
-        check = getattr(arm.controller, "check", None) or getattr(
-            arm.controller.controller, "check", None
-        )
-        if check is not None:
-            check(np.asarray(self.scenario.scene.robots[name].home, np.float64))
 
     def _fill_targets(self, plans: dict[str, Plan]) -> None:
         columns = self.layout.columns
@@ -237,13 +188,13 @@ class Simulation:
         finally:
             self._observe(first)
 
-    def _advance_alone(self, arm: _Arm, first: int, stop: int) -> None:
+    def _advance_alone(self, arm: Arm, first: int, stop: int) -> None:
         """The loop for one robot, with nothing looked up twice: it runs at up to 100 kHz."""
         happenings, step = self._happenings, self.plant.step
         torques, saturated = arm.controller.torques, arm.controller.saturated
         sensed, target, commanded = arm.sensed, arm.target, self._commanded
         measured, actual = self.plant.measured.reshape(-1), self.plant.actual.reshape(-1)
-        moves, is_elastic, load = arm.plan.moves, arm.motors is not None, arm.plan.load
+        moves, looks, load = arm.plan.moves, arm.has_to_look, arm.plan.load
         n, data = self.plant.n, self.plant.data
         part = slice(first, stop + 1)
         rows = zip(
@@ -261,8 +212,8 @@ class Simulation:
                 happenings.before(k - 1)
                 due = happenings.next_step
             sensed.time = time
-            if is_elastic:
-                self._sense(arm)
+            if looks:
+                arm.sense()
             if moves:
                 load(target, k - 1)
             torques(sensed, target, commanded)
@@ -286,7 +237,7 @@ class Simulation:
             if happenings.next_step < k:
                 happenings.before(k - 1)
             for arm in self._arms:
-                self._sense(arm)
+                arm.sense()
                 arm.sensed.time = float(self.rows[k - 1, 0])
                 if arm.plan.moves:
                     arm.plan.load(arm.target, k - 1)
@@ -305,39 +256,20 @@ class Simulation:
         if self._contacts is not None:
             forces = self._contacts.update()
             for number, arm in enumerate(self._arms):
-                columns = self.layout.columns[event_of(arm.model.name, "contact_force")]
+                columns = self.layout.columns[event_of(arm.name, "contact_force")]
                 self.rows[k, columns] = forces[number]
         if self._happenings.carries:
             self._happenings.place_objects(self.layout.columns, self.rows[k])
 
-    def _sense(self, arm: _Arm) -> None:
-        """Lets a controller see what was measured."""
-        plant = self.plant
-        if arm.copies:
-            np.copyto(arm.sensed.values, plant.measured[:, arm.joints])
-        if arm.motors is not None:
-            n = len(arm.motors) // 2
-            arm.motors[:n] = plant.motor_angles[arm.joints]
-            arm.motors[n:] = plant.motor_velocities[arm.joints]
-
     def _observe(self, first: int) -> None:
-        """Estimates the external torques of the new rows, every `OBSERVED_EVERY` s.
-
-        In between the estimate stands; the observer gets the mean of the torques since it was last
-        asked, which is what momentum asks for.
-        """
-        last, every = self.step, self._observed_every
+        """Estimates the external torques of the new rows."""
+        columns = self.layout.columns
         for arm in self._arms:
-            log = self._estimated_log[:, arm.joints]
             angles, velocities, torques = (
-                self.rows[:, self.layout.columns[event_of(arm.model.name, signal)]]
-                for signal in MEASURED
+                self.rows[:, columns[event_of(arm.name, signal)]] for signal in MEASURED
             )
-            log[first : min(first + every, last + 1)] = arm.observer.external
-            for k in range(-(-first // every) * every, last + 1, every):
-                mean = np.add.reduce(torques[k - every + 1 : k + 1]) / every
-                arm.observer.model.update(angles[k], velocities[k])
-                log[k : min(k + every, last + 1)] = arm.observer.update_with(velocities[k], mean)
+            estimates = self._estimated_log[:, arm.joints]
+            arm.observe(first, self.step, (angles, velocities, torques), estimates)
 
     @property
     def log(self) -> RunLog:
@@ -358,3 +290,14 @@ class Simulation:
             expect.judge(name, log, findings, self.scenario)
             for name, expect in self.scenario.expect.items()
         ]
+
+
+def _check_size(scenario: Scenario) -> None:
+    """Refuses a run whose log would not fit into memory, before anything is computed for it."""
+    joints = sum(robot.n for robot in scenario.scene.robots.values())
+    signals = len((*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED))
+    size = 8 * (scenario.run.steps + 1) * signals * joints
+    if size > MOST_BYTES:
+        found = f"found {scenario.run.steps} steps, a log of {size / 2**30:.1f} GiB"
+        message = f"{found}; expected up to {MOST_BYTES / 2**30:.0f} GiB"
+        raise DeclarationError(scenario.scene.located([Problem("run.duration", message)]))
