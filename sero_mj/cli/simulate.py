@@ -38,6 +38,10 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a file, or a shipped scenario's name")
     parser.add_argument("--record", type=Path, metavar="OUT.mcap", help="keep every step")
+    parser.add_argument(
+        "--signals-rate", type=not_negative, default=10.0, metavar="HZ",
+        help="of values as JSON in the recording, for other programs (default 10; 0 none)",
+    )  # fmt: skip
     parser.add_argument("--csv", type=Path, metavar="OUT.csv", help="the same as a table")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="torques of every joint")
     parser.add_argument("--render", type=Path, metavar="OUT.mp4", help="film it, or OUT.png")
@@ -140,7 +144,12 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
         recorder = None
         if options.record is not None:
             recorder = stack.enter_context(
-                RunRecorder(simulation, options.record, overwrite=options.overwrite)
+                RunRecorder(
+                    simulation,
+                    options.record,
+                    overwrite=options.overwrite,
+                    signals_rate=options.signals_rate,
+                )
             )
         quiet = options.quiet or not console.is_terminal
         progress = stack.enter_context(
