@@ -1,0 +1,1 @@
+SUFFIXES = (".png", ".pdf", ".svg")
