@@ -13,6 +13,7 @@ from ..assemble.robot import SerialRobot
 from ..errors import UsageError, did_you_mean
 from .run_log import RunLog
 from .shift import Shift, find_shift
+from .torques import compared_signal
 
 Array = NDArray[np.float64]
 
@@ -96,8 +97,16 @@ def align(
     return Pair(
         a.robots[of_a],
         times,
-        {s: at_times(a.times, a.of(of_a, s), times) for s in COMPARED if a.has(of_a, s)},
-        {s: at_times(moved, b.of(of_b, s), times) for s in COMPARED if b.has(of_b, s)},
+        {
+            s: at_times(a.times, compared_signal(a, of_a, s), times)
+            for s in COMPARED
+            if a.has(of_a, s)
+        },
+        {
+            s: at_times(moved, compared_signal(b, of_b, s), times)
+            for s in COMPARED
+            if b.has(of_b, s)
+        },
         seconds,
         None if shift is None else shift.likeness,
         (a.name, b.name),

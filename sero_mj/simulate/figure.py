@@ -31,7 +31,8 @@ FAULT = "#8E3B8A"
 A4_WIDTH = 190.0  # mm, within its margins
 _A4_HEIGHT = 265.0
 _ROW, _LEAST_ROW = 27.0, 14.0  # mm
-_LEFT, _RIGHT, _BOTTOM, _GAP = 24.0, 2.0, 11.0, 13.0  # mm, about and between the panels
+_LEFT, _RIGHT, _BOTTOM, _GAP = 25.0, 2.0, 11.0, 11.0  # mm, about and between the panels
+_TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans stand beneath the title
 _MM = 1.0 / 25.4  # inch
 _LEAST_MM = 60.0, 40.0
 _MOST_MM = 2000.0, 20000.0
@@ -135,7 +136,7 @@ class Sheet:
         subtitle: str,
         times: tuple[float, float],
         size_mm: tuple[float, float] | None = None,
-        top_mm: float = 18.0,
+        top_mm: float = 21.0,
     ) -> None:
         from matplotlib.figure import Figure
 
@@ -172,7 +173,7 @@ class Sheet:
                 self.axes[-1].append(panel)
                 panel.tick_params(labelbottom=i == len(rows) - 1)
                 if i == 0:
-                    panel.set_title(heading, fontsize=7.5, loc="left", pad=5.0, color=INK)
+                    panel.set_title(heading, fontsize=7.5, loc="left", pad=_TITLE_PAD, color=INK)
                 if i == len(rows) - 1:
                     panel.set_xlabel("time, s", labelpad=2.0)
             self._label(self.axes[-1][0], name, beneath)
@@ -248,11 +249,13 @@ class Sheet:
                 if span.is_fault:
                     panel.axvline(left, color=FAULT, linewidth=0.7, zorder=0.6)
             level = next((k for k, until in enumerate(free) if until <= left), 0)
+            # Names that would run into each other go into the panel.
+            height = 2.5 if level == 0 else -_LINE * level
             first = self.axes[0][0]
             share = first.get_position().width * self._width  # mm
             free[level] = left + (len(span.name) * 1.15 + 2.0) / share * (end - begin)
             first.annotate(
-                span.name, (left, 1.0), (1.5, -5.5 - 6.5 * level),
+                span.name, (left, 1.0), (0.0, height),
                 xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=5.5,
                 color=FAULT if span.is_fault else GREY, annotation_clip=False, clip_on=False,
             )  # fmt: skip

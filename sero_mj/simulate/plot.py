@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import UsageError, did_you_mean
 from .figure import BLUE, FAULT, GREY, INK, LEAST_SHARE, ORANGE, Sheet, Span, check_suffix, styled
 from .run_log import RunLog
+from .torques import compared_signal, torque_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,7 +90,9 @@ def plot_run(
                 _draw_error(sheet, panels[1], log, robot, k)
         sheet.spans(spans)
         marked = _mark(sheet, log, chosen, findings)
-        sheet.legend(_legend(log, chosen, spans, marked))
+        has_limit = any(line.get_label() == "limit" for panels in sheet.axes
+                        for line in panels[0].lines)  # fmt: skip
+        sheet.legend(_legend(log, chosen, spans, marked, has_limit=has_limit))
         sheet.save(path)
 
 
@@ -154,7 +157,7 @@ def _draw_torques(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) ->
         ("commanded_torques", {"color": ORANGE, "linewidth": 0.7, "zorder": 2.1}),
     ):
         if log.has(robot, signal):
-            values = log.of(robot, signal)[:, k]
+            values = compared_signal(log, robot, signal)[:, k]
             sheet.line(panel, log.times, values, signal, **look)
             curves.append(values)
     known = np.concatenate(curves)
@@ -169,7 +172,7 @@ def _draw_torques(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) ->
 
 
 def _draw_error(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) -> None:
-    error = log.torque_error(robot)[:, k]
+    error = torque_error(log, robot)[:, k]
     sheet.signed_area(panel, log.times, error, "torque_error")
     limit = float(log.torque_limits(robot)[k])
     least = 0.5 * LEAST_SHARE * limit
@@ -201,13 +204,18 @@ def _mark(
 
 def _marker(kind: str) -> dict[str, Any]:
     return {
-        "marker": _MARKERS.get(kind, "o"), "markersize": 3.6, "markeredgewidth": 0.5,
+        "marker": _MARKERS.get(kind, "o"), "markersize": 4.6, "markeredgewidth": 0.5,
         "markeredgecolor": "white", "color": FAULT, "linestyle": "none", "label": kind,
     }  # fmt: skip
 
 
 def _legend(
-    log: RunLog, chosen: Sequence[tuple[str, int]], spans: Sequence[Span], kinds: Sequence[str]
+    log: RunLog,
+    chosen: Sequence[tuple[str, int]],
+    spans: Sequence[Span],
+    kinds: Sequence[str],
+    *,
+    has_limit: bool,
 ) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -218,7 +226,7 @@ def _legend(
         handles.append(Line2D([], [], color=ORANGE, linewidth=1.0, label="commanded"))
     if any(log.has(robot, "torques") for robot in robots):
         handles.append(Line2D([], [], color=BLUE, linewidth=1.5, label="measured"))
-    if any(np.isfinite(log.torque_limits(robot)).any() for robot in robots):
+    if has_limit:
         handles.append(Line2D([], [], color=INK, linewidth=0.8, linestyle=(0, (4, 2)),
                               label="limit"))  # fmt: skip
     if any(not span.is_fault for span in spans):
