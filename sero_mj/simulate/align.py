@@ -150,6 +150,15 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
     return pair
 
 
+def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, Array]:
+    """What a run has of what is compared, at other times."""
+    return {
+        signal: at_times(times, compared_signal(log, robot, signal), wanted)
+        for signal in COMPARED
+        if log.has(robot, signal)
+    }
+
+
 def at_times(times: Array, values: Array, wanted: Array) -> Array:
     """Values (T, n) at other times, linearly in between; NaN in gaps, and outside."""
     if len(times) == 1:

@@ -51,7 +51,7 @@ class Exceeded:
     tolerance: float
 
     def __str__(self) -> str:
-        found, factor, unit = self.difference, *_shown_as(self.difference.unit)
+        found, factor, unit = self.difference, *shown_as(self.difference.unit)
         what = "torque" if found.signal == "torques" else "angle"
         peak, allowed = factor * abs(found.peak), factor * self.tolerance
         return f"{found.joint}: {what} differs by {peak:.4g} {unit} at {found.at:.3f} s; " \
@@ -132,25 +132,29 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     span = f"{pair.times[0]:.3f} s to {pair.times[-1]:.3f} s"
     title = f"{pair.names[0]} less {pair.names[1]}: {pair.robot.name}, {span}"
     table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("joint")
+    table.add_column("joint", no_wrap=True)
     shown = [signal for signal in _IN_TABLE if signal in pair.signals] or pair.signals
     for signal in shown:
-        table.add_column(f"{signal.replace('_', ' ')} rms", justify="right")
-        table.add_column("peak", justify="right")
-        table.add_column("at", justify="right")
+        units = {shown_as(unit_of(signal, kind))[1] for kind in pair.robot.types}
+        unit = f", {units.pop()}" if len(units) == 1 else ""
+        table.add_column(f"{signal.replace('_', ' ')} rms{unit}", justify="right")
+        table.add_column(f"peak{unit}", justify="right")
+        table.add_column("at, s", justify="right")
     for joint in pair.robot.names:
         cells = [joint]
         for each in differences:
             if each.joint == joint and each.signal in shown:
-                factor, unit = _shown_as(each.unit)
-                peak = f"{factor * each.peak:+.3g} {unit}"
-                cells += [f"{factor * each.rms:.3g} {unit}", peak, f"{each.at:.3f} s"]
+                factor, unit = shown_as(each.unit)
+                unit = f" {unit}" if len({shown_as(unit_of(each.signal, kind))[1]
+                                          for kind in pair.robot.types}) > 1 else ""  # fmt: skip
+                peak = f"{factor * each.peak:+.3g}{unit}"
+                cells += [f"{factor * each.rms:.3g}{unit}", peak, f"{each.at:.3f}"]
         table.add_row(*cells)
     return table
 
 
-def _shown_as(unit: str) -> tuple[float, str]:
-    """A factor, and the unit that people read."""
+def shown_as(unit: str) -> tuple[float, str]:
+    """A factor, and the unit that people read: degrees, mm."""
     if unit.startswith("rad"):
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     if unit.startswith("m"):
