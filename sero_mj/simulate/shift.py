@@ -57,6 +57,11 @@ def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array)
         return None
     scores, likeness, first = _correlate(a, b)
     best = int(np.argmax(scores))
+    # The overlap chooses among hills; how high they are is the likeness alone.
+    while best + 1 < len(likeness) and likeness[best + 1] > likeness[best]:
+        best += 1
+    while best > 0 and likeness[best - 1] > likeness[best]:
+        best -= 1
     fraction = 0.0
     if 0 < best < len(scores) - 1 and np.isfinite(scores[best - 1 : best + 2]).all():
         before, at, after = likeness[best - 1 : best + 2]

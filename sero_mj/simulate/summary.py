@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")
+
 
 @dataclass(frozen=True)
 class JointSummary:
@@ -69,8 +71,7 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
     found = sorted(findings, key=lambda finding: finding.time)
     rows = []
     for robot, declared in log.robots.items():
-        has = {signal: log.has(robot, signal) for signal in
-               ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")}  # fmt: skip
+        has = {signal: log.has(robot, signal) for signal in _USED}
         limits = log.torque_limits(robot)
         error = torque_error(log, robot) if has["torques"] and has["commanded_torques"] else None
         position = None
@@ -113,9 +114,9 @@ def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
     table = Table(title=title or None, title_justify="left", title_style="bold")
     table.add_column("joint", no_wrap=True)
     columns = [(heading, [cell(row) for row in rows]) for heading, cell in _COLUMNS]
-    columns = [(heading, cells) for heading, cells in columns if any(cells)]
+    columns = [_with_unit_above(*column) for column in columns if any(column[1])]
     for heading, _ in columns:
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", min_width=6)
     for i, row in enumerate(rows):
         name = f"{row.robot}/{row.joint}" if several else row.joint
         table.add_row(name, *(cells[i] or "-" for _, cells in columns))
@@ -142,23 +143,28 @@ def _with_unit(value: float | None, unit: str, form: str) -> str:
     return f"{factor * value:{form}} {shown}"
 
 
+def _with_unit_above(heading: str, cells: list[str]) -> tuple[str, list[str]]:
+    """A unit that all cells share stands in the heading instead."""
+    units = {cell.rpartition(" ")[2] for cell in cells if cell}
+    if len(units) > 1 or units == {"s"}:
+        return heading, cells
+    return f"{heading}, {units.pop()}", [cell.rpartition(" ")[0] for cell in cells]
+
+
 def _percent(value: float | None) -> str:
-    return "" if value is None else f"{100.0 * value:.3g} %"
+    return "" if value is None else f"{100.0 * value:.1f} %"
 
 
 def _found(row: JointSummary) -> str:
-    if not row.findings:
-        return ""
-    kind = (row.first_finding or "").replace("_", " ")
-    return f"{row.findings}, {kind} at {row.first_finding_at:.3f} s"
+    return f"{row.findings}, {row.first_finding_at:.3f} s" if row.findings else ""
 
 
 _COLUMNS = (
-    ("torque error peak", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
-    ("rms", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
-    ("torque peak", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
+    ("peak error", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
+    ("rms error", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
+    ("peak torque", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
     ("of limit", lambda row: _percent(row.peak_share)),
     ("position error", lambda row: _with_unit(row.peak_position_error, row.angle_unit, "+.3g")),
     ("saturated", lambda row: _percent(row.saturated_share)),
-    ("faults found", _found),
+    ("faults, first", _found),
 )
