@@ -207,7 +207,15 @@ class Sheet:
         panel.axhline(0.0, color=GREY, linewidth=0.5)
         panel.plot(at, shown, color=INK, linewidth=0.5, label=label)
 
-    def fit(self, panel: Axes, curves: Sequence[Array], *, least: float, floor: float) -> bool:
+    def fit(
+        self,
+        panel: Axes,
+        curves: Sequence[Array],
+        *,
+        least: float,
+        floor: float,
+        also: Sequence[float] = (),
+    ) -> bool:
         """Sets the range of a panel to what it shows, `least` at least; says whether anything is.
 
         Args:
@@ -215,6 +223,7 @@ class Sheet:
             curves: what is drawn in it.
             least: how much of the axis must be seen.
             floor: the same where `least` is not finite.
+            also: what must be seen besides.
         """
         known = [curve[np.isfinite(curve)] for curve in curves]
         known = [curve for curve in known if len(curve)]
@@ -223,7 +232,7 @@ class Sheet:
                        color=GREY)  # fmt: skip
             panel.set_yticks([])
             return False
-        low, high = min(map(np.min, known)), max(map(np.max, known))
+        low, high = min([*map(np.min, known), *also]), max([*map(np.max, known), *also])
         least = least if np.isfinite(least) else floor
         pad = max(0.5 * (least - (high - low)), 0.08 * (high - low))
         panel.set_ylim(low - pad, high + pad)

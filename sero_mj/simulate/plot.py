@@ -160,6 +160,7 @@ def _draw_torques(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) ->
             values = compared_signal(log, robot, signal)[:, k]
             sheet.line(panel, log.times, values, signal, **look)
             curves.append(values)
+    shown: list[float] = []
     known = np.concatenate(curves)
     known = known[np.isfinite(known)]
     if np.isfinite(limit):  # a limit is shown where it is near, on its side
@@ -167,8 +168,7 @@ def _draw_torques(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) ->
                  and (side * known).max() >= _IN_VIEW * limit]  # fmt: skip
         for bound in shown:
             panel.axhline(bound, color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="limit")
-        curves.append(np.array(shown))
-    sheet.fit(panel, curves, least=LEAST_SHARE * limit, floor=_LEAST_TORQUE)
+    sheet.fit(panel, curves, least=LEAST_SHARE * limit, floor=_LEAST_TORQUE, also=shown)
 
 
 def _draw_error(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) -> None:
@@ -176,7 +176,7 @@ def _draw_error(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) -> N
     sheet.signed_area(panel, log.times, error, "torque_error")
     limit = float(log.torque_limits(robot)[k])
     least = 0.5 * LEAST_SHARE * limit
-    if sheet.fit(panel, [error, np.zeros(1)], least=least, floor=_LEAST_TORQUE):
+    if sheet.fit(panel, [error], least=least, floor=_LEAST_TORQUE, also=[0.0]):
         row = int(np.nanargmax(np.abs(error)))
         rms = float(np.sqrt(np.nanmean(error**2)))
         peak = f"{error[row]:+.3g}".replace("-", "−")
@@ -205,7 +205,8 @@ def _mark(
 def _marker(kind: str) -> dict[str, Any]:
     return {
         "marker": _MARKERS.get(kind, "o"), "markersize": 4.6, "markeredgewidth": 0.5,
-        "markeredgecolor": "white", "color": FAULT, "linestyle": "none", "label": kind,
+        "markeredgecolor": "white", "color": FAULT, "linestyle": "none",
+        "label": f"{kind.replace('_', ' ')} found",
     }  # fmt: skip
 
 
@@ -233,6 +234,5 @@ def _legend(
         handles.append(Patch(color=GREY, alpha=0.25, linewidth=0.0, label="disturbance"))
     if any(span.is_fault for span in spans):
         handles.append(Patch(color=FAULT, alpha=0.25, linewidth=0.0, label="fault"))
-    handles += [Line2D([], [], **{**_marker(kind), "label": f"{kind.replace('_', ' ')} found"})
-                for kind in kinds]  # fmt: skip
+    handles += [Line2D([], [], **_marker(kind)) for kind in kinds]
     return handles

@@ -132,11 +132,10 @@ def _draw_difference(sheet: Sheet, panel: Axes, pair: Pair, signal: str, k: int)
     values = factor * pair.difference(signal)[:, k]
     sheet.signed_area(panel, pair.times, values, "difference")
     least, floor = _least(pair, signal, k)
-    if sheet.fit(panel, [values, np.zeros(1)], least=0.5 * least, floor=floor):
+    if sheet.fit(panel, [values], least=0.5 * least, floor=floor, also=[0.0]):
         known = values[np.isfinite(values)]
-        if len(known):
-            peak = f"{known[np.argmax(np.abs(known))]:+.3g}".replace("-", "−")
-            sheet.note(panel, f"peak {peak}, rms {np.sqrt(np.mean(known**2)):.3g}")
+        peak = f"{known[np.argmax(np.abs(known))]:+.3g}".replace("-", "−")
+        sheet.note(panel, f"peak {peak}, rms {np.sqrt(np.mean(known**2)):.3g}")
 
 
 def _legend(pair: Pair) -> list[Any]:
