@@ -64,6 +64,10 @@ def test_without_motion_nothing_is_aligned() -> None:
     still = RunLog(a.robots, {**a.signals, "arm_angles": np.zeros((4001, 2))}, a.times, "still")
     with pytest.raises(UsageError, match=r"--offset auto: one of the runs hardly moves; expected"):
         align(a, still, offset="auto")
+    noise = np.cumsum(np.random.default_rng(1).normal(0.0, 0.01, (4001, 2)), axis=0)
+    other = RunLog(a.robots, {**a.signals, "arm_angles": noise}, a.times, "noise")
+    with pytest.raises(UsageError, match=r"of run and noise are not alike \(-?0\.\d\d of 1\)"):
+        align(a, other, offset="auto")
 
 
 def test_differences_have_the_peak_and_rms_that_they_were_made_with() -> None:

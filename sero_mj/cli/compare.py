@@ -107,8 +107,6 @@ def run(options: argparse.Namespace) -> int:
         Console().print(as_table(pair, differences))
         if pair.likeness is not None:
             print(f"offset {pair.offset:+.4f} s, likeness of the motions {pair.likeness:.3f}")
-    if pair.likeness is not None and pair.likeness < 0.5:
-        print("sero-mj: the motions are hardly alike; is the offset right?", file=sys.stderr)
     if options.csv is not None:
         write_csv(pair, options.csv)
     if options.plot is not None:

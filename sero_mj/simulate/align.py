@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 COMPARED = ("angles", "velocities", "torques", "commanded_torques")
 # Longer without a packet than this, and than so many packets, nothing is known in between.
 _GAP, _GAP_ROWS = 0.1, 5
+_LEAST_LIKENESS = 0.5  # below, an offset that was found means nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +82,11 @@ def align(
         shift = find_shift(a.times, a.of(of_a, "angles"), b.times, b.of(of_b, "angles"))
         if shift is None:
             found = "one of the runs hardly moves"
+            raise UsageError(f"--offset auto: {found}; expected a number of seconds")
+        if shift.likeness < _LEAST_LIKENESS:
+            found = (
+                f"the motions of {a.name} and {b.name} are not alike ({shift.likeness:.2f} of 1)"
+            )
             raise UsageError(f"--offset auto: {found}; expected a number of seconds")
     seconds = float(offset) if shift is None else shift.seconds
     moved = b.times + seconds
