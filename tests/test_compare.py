@@ -283,3 +283,34 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
     assert len(frames) == 15  # 0.5 s
     assert frames[0].shape == (120, 160, 3)
     assert np.abs(frames[0].astype(int) - frames[-1]).max() > 40
+
+
+@pytest.mark.gl
+def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
+    from PIL import Image
+
+    from sero_mj.show.capture import render_picture
+
+    log = simulated().log
+
+    def count(name: str, **signals: float) -> tuple[int, int, int]:
+        """Pixels of the double's, the negative and the positive arrows' colours."""
+        folder = tmp_path / name
+        folder.mkdir()
+        scene = compare_scene(align(log, shifted(log, **signals)), folder)
+        scene.robots["lwr"].show_billboards = False
+        render_picture(scene, folder / "x.png", size=(320, 200), wait=0.0)
+        r, g, b = np.moveaxis(np.asarray(Image.open(folder / "x.png").convert("RGB"), int), -1, 0)
+        return (
+            int(((g > r + 40) & (g > b + 20)).sum()),
+            int(((b > r + 90) & (b > g + 60)).sum()),
+            int(((r > b + 110) & (r > g + 50)).sum()),
+        )
+
+    same, other = count("same"), count("other", lwr_angles=0.5)
+    more, less = count("more", lwr_torques=-40.0), count("less", lwr_torques=40.0)
+    assert other[0] > 300
+    assert same[0] < 20
+    assert more[2] > same[2] + 100
+    assert more[1] < 20
+    assert less[1] > same[1] + 100
