@@ -186,6 +186,46 @@ def test_grown_links_weigh_what_their_shapes_do():
     assert dynamics.centers[1] == pytest.approx([0, 0, 0.5 * capsule / (cylinder + capsule)])
 
 
+def stl(triangles: np.ndarray) -> bytes:
+    """A binary STL of triangles (m, 3, 3)."""
+    rows = np.zeros((len(triangles), 50), np.uint8)
+    rows[:, 12:48] = triangles.astype("<f4").reshape(-1, 9).view(np.uint8)
+    return bytes(80) + len(triangles).to_bytes(4, "little") + rows.tobytes()
+
+
+# Corners of a tetrahedron, 0.3 m along each axis, away from the frame's origin.
+CORNERS = np.array([[0.1, 0, 0], [0.4, 0, 0], [0.1, 0.3, 0], [0.1, 0, 0.3]])
+FACES = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+
+
+def test_links_with_meshes_weigh_what_their_hull_does(tmp_path):
+    (tmp_path / "link.stl").write_bytes(stl(CORNERS[FACES]))
+    robot = SerialRobot(
+        dh_convention="craig", dh_params=[[0, 0, 0, 0.2]] * 2, directory=str(tmp_path),
+        filenames=["link.stl", ["link.stl", "link.stl"], ""], mesh_scale=0.5,
+        dynamics={"density": 1000.0},
+    )  # fmt: skip
+    dynamics = robot_dynamics(robot)
+    volume = 0.15**3 / 6
+    # Two meshes in one place weigh as one.
+    np.testing.assert_allclose(dynamics.masses[:2], 1000 * volume, rtol=1e-6)
+    np.testing.assert_allclose(dynamics.centers[:2], [CORNERS.mean(axis=0) / 2] * 2, atol=1e-8)
+    # A corner of a cube: Ixx = 3 m a2 / 40, Ixy = m a2 / 80, about the centre of mass.
+    expected = np.full((3, 3), 1 / 80) + np.diag([3 / 40 - 1 / 80] * 3)
+    np.testing.assert_allclose(dynamics.tensors[1], 1000 * volume * 0.15**2 * expected, rtol=1e-5)
+    assert dynamics.masses[2] > 0  # nothing is seen of it; its housing grows from the table
+    World(Scene(robots=[robot]), dynamic=True)
+
+
+def test_a_mesh_that_mujoco_refuses_is_named(tmp_path):
+    flat = CORNERS * [1, 1, 0]
+    (tmp_path / "flat.stl").write_bytes(stl(flat[FACES]))
+    fields = {"directory": str(tmp_path), "filenames": ["", "flat.stl"]}
+    robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0, 0, 0, 0.2]], **fields)
+    with pytest.raises(DeclarationError, match=r"^robots.arm.filenames.1: .*flat.stl is no mesh"):
+        World(Scene(robots=[robot]), dynamic=True)
+
+
 def test_frames_of_figures_are_those_that_are_declared(lwr):
     dynamics = robot_dynamics(lwr)
     again = SerialRobot.from_model(

@@ -295,7 +295,7 @@ def test_what_is_no_torque_stops_with_robot_joint_and_time(
     sensed.time = 1.2345
     message = f"lwr/{joint} at 1.2345 s: the controller asks for {found} Nm; "
     with pytest.raises(
-        SimulationError, match=f"^{re.escape(message)}expected a finite torque$"
+        SimulationError, match=f"^{re.escape(message)}expected a finite number$"
     ) as e:
         control.torques(sensed, Target(2), np.zeros(2))
     assert (e.value.joint, e.value.time) == (f"lwr/{joint}", 1.2345)

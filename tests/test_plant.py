@@ -137,6 +137,9 @@ def test_rest_is_what_gravity_torques_hold(lwr):
             plant.step(gravity)
         np.testing.assert_allclose(plant.actual[0], HOME, atol=1e-9)
         np.testing.assert_allclose(plant.actual[2], gravity, atol=1e-6)
+        # A spring is wound up by what it holds, and the motor stands so far ahead.
+        wound = gravity / plant.world.dynamics["lwr"].joint_stiffness if elastic else np.zeros(7)
+        np.testing.assert_allclose(plant.motor_angles, HOME + wound, atol=1e-9)
 
 
 def energy(plant: Plant) -> float:
@@ -328,8 +331,10 @@ def test_friction_can_change_while_time_passes():
     for _ in range(20):
         plant.step([0.4])
     assert abs(plant.actual[1, 0]) < 1e-6
-    with pytest.raises(ValueError, match=r"^coulomb: found -1.0; expected 0 or more$"):
+    with pytest.raises(ValueError, match=r"^coulomb: found \[-1.0\]; expected 0 or more$"):
         plant.set_friction("rod", coulomb=-1)
+    with pytest.raises(ValueError, match=r"^viscous: found 2 numbers; expected 1 or 1$"):
+        plant.set_friction("rod", viscous=[1, 2])
     with pytest.raises(UnknownName, match=r"^no robot 'rot'; did you mean 'rod'\?$"):
         plant.set_friction("rot", coulomb=1)
 
@@ -366,6 +371,9 @@ def test_robots_of_all_kinds_share_a_scene(lwr):
         before = plant.actual.copy()
         plant.step(hold + rng.normal(0, 1, 16))
         acceleration = (plant.actual[1] - before[1]) / plant.timestep
+        data = plant.data
+        np.testing.assert_array_equal(plant.motor_angles, data.qpos[plant.joints.motor_positions])
+        np.testing.assert_array_equal(plant.motor_velocities, data.qvel[plant.joints.motor_dofs])
         for name in ("rail", "right"):
             part, row = plant.world.robots[name], rows[name]
             expected = inverse_dynamics(
@@ -436,6 +444,8 @@ def test_what_cannot_be_simulated_is_told():
     with pytest.raises(ValueError, match=r"^found sensors of 6 joints; expected 7$"):
         Plant(world, Sensors(6))
     plant = Plant(world)
+    with pytest.raises(ValueError, match=r"^joint_angles: found 6 numbers; expected 7$"):
+        plant.reset([0.0] * 6)
     with pytest.raises(UnknownName, match=r"^no frame 'lwr/flansch'; did you mean 'lwr/flange'\?$"):
         plant.push("lwr/flansch")
     with pytest.raises(ValueError, match=r"^force: found \[1.0, 2.0\]; expected 3 numbers$"):

@@ -22,7 +22,6 @@ from .shapes import grow_links
 
 Array = NDArray[np.float64]
 
-_THINNEST = 2e-3  # m; a mesh that is flat still has a mass
 _STEEL = 7800.0  # kg/m3; no link is denser
 # What no shape adds up to, because it is too small for MuJoCo to be a body.
 _LEAST_MASS = 1e-6  # kg
@@ -47,12 +46,11 @@ def link_hulls(robot: SerialRobot) -> list[Array | None]:
     """Convex hulls of the base's and every link's meshes together, in the frame of its row.
 
     Returns:
-        n + 1 times the hull's corners (k, 3), m; None for a link without meshes, and for one
-        whose meshes are flat.
+        n + 1 times the hull's corners (k, 3), m; None for a link without meshes.
 
     Raises:
         DeclarationError: a file cannot be read.
-        ValueError: MuJoCo cannot compile a mesh.
+        ValueError: MuJoCo cannot compile a mesh, for it is flat, say.
     """
     hulls: list[Array | None] = [None] * (robot.n + 1)
     if not robot.filenames:
@@ -121,15 +119,7 @@ def _corners(model: mujoco.MjModel, mesh: int) -> Array:
 
 
 def _hull(cloud: Array) -> Array:
-    """Corners (k, 3) of the convex hull of points (m, 3); a flat one is made `_THINNEST`."""
-    middle = cloud.mean(axis=0)
-    axes = np.linalg.svd(cloud - middle, full_matrices=True)[2] if len(cloud) > 2 else np.eye(3)
-    along = (cloud - middle) @ axes.T
-    low, high = along.min(axis=0), along.max(axis=0)
-    if (high - low).min() < _THINNEST:
-        half = np.maximum(high - low, _THINNEST) / 2
-        signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
-        return np.asarray(((low + high) / 2 + signs * half) @ axes + middle)
+    """Corners (k, 3) of the convex hull of points (m, 3)."""
     root = mjcf.RootElement(model="hull")
     asset = root.asset.add("mesh", name="hull", vertex=cloud.ravel(), inertia="convex")
     root.worldbody.add("geom", type="mesh", mesh=asset)

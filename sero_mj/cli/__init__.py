@@ -22,6 +22,7 @@ from . import (
     record,
     render,
     send,
+    simulate,
     status,
     structure,
 )
@@ -84,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     for module in (
         render,
         send,
+        simulate,
         status,
         structure,
         record,

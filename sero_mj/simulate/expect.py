@@ -46,8 +46,8 @@ class Expect(Declaration):
         measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`, ...
         robot: whose; all robots when None.
         joints: names; all when empty.
-        below: what its size must be below.
-        above: what its size must be above.
+        below: what its size must be below, at every joint.
+        above: what its size must be above, at one joint at least.
         after: from this time on, s.
         before: until this time, s.
         of: `max`, `rms`, `mean`, `min` or `final`: what of it counts.
@@ -117,7 +117,7 @@ class Expect(Declaration):
             problems += [
                 Problem("measure", f"robot '{robot}' has no target; expected [targets.{robot}]")
                 for robot in self._robots(list(robots))
-                if robot in robots and robot not in scenario.targets
+                if robot in robots and not scenario.has_target(robot)
             ]
         if self.after >= scenario.run.duration:
             message = f"found {self.after:g} s; the run ends at {scenario.run.duration:g} s"
@@ -181,9 +181,8 @@ class Expect(Declaration):
             if not len(values) or not chosen:
                 continue
             reduced = _REDUCE[self.of](values[:, chosen])
-            least = self.above is not None and self.below is None
-            k = int(np.argmin(reduced) if least else np.argmax(reduced))
-            if place == "" or (reduced[k] < worst if least else reduced[k] > worst):
+            k = int(np.argmax(reduced))
+            if reduced[k] > worst:
                 worst = float(reduced[k])
                 place = "/".join(filter(None, (robot, names[chosen[k]])))
         holds = bool(place) and reaches_end

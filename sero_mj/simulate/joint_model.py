@@ -58,6 +58,9 @@ class JointModel:
         n: number of joints of all robots together.
         elastic: whether any of them is.
         motor_dofs: index of every motor in `qvel`, (n,).
+        motor_positions: likewise in `qpos`.
+        motor_angles: (n,), rad, as `read` or MuJoCo left them.
+        motor_velocities: (n,), likewise, rad/s.
         sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
             together with the motor, or the deflection.
     """
@@ -86,7 +89,7 @@ class JointModel:
         self.elastic = bool(spring_q)
         self.motor_dofs = as_slice(np.array(motor, np.intp))
         self.sensor_dofs = as_slice(np.array(sensor, np.intp))
-        self._motor_q = as_slice(np.array(motor_q, np.intp))
+        self.motor_positions = as_slice(np.array(motor_q, np.intp))
         self._spring_q = as_slice(np.array(spring_q, np.intp))
         self._rows = as_slice(np.array(self._elastic_rows, np.intp))
         self._all_elastic = len(self._elastic_rows) == self.n
@@ -96,8 +99,8 @@ class JointModel:
         self._torque, self._change, self._before_step = np.zeros((3, nv))
         # Where joints stand in equal steps these are views, which are always up to date.
         self._copies: list[tuple[Array, NDArray[np.intp], Array]] = []
-        self._motor_angles = self._watch(self._qpos, self._motor_q)
-        self._motor_speeds = self._watch(self._qvel, self.motor_dofs)
+        self.motor_angles = self._watch(self._qpos, self.motor_positions)
+        self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
         self._sensed = self._watch(self._torque, self.sensor_dofs)
         self._spring_angles = self._watch(self._qpos, self._spring_q)
         self._spring_speeds = self._watch(self._qvel, self._spring_dofs)
@@ -142,7 +145,7 @@ class JointModel:
     def load_springs(self) -> None:
         """Lets the springs hold the links where they are, at rest; `data` has its bias torques."""
         deflection = -self._data.qfrc_bias[self._spring_dofs] / self._spring_stiffness
-        motors = np.arange(len(self._qpos))[self._motor_q][self._rows]
+        motors = np.arange(len(self._qpos))[self.motor_positions][self._rows]
         angles = self._qpos[motors] + self._qpos[self._spring_q]
         self._qpos[self._spring_q] = deflection
         self._qpos[motors] = angles - deflection
@@ -203,14 +206,14 @@ class JointModel:
         for array, index, copy in self._copies:
             np.take(array, index, out=copy)
         if not self.elastic:
-            copyto(angles, self._motor_angles)
-            copyto(velocities, self._motor_speeds)
+            copyto(angles, self.motor_angles)
+            copyto(velocities, self.motor_velocities)
         elif self._all_elastic:
-            add(self._motor_angles, self._spring_angles, angles)
-            add(self._motor_speeds, self._spring_speeds, velocities)
+            add(self.motor_angles, self._spring_angles, angles)
+            add(self.motor_velocities, self._spring_speeds, velocities)
         else:
-            copyto(angles, self._motor_angles)
-            copyto(velocities, self._motor_speeds)
+            copyto(angles, self.motor_angles)
+            copyto(velocities, self.motor_velocities)
             angles[self._rows] += self._spring_angles
             velocities[self._rows] += self._spring_speeds
         copyto(torques, self._sensed)

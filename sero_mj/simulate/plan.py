@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from ..assemble.robot import SerialRobot
 from .cartesian_control import CartesianImpedance
 from .cartesian_laws import CartesianLaw, CartesianMotion
 from .gains import ControllerDeclaration
-from .joint_control import GravityCompensation
+from .joint_control import GravityCompensation, Torque
 from .law import Law, Motion
 from .laws import Constant
 from .reach import follow_poses
@@ -36,11 +37,16 @@ class Plan:
     flange: CartesianMotion | None
     moves: bool
 
+    @cached_property
+    def _states(self) -> Array:
+        """Angles and velocities side by side, (T, 2n)."""
+        assert self.joints is not None
+        return np.hstack([self.joints.angles, self.joints.velocities])
+
     def load(self, target: Target, k: int) -> None:
         """Writes what is asked for at a step into a controller's target."""
         if self.joints is not None:
-            target.angles[:] = self.joints.angles[k]
-            target.velocities[:] = self.joints.velocities[k]
+            target.state[:] = self._states[k]
             target.accelerations[:] = self.joints.accelerations[k]
         if self.flange is not None:
             target.pose[:] = self.flange.poses[k]
@@ -69,7 +75,7 @@ def make_plan(
     """
     start = np.asarray(robot.home, np.float64)
     is_cartesian = isinstance(controller, CartesianImpedance)
-    if law is None and isinstance(controller, GravityCompensation):
+    if law is None and isinstance(controller, GravityCompensation | Torque):
         return Plan(None, None, moves=False)
     if isinstance(law, CartesianLaw):
         first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)

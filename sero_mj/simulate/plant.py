@@ -49,6 +49,9 @@ class Plant:
         actual: (3, n), true angles and velocities of the links and torques between motors and
             links, the latter during the last step; rad, rad/s, Nm.
         measured: (3, n), what the sensors read of it.
+        motor_angles: (n,), true, rad: before the spring of an elastic joint. Always the same
+            array, to read only; so is the next.
+        motor_velocities: (n,), likewise, rad/s.
         sensors: as given.
         motor_torques: (n,), what acted in the last step.
 
@@ -70,6 +73,8 @@ class Plant:
         self.data = world.make_data()
         self.joints = JointModel(world, self.data)
         self.n = self.joints.n
+        self.motor_angles = self.joints.motor_angles
+        self.motor_velocities = self.joints.motor_velocities
         self.sensors = Sensors(self.n) if sensors is None else sensors
         if self.sensors.n != self.n:
             raise ValueError(f"found sensors of {self.sensors.n} joints; expected {self.n}")
@@ -106,12 +111,17 @@ class Plant:
 
         Args:
             joint_angles: (n,), of all robots, rad; the declared ones when None.
+
+        Raises:
+            ValueError: not n finite numbers.
         """
         self.world.reset(self.data)
         self._pushes.clear()
         self._motor[:] = self._outer[:] = 0.0
         if joint_angles is not None:
-            angles = np.asarray(joint_angles, np.float64)
+            angles = numbers(joint_angles)
+            if angles.shape != (self.n,):
+                raise ValueError(f"joint_angles: found {angles.size} numbers; expected {self.n}")
             for part in self.world.robots.values():
                 self.data.qpos[part.qpos] = angles[part.joints]
         self._settle()
@@ -214,7 +224,7 @@ class Plant:
 
         Raises:
             UnknownName: no such robot.
-            ValueError: a friction below zero.
+            ValueError: a friction below zero, or neither one nor n.
         """
         dofs = self._part(robot).dofs
         for name, value, target in (
@@ -222,7 +232,11 @@ class Plant:
             ("coulomb", coulomb, self.model.dof_frictionloss),
         ):
             if value is not None:
-                friction = numbers(value)
+                friction = np.atleast_1d(numbers(value))
+                if friction.shape not in ((1,), dofs.shape):
+                    raise ValueError(
+                        f"{name}: found {friction.size} numbers; expected 1 or {len(dofs)}"
+                    )
                 if (friction < 0).any():
                     raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
                 target[dofs] = friction

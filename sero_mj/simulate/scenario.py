@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from .disturbances import Disturbance, Force, Payload, disturbance_from
 from .expect import Expect
 from .faults import Fault, fault_from
 from .gains import ControllerDeclaration
+from .joint_control import GravityCompensation, Torque
 from .kinds import by_kind
 from .law import Law
 from .laws import LAWS
@@ -56,6 +58,7 @@ class Run(Declaration):
         seed: of everything that is random.
         elastic: whether joints are elastic, for all robots; as they are declared when None.
         show_targets: whether transparent doubles show where robots are commanded to be.
+        show_paths: whether rows of doubles show the way there.
         observer_gain: of the momentum observer, 1/s.
     """
 
@@ -64,6 +67,7 @@ class Run(Declaration):
     seed: int = Field(0, ge=0, lt=2**32)
     elastic: bool | None = None
     show_targets: bool = True
+    show_paths: bool = False
     observer_gain: float = Field(50.0, gt=0, le=1e4)
 
     @property
@@ -91,6 +95,7 @@ class Scenario:
 
     Attributes:
         run: how it is run.
+        file: that it was read from.
 
     Raises:
         DeclarationError: everything that is wrong, at once.
@@ -113,6 +118,7 @@ class Scenario:
     ) -> None:
         self.problems: list[Problem] = []
         self.scene, self.name, self.description = scene, name, description
+        self.file: Path | None = scene.file
         self.run: Run = self._read("run", lambda: Run(**run)) or Run()
         self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
             "controllers", controllers, _controller
@@ -183,6 +189,11 @@ class Scenario:
             if value is not None and value not in names:
                 message = f"no {what} '{value}'{did_you_mean(value, names)}"
                 self.problems.append(Problem(f"{place}.{key}", message))
+
+    def has_target(self, robot: str) -> bool:
+        """Whether a robot is to be somewhere: by its law, or where a spring holds it."""
+        controller = self.controllers.get(robot, GravityCompensation())
+        return robot in self.targets or not isinstance(controller, GravityCompensation | Torque)
 
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.

@@ -94,9 +94,12 @@ class LimitedController:
             SimulationError: a torque is NaN or infinite.
         """
         asked = self.asked
-        self.controller.torques(sensed, target, asked)
+        try:
+            self.controller.torques(sensed, target, asked)
+        except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
+            asked[:] = math.nan
         if not asked.dot(asked) < math.inf:  # one number tells of NaN and inf in any joint
-            raise self._not_finite(sensed.time)
+            raise self._not_finite(sensed)
         _clip(asked, self._low, self._high, out)
         if self._step is not None:
             if self._last is None:
@@ -124,11 +127,19 @@ class LimitedController:
         """Forgets the last torques, as after a reset."""
         self._last = None
 
-    def _not_finite(self, time: float) -> SimulationError:
-        bad = ~np.isfinite(self.asked)
-        joint = int(np.argmax(bad if bad.any() else np.abs(self.asked)))
-        reason = f"the controller asks for {self.asked[joint]:g} Nm; expected a finite torque"
-        return SimulationError(time, f"{self._robot}/{self._names[joint]}", reason)
+    def _not_finite(self, sensed: Sensed) -> SimulationError:
+        """Names the joint whose sensor is to blame, else the one whose torque is."""
+        for values, what in zip(sensed.values, ("angle", "velocity", "torque"), strict=True):
+            if not np.isfinite(values).all():
+                joint = int(np.argmax(~np.isfinite(values)))
+                reason = f"the controller gets a measured {what} of {values[joint]:g}"
+                break
+        else:
+            bad = ~np.isfinite(self.asked)
+            joint = int(np.argmax(bad if bad.any() else np.abs(self.asked)))
+            reason = f"the controller asks for {self.asked[joint]:g} Nm"
+        place = f"{self._robot}/{self._names[joint]}"
+        return SimulationError(sensed.time, place, f"{reason}; expected a finite number")
 
 
 def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) -> list[Problem]:
