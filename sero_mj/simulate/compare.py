@@ -127,11 +127,12 @@ def as_json(pair: Pair, differences: Sequence[Difference]) -> dict[str, Any]:
 
 def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     """For the terminal: angles in degrees."""
+    from rich import box
     from rich.table import Table
 
     span = f"{pair.times[0]:.3f} s to {pair.times[-1]:.3f} s"
     title = f"{pair.names[0]} less {pair.names[1]}: {pair.robot.name}, {span}"
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.add_column("joint", no_wrap=True)
     shown = [signal for signal in _IN_TABLE if signal in pair.signals] or pair.signals
     for signal in shown:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_NOTHING = 5e-4  # Nm, N, deg or mm, in the table
 _USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")
 
 
@@ -108,15 +109,17 @@ def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
 
 def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
     """For the terminal; angles in degrees. Columns of which nothing is known are left out."""
+    from rich import box
     from rich.table import Table
 
     several = len({row.robot for row in rows}) > 1
-    table = Table(title=title or None, title_justify="left", title_style="bold")
+    table = Table(title=title or None, title_justify="left", title_style="bold",
+                  box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))  # fmt: skip
     table.add_column("joint", no_wrap=True)
     columns = [(heading, [cell(row) for row in rows]) for heading, cell in _COLUMNS]
     columns = [_with_unit_above(*column) for column in columns if any(column[1])]
     for heading, _ in columns:
-        table.add_column(heading, justify="right", min_width=6)
+        table.add_column(heading, justify="right", no_wrap=True)
     for i, row in enumerate(rows):
         name = f"{row.robot}/{row.joint}" if several else row.joint
         table.add_row(name, *(cells[i] or "-" for _, cells in columns))
@@ -140,15 +143,18 @@ def _with_unit(value: float | None, unit: str, form: str) -> str:
     if value is None:
         return ""
     factor, shown = shown_as(unit)
-    return f"{factor * value:{form}} {shown}"
+    number = factor * value
+    if abs(number) < _NOTHING:
+        return f"0 {shown}"
+    return f"{number:{'+.0f' if abs(number) >= 1000.0 else form}} {shown}"
 
 
 def _with_unit_above(heading: str, cells: list[str]) -> tuple[str, list[str]]:
     """A unit that all cells share stands in the heading instead."""
     units = {cell.rpartition(" ")[2] for cell in cells if cell}
-    if len(units) > 1 or units == {"s"}:
+    if len(units) > 1 or "s" in units:
         return heading, cells
-    return f"{heading}, {units.pop()}", [cell.rpartition(" ")[0] for cell in cells]
+    return f"{heading}\n{units.pop()}", [cell.rpartition(" ")[0] for cell in cells]
 
 
 def _percent(value: float | None) -> str:
@@ -160,11 +166,11 @@ def _found(row: JointSummary) -> str:
 
 
 _COLUMNS = (
-    ("peak error", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
-    ("rms error", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
-    ("peak torque", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
+    ("error peak", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
+    ("rms", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
+    ("torque peak", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
     ("of limit", lambda row: _percent(row.peak_share)),
     ("position error", lambda row: _with_unit(row.peak_position_error, row.angle_unit, "+.3g")),
     ("saturated", lambda row: _percent(row.saturated_share)),
-    ("faults, first", _found),
+    ("faults, first at", _found),
 )
