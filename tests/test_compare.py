@@ -167,12 +167,16 @@ def test_tolerances_tell_joint_time_and_both_numbers() -> None:
     assert len(exceeded(compare(align(a, blank)), torque=1e9)) == 2  # unknown is not the same
 
 
-def test_the_first_row_of_a_simulation_has_no_commanded_torque() -> None:
-    log = simulated().log
-    assert not log.of("lwr", "commanded_torques")[0].any()
-    pair = align(log, log)
+def test_a_first_row_in_which_nothing_was_commanded_is_not_compared() -> None:
+    log = sine_run()
+    commanded = log.signals["arm_commanded_torques"].copy()
+    commanded[0] = 0.0
+    before = RunLog(log.robots, {**log.signals, "arm_commanded_torques": commanded}, log.times)
+    pair = align(before, log)
     assert np.isnan(pair.a["commanded_torques"][0]).all()
     assert np.isfinite(pair.a["commanded_torques"][1:]).all()
+    assert not commanded[0].any()  # the run itself is as it was
+    assert np.isfinite(align(log, log).a["commanded_torques"]).all()
 
 
 def test_csv_and_json_carry_the_numbers(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     for signal in shown:
         units = {shown_as(unit_of(signal, kind))[1] for kind in pair.robot.types}
         unit = f", {units.pop()}" if len(units) == 1 else ""
-        table.add_column(f"{signal.replace('_', ' ')} rms{unit}", justify="right")
+        table.add_column(f"{signal.replace('_', ' ')}\nrms{unit}", justify="right")
         table.add_column(f"peak{unit}", justify="right")
         table.add_column("at, s", justify="right")
     for joint in pair.robot.names:

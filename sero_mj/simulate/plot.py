@@ -33,6 +33,7 @@ _MARKERS = {
     "velocity_limit": ">",
     "position_limit": "<",
 }
+_CLOSE, _LEVELS = 0.1, 5  # share of the time within which marks stand beneath each other
 _OF_ERROR = ("torque_error", "frozen_torque")  # findings that stand beside the error
 
 
@@ -188,14 +189,19 @@ def _mark(
 ) -> list[str]:
     """Marks findings at the upper edge of their joints' panels; returns their kinds."""
     rows = {(robot, log.robots[robot].names[k]): i for i, (robot, k) in enumerate(chosen)}
-    kinds = []
+    kinds: list[str] = []
+    marked: dict[Axes, list[float]] = {}
+    close = _CLOSE * float(log.times[-1] - log.times[0])
     for finding in findings:
         row = rows.get((finding.robot, finding.joint))
         if row is None:
             continue
         panels = sheet.axes[row]
         panel = panels[-1] if finding.kind in _OF_ERROR else panels[0]
-        panel.plot([finding.time], [0.93], transform=panel.get_xaxis_transform(),
+        times = marked.setdefault(panel, [])
+        level = sum(abs(finding.time - time) < close for time in times) % _LEVELS
+        times.append(finding.time)
+        panel.plot([finding.time], [0.93 - 0.17 * level], transform=panel.get_xaxis_transform(),
                    **_marker(finding.kind), clip_on=False, zorder=5.0)  # fmt: skip
         if finding.kind not in kinds:
             kinds.append(finding.kind)

@@ -166,11 +166,11 @@ def _found(row: JointSummary) -> str:
 
 
 _COLUMNS = (
-    ("error peak", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
-    ("rms", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
-    ("torque peak", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
-    ("of limit", lambda row: _percent(row.peak_share)),
-    ("position error", lambda row: _with_unit(row.peak_position_error, row.angle_unit, "+.3g")),
-    ("saturated", lambda row: _percent(row.saturated_share)),
-    ("faults, first at", _found),
+    ("error\npeak", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
+    ("error\nrms", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
+    ("torque\npeak", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
+    ("of\nlimit", lambda row: _percent(row.peak_share)),
+    ("position\nerror", lambda row: _with_unit(row.peak_position_error, row.angle_unit, "+.3g")),
+    ("time\nsaturated", lambda row: _percent(row.saturated_share)),
+    ("faults,\nfirst at", _found),
 )

@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 def commanded_torques(log: RunLog, robot: str) -> Array:
     """What was commanded, (T, n), Nm; NaN in the first row where nothing was yet.
 
-    A simulation's first row is the state at the start: nobody has commanded anything, and its
-    zeros would be the largest error of many a run.
+    Zeros in the first row only are what a log starts with before anybody commands anything, and
+    would be the largest error of many a run.
 
     Raises:
         KeyError: nothing is known of what was commanded.
