@@ -12,6 +12,7 @@ from ..errors import DeclarationError, SeroError
 from ..show.gl import choose_backend
 from . import (
     check,
+    compare,
     demo,
     doctor,
     export,
@@ -89,6 +90,7 @@ def _parser() -> argparse.ArgumentParser:
         structure,
         record,
         export_csv,
+        compare,
         fk,
         check,
         export,

@@ -89,9 +89,14 @@ def run(options: argparse.Namespace) -> int:
 
         write_csv(simulation, options.csv)
     if options.plot is not None:
-        from ..simulate.plot import plot_run
+        from ..simulate.plot import plot_run, spans_of
 
-        plot_run(simulation.log, options.plot, findings=simulation.findings())
+        plot_run(
+            simulation.log,
+            options.plot,
+            findings=simulation.findings(),
+            spans=spans_of(simulation.scenario),
+        )
     if options.render is not None:
         _render(simulation, options)
     outcomes, findings = simulation.outcomes(), simulation.findings()
@@ -200,6 +205,11 @@ def _print(
     simulation: Simulation, seconds: float, outcomes: list[Any], findings: list[Any], *, quiet: bool
 ) -> None:
     if not quiet:
+        from rich.console import Console
+
+        from ..simulate.summary import as_table, summarise
+
+        Console().print(as_table(summarise(simulation.log, findings)))
         speed = simulation.time / seconds if seconds > 0 else float("inf")
         print(
             f"{simulation.scenario.name}: {simulation.time:g} s in {seconds:.2f} s "
@@ -217,6 +227,8 @@ def _print(
 def _as_json(
     simulation: Simulation, seconds: float, error: Any, outcomes: list[Any], findings: list[Any]
 ) -> dict[str, Any]:
+    from ..simulate import summary
+
     return {
         "scenario": simulation.scenario.name,
         "seconds": simulation.time,
@@ -227,6 +239,7 @@ def _as_json(
             for o in outcomes
         ],
         "findings": [vars(finding) for finding in findings],
+        "joints": summary.as_json(summary.summarise(simulation.log, findings)),
     }
 
 
