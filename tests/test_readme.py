@@ -60,7 +60,7 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         for process in background:
             process.terminate()
             process.wait()
-    assert ran == {"bash": 12, "python": 6, "toml": 11}
+    assert ran == {"bash": 14, "python": 7, "toml": 12}
     made = {path.name for path in (tmp_path / "out").iterdir()}
     assert made == {
         "now.png",
@@ -79,6 +79,11 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         "difference.png",
         "difference.mp4",
         "compared.mp4",
+        "push.mp4",
+        "push.png",
+        "fault.mcap",
+        "fault.csv",
+        "swing.png",
     }
 
 

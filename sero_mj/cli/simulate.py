@@ -209,12 +209,12 @@ def _print(
 
         from ..simulate.summary import as_table, summarise
 
-        Console().print(as_table(summarise(simulation.log, findings)))
         speed = simulation.time / seconds if seconds > 0 else float("inf")
         print(
             f"{simulation.scenario.name}: {simulation.time:g} s in {seconds:.2f} s "
             f"({speed:.0f} times real time), {simulation.step} steps"
         )
+        Console().print(as_table(summarise(simulation.log, findings)))
         for finding in findings[:20]:
             print(f"  found   {finding}")
         if len(findings) > 20:

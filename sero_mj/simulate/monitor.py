@@ -81,7 +81,7 @@ class Monitor(Declaration):
             yield "position_limit", beyond, np.full(declared.n, -_CLOSE)
 
     def _frozen(self, log: RunLog, robot: str, limits: Array) -> tuple[Array, Array]:
-        """2 where a sensor has read the same for too long while the command has changed, else 0."""
+        """For how long (s) every sensor has read the same where the command has changed, else 0."""
         torques, commanded = log.of(robot, "torques"), log.of(robot, "commanded_torques")
         same = np.zeros(torques.shape, bool)
         same[1:] = torques[1:] == torques[:-1]
@@ -91,9 +91,8 @@ class Monitor(Declaration):
         moved = np.abs(commanded - np.take_along_axis(commanded, began, axis=0))
         changed = lasted >= rows
         share = self.frozen_change * np.where(np.isfinite(limits), limits, 0.0)
-        suspicious = (changed & (moved > share)).astype(np.float64)
-        # It has lasted for `frozen_after` already: one row is enough.
-        return suspicious * 2.0, np.full(torques.shape[1], 1.0)
+        seconds = lasted * log.timestep * (changed & (moved > share))
+        return seconds, np.full(torques.shape[1], self.frozen_after - 0.5 * log.timestep)
 
 
 @dataclass(frozen=True)
