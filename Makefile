@@ -25,6 +25,9 @@ lint: .venv/.installed
 bench: .venv/.installed
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/streams.py
+	$(BIN)/python benchmarks/controllers.py
+	$(BIN)/python benchmarks/plant.py
+	$(BIN)/python benchmarks/simulate.py
 
 wheel: .venv/.installed
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .

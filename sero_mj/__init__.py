@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .assemble.cartesian import SmartArrow as SmartArrow
     from .assemble.dh import DhTable as DhTable
     from .assemble.double import Double as Double
+    from .assemble.dynamics import Dynamics as Dynamics
     from .assemble.looks import Camera as Camera
     from .assemble.looks import Light as Light
     from .assemble.looks import View as View
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from .drive.record_sources import record_sources as record_sources
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
+    from .errors import SimulationError as SimulationError
     from .receive.fri import FriReceiver as FriReceiver
     from .receive.recording import Recording as Recording
     from .receive.replay import Replay as Replay
@@ -51,6 +53,12 @@ if TYPE_CHECKING:
     from .show.capture import render_film as render_film
     from .show.capture import render_picture as render_picture
     from .show.headless import HeadlessRenderer as HeadlessRenderer
+    from .simulate.plant import Plant as Plant
+    from .simulate.scenario import Scenario as Scenario
+    from .simulate.scenario_file import read_scenario as read_scenario
+    from .simulate.sensors import SensorErrors as SensorErrors
+    from .simulate.sensors import Sensors as Sensors
+    from .simulate.simulation import Simulation as Simulation
 
 __version__ = "0.1.0"
 
@@ -59,6 +67,7 @@ _HOME = {
     "SmartArrow": "assemble.cartesian",
     "DhTable": "assemble.dh",
     "Double": "assemble.double",
+    "Dynamics": "assemble.dynamics",
     "Object": "assemble.objects",
     "SerialRobot": "assemble.robot",
     "Camera": "assemble.looks",
@@ -77,8 +86,15 @@ _HOME = {
     "Recording": "receive.recording",
     "Replay": "receive.replay",
     "ShmReader": "receive.shm",
+    "SimulationError": "errors",
     "Structure": "receive.structure",
     "UdpReceiver": "receive.udp",
+    "Plant": "simulate.plant",
+    "Scenario": "simulate.scenario",
+    "read_scenario": "simulate.scenario_file",
+    "Simulation": "simulate.simulation",
+    "SensorErrors": "simulate.sensors",
+    "Sensors": "simulate.sensors",
     "render_film": "show.capture",
     "render_picture": "show.capture",
     "HeadlessRenderer": "show.headless",

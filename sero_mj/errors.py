@@ -7,6 +7,7 @@
     ├── RouteError            an expression in a route that cannot be parsed or has no meaning
     ├── SourceError           a source that cannot be opened (a port in use, say)
     ├── RecordingError        a recording that cannot be written on, or read
+    ├── SimulationError       a simulation that cannot go on
     ├── CsvError              a table of comma-separated values that cannot be read or written
     ├── RenderError           no picture can be made (no GL, no room for the file)
     └── UsageError            a command line that asks for something impossible
@@ -185,6 +186,22 @@ class CsvError(SeroError, ValueError):
         self.column = column
         place = str(path) if line is None else f"{path}:{line}"
         super().__init__(": ".join(part for part in (place, column, reason) if part))
+
+
+class SimulationError(SeroError, RuntimeError):
+    """A simulation that cannot go on; what was recorded until then is kept.
+
+    Attributes:
+        time: when, s.
+        joint: where, e.g. `lwr/A3`, or the name of what else is at fault.
+        reason: what was found and what would be right.
+    """
+
+    def __init__(self, time: float, joint: str, reason: str) -> None:
+        self.time = time
+        self.joint = joint
+        self.reason = reason
+        super().__init__(f"{joint} at {time:.4f} s: {reason}")
 
 
 class RenderError(SeroError, RuntimeError):

@@ -79,6 +79,29 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
+def scenarios_dir() -> Path:
+    """Folder with the shipped scenarios."""
+    return scenes_dir() / "scenarios"
+
+
+def list_scenarios() -> list[str]:
+    """Names of the shipped scenarios."""
+    return sorted(path.stem for path in scenarios_dir().glob("*.toml"))
+
+
+def find_scenario(name: str) -> Path:
+    """Returns the scenario file that `name` means: a TOML file, or a shipped scenario's name.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the shipped scenarios.
+    """
+    for candidate in (Path(name), scenarios_dir() / f"{name}.toml"):
+        if _is_file(candidate):
+            return candidate
+    _refuse_path(name)
+    raise UnknownName("scenario", name, list_scenarios())
+
+
 def find_scene(name: str) -> Path:
     """Returns the scene file that `name` means: a TOML file, or a shipped scene's name.
 

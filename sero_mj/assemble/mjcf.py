@@ -8,7 +8,7 @@ slides along, z of its own frame (craig) or of its parent's (standard).
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..errors import DeclarationError, Problem
 from .inputs import moving
 from .mjcf_double import add_double
+from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
 from .mjcf_geoms import (
     SITE_GROUP,
     joint_axis_frame,
@@ -30,6 +31,7 @@ from .mjcf_geoms import (
 from .mjcf_piece import read_piece
 from .objects import Object
 from .robot import SerialRobot
+from .robot_dynamics import RobotDynamics
 from .robot_parts import LinkMesh
 from .scene import Scene
 from .shapes import SHELL, grow_links
@@ -43,8 +45,15 @@ _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": 
 _STILL = {"contype": 0, "conaffinity": 0}  # what only mirrors a robot does not collide
 
 
-def build_mjcf(scene: Scene) -> mjcf.RootElement:
+def build_mjcf(
+    scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
+) -> mjcf.RootElement:
     """Returns the scene as one MJCF tree, names scoped by robot (`lwr/link1`).
+
+    Args:
+        scene: what to build.
+        dynamics: of every robot, for the variant that is simulated; None for that which is
+            looked at.
 
     Raises:
         DeclarationError: an MJCF piece cannot be read, or a file is missing.
@@ -53,6 +62,8 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
     _set_up(root)
     moved = moving(scene)
     _surroundings(root, scene, moved)
+    if dynamics is not None:
+        set_up_dynamics(root)
     problems = _clashes(scene)
     if problems:
         raise DeclarationError(scene.located(problems))
@@ -66,22 +77,35 @@ def build_mjcf(scene: Scene) -> mjcf.RootElement:
             problems += [problem.inside(f"objects.{item.name}") for problem in error.problems]
     for name, robot in scene.robots.items():
         try:
-            base = root.attach(build_robot_mjcf(robot))
-            base.mocap = True
-            set_pose(base, robot.base_frame)
+            _add_robot(root, robot, None if dynamics is None else dynamics[name])
         except DeclarationError as error:
             problems += [problem.inside(f"robots.{name}") for problem in error.problems]
     if problems:
         raise DeclarationError(scene.located(problems))
     for double in scene.doubles.values():
         add_double(root, double, scene.robots[double.of])
+    _add_frames(root, scene)
+    return root
+
+
+def _add_frames(root: mjcf.RootElement, scene: Scene) -> None:
     for name in scene.frames:
         body = root.worldbody.add("body", name=f"frame-{name}", mocap=True)
         _add_site(body, f"frame-{name}")
     for arrow in scene.arrows.values():
         if arrow.site is not None:
             root.worldbody.add("site", name=arrow.site, pos=arrow.at, group=SITE_GROUP)
-    return root
+
+
+def _add_robot(root: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDynamics | None) -> None:
+    piece = build_robot_mjcf(robot)
+    if dynamics is not None:
+        add_dynamics(piece, robot, dynamics)
+    base = root.attach(piece)
+    base.mocap = True
+    set_pose(base, robot.base_frame)
+    if dynamics is not None:
+        exclude_neighbours(root, base, robot)
 
 
 def moved_body(name: str) -> str:

@@ -17,11 +17,14 @@ from pydantic import (
 )
 
 from .. import paths
-from ..errors import DeclarationError, did_you_mean
+from ..errors import DeclarationError
 from .declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
 from .dh import COLUMNS, DhTable
+from .dynamics import Dynamics, is_over, merged_tables
 from .objects import set_directory
 from .robot_parts import (
+    IN_DEGREES,
+    PER_JOINT,
     ArrowQuantity,
     BillboardLine,
     Children,
@@ -33,6 +36,7 @@ from .robot_parts import (
     Ranges,
     as_billboard_lines,
     as_link_meshes,
+    check_colors,
     check_line_values,
     dh_rows,
 )
@@ -40,25 +44,6 @@ from .shapes import housing_radii
 from .toml_file import key_lines, located, read_toml
 
 _CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
-# Limits may stand in degrees instead.
-IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
-# Fields with one entry per joint, checked against dh_params.
-_PER_JOINT = (
-    "joint_types",
-    "joint_names",
-    "position_limits",
-    "position_limits_deg",
-    "velocity_limits",
-    "velocity_limits_deg",
-    "torque_limits",
-    "joint_angles",
-    "offsets_to_center_of_joints",
-    "acceleration_limits",
-    "torques",
-    "commanded_torques",
-    "joint_accelerations",
-    "billboard_values",
-)
 
 
 class SerialRobot(Declaration):
@@ -81,6 +66,8 @@ class SerialRobot(Declaration):
         velocity_limits: (n,), per second.
         velocity_limits_deg: the same in degrees per second; becomes velocity_limits.
         torque_limits: (n,).
+        dynamics: masses, inertia and friction; without it they are estimated.
+        elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
         acceleration_limits: (n,), rad/s2 or m/s2; full width of arrows that show accelerations.
         directory: folder of the mesh files.
         filenames: base and n links; a name, a table with file and color, or a list of these.
@@ -130,6 +117,8 @@ class SerialRobot(Declaration):
     velocity_limits: Limits = None
     velocity_limits_deg: Limits = None
     torque_limits: Limits = None
+    dynamics: Dynamics = Field(default_factory=Dynamics)
+    elastic_joints: bool = False
     acceleration_limits: Limits = None
     directory: str = ""
     colors: dict[str, Rgba] = {}
@@ -173,7 +162,7 @@ class SerialRobot(Declaration):
         columns = info.data.get("dh_columns", [*COLUMNS])
         return dh_rows(rows, info.data.get("dh_params_deg"), columns)
 
-    @field_validator(*_PER_JOINT)
+    @field_validator(*PER_JOINT)
     @classmethod
     def _one_per_joint(cls, value: Any, info: ValidationInfo) -> Any:
         rows = info.data.get("dh_params")  # missing when dh_params itself is wrong
@@ -182,6 +171,13 @@ class SerialRobot(Declaration):
                 f"found {len(value)} entries; expected {len(rows)}, one per row of dh_params"
             )
         return value
+
+    @field_validator("dynamics")
+    @classmethod
+    def _dynamics_suit_the_joints(cls, dynamics: Dynamics, info: ValidationInfo) -> Dynamics:
+        if "dh_params" in info.data:
+            dynamics.check_counts(len(info.data["dh_params"]))
+        return dynamics
 
     @field_validator(*IN_DEGREES)
     @classmethod
@@ -226,12 +222,7 @@ class SerialRobot(Declaration):
     @field_validator("filenames")
     @classmethod
     def _colors_exist(cls, links: list[list[LinkMesh]], info: ValidationInfo) -> Any:
-        colors = info.data.get("colors", {})
-        for mesh in (mesh for link in links for mesh in link):
-            if mesh.color is not None and mesh.color not in colors:
-                raise ValueError(
-                    f"{mesh.file}: no color '{mesh.color}'{did_you_mean(mesh.color, colors)}"
-                )
+        check_colors(links, info.data.get("colors", {}))
         return links
 
     @classmethod
@@ -305,20 +296,20 @@ class SerialRobot(Declaration):
         return np.zeros(self.n) if self.joint_angles is None else self.joint_angles
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
-        """T_base_flange (4, 4) by `dh`, translation in m.
+        """T_base_flange by `dh`, (..., 4, 4), translation in m.
 
         Args:
-            joint_angles: (n,), rad or m; the declared ones when None.
+            joint_angles: (..., n), rad or m; the declared ones when None.
         """
         q = self.home if joint_angles is None else joint_angles
-        return np.asarray(self.dh.frames(q)[-1] @ self.flange_frame)
+        return np.asarray(self.dh.frames(q)[..., -1, :, :] @ self.flange_frame)
 
 
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:
     """Builds a robot from its fields, over those of a robot file when one is given.
 
     Args:
-        fields: fields of `SerialRobot` that stand over the file's.
+        fields: fields of `SerialRobot` that stand over the file's; those of `dynamics` singly.
         model: the robot file; its folder is where its `directory` starts from.
 
     Raises:
@@ -334,15 +325,18 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)
+    whole = {**below, **fields}
+    if "dynamics" in below and "dynamics" in fields:
+        whole["dynamics"] = merged_tables(below["dynamics"], fields["dynamics"])
     try:
-        robot = SerialRobot(**{**below, **fields})
+        robot = SerialRobot(**whole)
         robot._model = model
         return robot
     except DeclarationError as error:
         lines = key_lines(model)
         raise DeclarationError(
             [
-                problem if problem.key.split(".")[0] in fields else located(problem, model, lines)
+                problem if is_over(problem.key, fields) else located(problem, model, lines)
                 for problem in error.problems
             ]
         ) from None

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
-from ..errors import DeclarationError, Problem, nearest
+from ..errors import DeclarationError, Problem, did_you_mean, nearest
 from .declaration import Array, Declaration, Name, of_shape
 from .dh import COLUMNS, Column
 from .objects import Object, check_mesh_file
@@ -26,6 +26,25 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 64
+# Limits may stand in degrees instead.
+IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
+# Fields with one entry per joint, checked against dh_params.
+PER_JOINT = (
+    "joint_types",
+    "joint_names",
+    "position_limits",
+    "position_limits_deg",
+    "velocity_limits",
+    "velocity_limits_deg",
+    "torque_limits",
+    "joint_angles",
+    "offsets_to_center_of_joints",
+    "acceleration_limits",
+    "torques",
+    "commanded_torques",
+    "joint_accelerations",
+    "billboard_values",
+)
 
 
 def _is_permutation(columns: list[str]) -> list[str]:
@@ -128,6 +147,19 @@ def as_billboard_lines(value: Any) -> Any:
     if isinstance(value, list):
         return [{"value": line} if isinstance(line, str) else line for line in value]
     return value
+
+
+def check_colors(links: list[list[LinkMesh]], colors: Mapping[str, Any]) -> None:
+    """Checks that every colour of a mesh exists.
+
+    Raises:
+        ValueError: the file, its colour, and the nearest or all that there are.
+    """
+    for mesh in (mesh for link in links for mesh in link):
+        if mesh.color is not None and mesh.color not in colors:
+            raise ValueError(
+                f"{mesh.file}: no color '{mesh.color}'{did_you_mean(mesh.color, colors)}"
+            )
 
 
 def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:

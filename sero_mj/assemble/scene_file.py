@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -39,7 +39,18 @@ def read_scene(
     Raises:
         DeclarationError: the file cannot be read at all.
     """
-    reader = _Reader(path, read_toml(path))
+    return read_scene_tables(path, read_toml(path), overrides)
+
+
+def read_scene_tables(
+    path: Path,
+    tables: dict[str, Any],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    known: Collection[str] = (),
+) -> tuple[Scene, list[Problem]]:
+    """The same from the tables of a file; sections in `known` are meant when one is mistyped."""
+    reader = _Reader(path, tables, known)
     for target, value in (overrides or {}).items():
         reader.override(target, value)
     scene = reader.scene()
@@ -49,8 +60,8 @@ def read_scene(
 class _Reader:
     """Reads the sections of one file and collects what is wrong with them."""
 
-    def __init__(self, path: Path, tables: dict[str, Any]) -> None:
-        self.path = path
+    def __init__(self, path: Path, tables: dict[str, Any], known: Collection[str]) -> None:
+        self.path, self.known = path, known
         self.tables = tables
         self.problems: list[Problem] = []
         self.broken: list[str] = []
@@ -74,7 +85,7 @@ class _Reader:
         }
         for key in self.tables:
             if key not in sections:
-                self.wrong(key, f"unknown section{did_you_mean(key, sections)}")
+                self.wrong(key, f"unknown section{did_you_mean(key, [*sections, *self.known])}")
         read = {}
         for key, reader in sections.items():
             if key in self.tables:

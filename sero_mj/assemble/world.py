@@ -23,7 +23,9 @@ from .joint_table import joint_table
 from .mesh_check import mesh_problems
 from .mjcf import build_mjcf, moved_body, xml_text
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
+from .mjcf_dynamics import smooth
 from .parts import DoublePart, Owner, RobotPart
+from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
 
@@ -34,8 +36,15 @@ Ints = NDArray[np.intp]
 class World:
     """A compiled scene.
 
+    Args:
+        scene: what to compile.
+        dynamic: whether it is to be simulated: links have masses and collide, joints have
+            friction and may be elastic (see `assemble.mjcf_dynamics`).
+
     Attributes:
         scene: what it was compiled from.
+        dynamic: whether it is to be simulated.
+        dynamics: what every robot's equations of motion are made of, by name; where `dynamic`.
         model: the `MjModel`.
         robots: `RobotPart` by name.
         doubles: `DoublePart` by name.
@@ -52,19 +61,25 @@ class World:
         DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, dynamic: bool = False) -> None:
         self.scene = scene
+        self.dynamic = dynamic
         problems = scene.problems()  # also of what was added since the scene was made
         if problems:
             raise DeclarationError(scene.located(problems))
         self.inputs = list_inputs(scene)
         self.slots, self.flags = userdata_slots(scene)
-        root = build_mjcf(scene)
+        self.dynamics = _dynamics(scene) if dynamic else {}
+        root = build_mjcf(scene, self.dynamics if dynamic else None)
         root.size.nuserdata = len(self.flags) + sum(
             slot.stop - slot.start for slot in self.slots.values()
         )
         self._root = root
         self.model = _compile(root, scene)
+        if dynamic:
+            smooth(self.model)
+            # What is unstable shall be told, not begin anew.
+            self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if scene.doubles:
             self._measure_without_doubles()
             # What is not there throws no shadow, and the shadow map costs as much as the picture.
@@ -282,11 +297,29 @@ class World:
         return parts
 
 
+def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:
+    found, problems = {}, []
+    for name, robot in scene.robots.items():
+        try:
+            found[name] = robot_dynamics(robot)
+        except DeclarationError as error:
+            problems += [problem.inside(f"robots.{name}") for problem in error.problems]
+        except ValueError as error:  # by MuJoCo, from the hull of a mesh
+            raise _not_compiled(scene, error) from error
+    if problems:
+        raise DeclarationError(scene.located(problems))
+    return found
+
+
 def _compile(root: Any, scene: Scene) -> mujoco.MjModel:
     try:
         return mujoco.MjModel.from_xml_string(xml_text(root), root.get_assets())
     except ValueError as error:
-        problems = mesh_problems(scene)
-        if not problems:
-            problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
-        raise DeclarationError(scene.located(problems)) from error
+        raise _not_compiled(scene, error) from error
+
+
+def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
+    problems = mesh_problems(scene)
+    if not problems:
+        problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
+    return DeclarationError(scene.located(problems))

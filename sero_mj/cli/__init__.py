@@ -12,6 +12,7 @@ from ..errors import DeclarationError, SeroError
 from ..show.gl import choose_backend
 from . import (
     check,
+    compare,
     demo,
     doctor,
     export,
@@ -21,6 +22,7 @@ from . import (
     record,
     render,
     send,
+    simulate,
     status,
     structure,
 )
@@ -83,10 +85,12 @@ def _parser() -> argparse.ArgumentParser:
     for module in (
         render,
         send,
+        simulate,
         status,
         structure,
         record,
         export_csv,
+        compare,
         fk,
         check,
         export,

@@ -24,6 +24,7 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
+    from ..assemble.robot_dynamics import robot_dynamics
     from ..assemble.world import World
     from ..drive.route import wire
     from ..show.camera import list_cameras
@@ -35,6 +36,9 @@ def run(options: argparse.Namespace) -> int:
         robot = part.robot
         look = "meshes" if robot.filenames else "shapes grown from its DH table"
         print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}")
+        estimated = robot_dynamics(robot).estimated
+        about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
+        print(f"          dynamics: {about}")
     for name, source in wire(scene).sources.items():
         events = ", ".join(
             f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)

@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     if not scene.sources and len(scene.robots) == 1:
         _declare_source(scene, options)
     if options.play is not None:
-        return send_play.send_file(options, scene, _sink)
+        return send_play.send_file(options, scene, make_sink)
     send_play.refuse_options(options)
     controller = send_fri.source_of(scene, options.source)
     if controller is not None:
@@ -111,7 +111,7 @@ def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
         time=source.time if source.time in has else "",
         time_scale=source.time_scale,
     )
-    with _sink(options, source, structure) as sink:
+    with make_sink(options, source, structure) as sink:
         print(
             f"sending {structure.text} ({structure.size} bytes) to {sink.place} "
             f"at {rate:g} Hz; Ctrl-C stops",
@@ -135,7 +135,7 @@ def _declare_source(scene: Scene, options: argparse.Namespace) -> None:
         scene.routes[f"{robot.name}.torques"] = "robot.values1"
 
 
-def _sink(
+def make_sink(
     options: argparse.Namespace, source: Receiver, structure: Structure
 ) -> UdpSink | ShmWriter:
     """Where the packets go: what the command line says, else where the source receives."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,13 @@ def structure_for(source: Receiver, text: str | None = None) -> Structure:
     return Structure(text, is_double=source.is_double, column_major=source.column_major)
 
 
+class Player(Protocol):
+    """Says what the sensors of one robot say."""
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+
+
 class MotionPackets:
     """Packets of a scene's source, with the signals that its routes lead to the robots.
 
@@ -59,6 +67,7 @@ class MotionPackets:
         source: whose packets to make; the scene's only one when None.
         structure: instead of the source's.
         amplitude: of the motion, 0 to 1.
+        players: robot name to what says its signals, instead of a motion.
 
     Attributes:
         structure: of the packets.
@@ -75,6 +84,7 @@ class MotionPackets:
         source: str | None = None,
         structure: str | None = None,
         amplitude: float = 1.0,
+        players: Mapping[str, Player] | None = None,
     ) -> None:
         wiring = wire(scene)
         if wiring.problems:
@@ -98,7 +108,15 @@ class MotionPackets:
             if route.value.whole is not None:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
         played = {self._robot_of(item) for item in self._asked(routes)} - {None}
-        self._robots = {name: _Player(scene.robots[name], amplitude) for name in played if name}
+        self._robots: dict[str, Player] = {}
+        for name in sorted(name for name in played if name):
+            if players is None:
+                self._robots[name] = _Player(scene.robots[name], amplitude)
+            elif name in players:
+                self._robots[name] = players[name]
+            else:
+                raise UsageError(f"nothing is known of robot '{name}'{did_you_mean(name, players)}")
+        self._is_motion = players is None
 
     def _check_size(self, route: Route) -> None:
         """Whether the structure has all the numbers that a route takes."""
@@ -184,6 +202,8 @@ class MotionPackets:
             key = "commanded_angles" if is_target else item.key
             signals = now[robot]
             return signals[key] if key in signals else signals["further"]
+        if item.kind == "vector" and not self._is_motion:
+            return np.zeros(3)  # what acts there nobody has measured
         if item.kind == "vector":
             size = _MAGNITUDES[scene.arrows[item.name].kind]
             return size * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])

@@ -42,6 +42,7 @@ def render_picture(
     camera: str | None = None,
     wait: float = 2.0,
     clicks: Sequence[Click] = (),
+    at: float = 0.0,
 ) -> list[str]:
     """Renders one picture of a scene as it is now.
 
@@ -52,6 +53,7 @@ def render_picture(
         camera: see `find_camera`.
         wait: how long to wait for the first packet of every source, s.
         clicks: where to click first.
+        at: s after the start, for sources that do not follow the clock.
 
     Returns:
         the sources that stayed silent; their robots stand where the scene declares them.
@@ -63,7 +65,7 @@ def render_picture(
         check_writable(Path(path))
         with HeadlessRenderer(mirror.world, *size, camera) as renderer:
             silent = mirror.wait(wait)
-            mirror.advance(0.0)
+            mirror.advance(at)
             _click(renderer, mirror.data, clicks)
             save_picture(Path(path), renderer.render(mirror.data))
     return silent

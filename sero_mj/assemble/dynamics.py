@@ -1,0 +1,162 @@
+"""The `[dynamics]` table of a robot file: what its links weigh and what its joints are like."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from ..errors import DeclarationError, Problem
+from .declaration import Array, Declaration, of_shape
+from .inertia import link_name, not_physical, tensors_from
+
+# kg/m3 of a link's hull: hollow aluminium with motors and gears. The hulls of the LWR's moving
+# links hold the 13.4 kg that they weigh at 840.
+LINK_DENSITY = 840.0
+
+_INERTIAL = ("masses", "centers_of_mass", "inertias")
+_FRAMES = ("frames", "frame_origins", "mass_scale")
+_PER_LINK = (*_INERTIAL, "frame_origins")
+_PER_JOINT = (
+    "motor_inertias",
+    "viscous_friction",
+    "coulomb_friction",
+    "joint_stiffness",
+    "joint_damping",
+)
+
+
+def _positive_masses(masses: Array | None) -> Array | None:
+    for k, mass in enumerate([] if masses is None else masses):
+        if mass <= 0:
+            raise ValueError(f"{link_name(k)}: found {mass:g} kg; expected a positive mass")
+    return masses
+
+
+def _at_least_zero(values: Array | None) -> Array | None:
+    return _bounded(values, 0.0, "0 or more")
+
+
+def _above_zero(values: Array | None) -> Array | None:
+    return _bounded(values, np.finfo(float).tiny, "a positive number")
+
+
+def _bounded(values: Array | None, lowest: float, expected: str) -> Array | None:
+    for i, value in enumerate([] if values is None else values):
+        if value < lowest:
+            raise ValueError(f"joint {i + 1}: found {value:g}; expected {expected}")
+    return values
+
+
+def _physical(tensors: Array | None) -> Array | None:
+    for k, tensor in enumerate([] if tensors is None else tensors):
+        reason = not_physical(tensor)
+        if reason is not None:
+            raise ValueError(f"{link_name(k)}: {reason}")
+    return tensors
+
+
+def _read_tensors(value: Any) -> Any:
+    return value if value is None else tensors_from(value)
+
+
+_Rows = Annotated[Array | None, of_shape(None, 3)]
+_Masses = Annotated[Array | None, of_shape(None), AfterValidator(_positive_masses)]
+_Tensors = Annotated[Array | None, BeforeValidator(_read_tensors), AfterValidator(_physical)]
+_NotNegative = Annotated[Array | None, of_shape(None), AfterValidator(_at_least_zero)]
+_Positive = Annotated[Array | None, of_shape(None), AfterValidator(_above_zero)]
+
+
+class Dynamics(Declaration):
+    """Masses, inertia, friction and elasticity of one robot; what is left out is estimated.
+
+    Rows per link are n + 1: the base, then the links. SI units: kg, m, kg m2, Nm s/rad, Nm,
+    Nm/rad; for prismatic joints kg, N s/m, N, N/m.
+
+    Attributes:
+        frames: the frame of centres, tensors and origins: `dh`, the frame of the link's DH row
+            (the base's for the base), or `zero_pose`, its axes parallel to the base's at zero
+            joint angles and its origin in the same place.
+        frame_origins: (n + 1, 3), moves the origins of these frames, along their own axes; for
+            figures that come from a model with its link frames elsewhere on the axis.
+        masses: (n + 1,).
+        centers_of_mass: (n + 1, 3).
+        inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
+            entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
+        mass_scale: multiplies masses and tensors of the moving links.
+        density: kg/m3, by which links are estimated that have no masses here.
+        motor_inertias: (n,), as seen at the joint: rotor times the square of the gear ratio.
+        viscous_friction: (n,), of motor and gear, before the torque sensor.
+        coulomb_friction: (n,), likewise.
+        joint_stiffness: (n,), of gear and torque sensor, for `elastic_joints`.
+        joint_damping: (n,), in parallel with the stiffness.
+    """
+
+    frames: Literal["dh", "zero_pose"] = "dh"
+    frame_origins: _Rows = None
+    masses: _Masses = None
+    centers_of_mass: _Rows = None
+    inertias: _Tensors = None
+    mass_scale: float = Field(1.0, gt=0)
+    density: float = Field(LINK_DENSITY, gt=0)
+    motor_inertias: _NotNegative = None
+    viscous_friction: _NotNegative = None
+    coulomb_friction: _NotNegative = None
+    joint_stiffness: _Positive = None
+    joint_damping: _NotNegative = None
+
+    @model_validator(mode="after")
+    def _all_or_none(self) -> Dynamics:
+        given = [key for key in _INERTIAL if getattr(self, key) is not None]
+        if given and len(given) < len(_INERTIAL):
+            missing = [key for key in _INERTIAL if key not in given]
+            raise ValueError(
+                f"found {' and '.join(given)} without {' and '.join(missing)}; expected all of "
+                f"{', '.join(_INERTIAL)}, or none for an estimate"
+            )
+        return self
+
+    def check_counts(self, n: int) -> None:
+        """Checks that there are as many entries as a robot of n joints needs.
+
+        Raises:
+            DeclarationError: with the keys of this table.
+        """
+        problems = []
+        for keys, count, what in (
+            (_PER_LINK, n + 1, "the base and one per joint"),
+            (_PER_JOINT, n, "one per row of dh_params"),
+        ):
+            for key in keys:
+                value = getattr(self, key)
+                if value is not None and len(value) != count:
+                    message = f"found {len(value)} entries; expected {count}: {what}"
+                    problems.append(Problem(key, message))
+        if problems:
+            raise DeclarationError(problems)
+
+
+def merged_tables(below: Any, over: Any) -> Any:
+    """Puts single figures over a robot file's `[dynamics]`; else one would cost all others.
+
+    Masses, centres and tensors that come together bring the frame that they are in along.
+
+    Args:
+        below: the file's table.
+        over: what stands over it; a `Dynamics` is whole and replaces it.
+    """
+    if not (isinstance(below, Mapping) and isinstance(over, Mapping)):
+        return over
+    whole = set(_INERTIAL) <= set(over)
+    return {**{key: below[key] for key in below if not (whole and key in _FRAMES)}, **over}
+
+
+def is_over(key: str, fields: Mapping[str, Any]) -> bool:
+    """Whether a robot's dotted key is one of those fields that stand over its file's."""
+    name, _, inner = key.partition(".")
+    table = fields.get(name)
+    if name == "dynamics" and isinstance(table, Mapping) and inner:
+        return inner.partition(".")[0] in table
+    return name in fields

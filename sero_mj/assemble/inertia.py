@@ -1,0 +1,96 @@
+"""Inertia tensors in numpy: reading them, judging them, turning them into other frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .declaration import numbers
+
+Array = NDArray[np.float64]
+
+# Figures are typed with a few digits, and a flat plate has equality: so much may be missing.
+_ROUNDING = 1e-6
+
+
+def tensors_from(value: Any) -> Array:
+    """Reads tensors as a file has them.
+
+    Args:
+        value: one entry per link, each 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the entries of
+            the tensor, as in URDF and MJCF) or 3 x 3.
+
+    Returns:
+        (m, 3, 3), kg m2.
+
+    Raises:
+        ValueError: other counts, or a matrix that is not symmetric.
+    """
+    if not isinstance(value, list | tuple | np.ndarray):
+        raise ValueError(f"found {value!r}; expected one tensor per link")
+    tensors = np.empty((len(value), 3, 3))
+    for k, entry in enumerate(value):
+        array = numbers(entry)
+        if array.shape == (6,):
+            xx, yy, zz, xy, xz, yz = array
+            tensors[k] = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+        elif array.shape == (3, 3):
+            if np.abs(array - array.T).max() > _ROUNDING * max(float(np.abs(array).max()), 1e-300):
+                raise ValueError(
+                    f"{link_name(k)}: found {array.tolist()}; expected a symmetric 3x3"
+                )
+            tensors[k] = (array + array.T) / 2
+        else:
+            found = " x ".join(map(str, array.shape)) or "one number"
+            raise ValueError(
+                f"{link_name(k)}: found {found}; expected 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) "
+                "or 3 x 3"
+            )
+    return tensors
+
+
+def link_name(k: int) -> str:
+    """What messages call the body with that index: the base, then the links from 1."""
+    return f"link {k}" if k else "the base"
+
+
+def not_physical(tensor: Array) -> str | None:
+    """Says why no rigid body has this tensor about its centre of mass; None if one can.
+
+    Its principal moments are positive, and none is larger than the sum of the other two (each
+    is an integral of a sum of two squares).
+
+    Args:
+        tensor: (3, 3), kg m2, symmetric.
+
+    Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13.
+    """
+    low, middle, high = np.linalg.eigvalsh(tensor)
+    found = f"found principal moments {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
+    if low <= 0:
+        return f"{found}; expected all of them positive"
+    if low + middle < high * (1 - _ROUNDING):
+        return (
+            f"{found}; expected the largest to be at most the sum of the others, "
+            f"{low + middle:.4g} (a tensor about the centre of mass?)"
+        )
+    return None
+
+
+def principal(tensor: Array) -> tuple[Array, Array]:
+    """Returns principal moments (3,) and the rotation (3, 3) whose columns are their axes.
+
+    What rounding takes from the moments of a flat body is given back, for MuJoCo allows nothing.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] = -axes[:, 0]
+    moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-12))
+    return moments, axes
+
+
+def turned(tensors: Array, rotation: Array) -> Array:
+    """The same tensors (..., 3, 3) in other axes: rotation_new_old @ I @ rotation_old_new."""
+    return np.asarray(rotation @ tensors @ np.swapaxes(rotation, -1, -2))

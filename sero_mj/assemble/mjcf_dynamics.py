@@ -1,0 +1,182 @@
+"""What the dynamic variant of a scene has beyond the one that is looked at.
+
+Links get masses, joints get motors' inertia and friction, and links collide with the world and
+with links further along. The variant that is looked at stays as it is.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control import mjcf
+from numpy.typing import NDArray
+
+from .inertia import principal
+from .robot import SerialRobot
+from .robot_dynamics import RobotDynamics
+from .shapes import housing_radii
+
+Array = NDArray[np.float64]
+
+TIMESTEP = 1e-3  # s, an LWR's cycle
+HULL_GROUP = 4  # not shown: links look like their meshes
+PAYLOAD = "payload"  # a body at the flange that weighs nothing until something is picked up
+# Links that meet in one wrist or shoulder belong to one housing, and are never told from a
+# collision. So near are neighbours, in housing radii.
+_ONE_HOUSING = 4.0
+# Coulomb friction that holds creeps by no more than 1e-6 rad/s (the default: 1e-4).
+_FRICTION = {"solreffriction": [0.004, 1.0], "solimpfriction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
+# Metal, plastic and wood slide on each other so; by default all is rubber, and a probe hops.
+_SLIDING = [0.3, 0.005, 1e-4]
+_RUBBER = [1.0, 0.005, 1e-4]
+# Stops, floors and tables are stiffer than by default; not beyond what a step can follow.
+_STIFF = [0.005, 1.0]
+_STOP = {"solreflimit": _STIFF, "solimplimit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
+
+
+def set_up_dynamics(root: mjcf.RootElement) -> None:
+    """Sets how time is stepped; nothing is mended that is not physical."""
+    root.compiler.boundmass = root.compiler.boundinertia = 0.0
+    root.option.timestep = TIMESTEP
+    root.option.integrator = "Euler"
+    root.default.geom.solref = _STIFF
+    floor = root.find("geom", "floor")
+    if floor is not None:
+        # Links that are built into the floor do not feel it, see _collide.
+        floor.contype, floor.conaffinity = 0, 1
+
+
+def smooth(model: mujoco.MjModel) -> None:
+    """Gives geoms that say nothing else the friction of smooth things on each other."""
+    unsaid = (model.geom_friction == _RUBBER).all(axis=1)
+    model.geom_friction[unsaid] = _SLIDING
+
+
+def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDynamics) -> None:
+    """Gives a robot its masses, joints and collisions, before it is attached to its scene.
+
+    Args:
+        piece: what `build_robot_mjcf` returned.
+        robot: which robot that is.
+        dynamics: of it.
+    """
+    for i in range(robot.n):
+        body = piece.find("body", f"link{i + 1}")
+        moments, axes = principal(dynamics.tensors[i + 1])
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, axes.ravel())
+        inertial = {"mass": dynamics.masses[i + 1], "pos": dynamics.centers[i + 1]}
+        body.add("inertial", quat=quat, diaginertia=moments, **inertial)
+        joint = piece.find("joint", robot.names[i])
+        joint.armature = dynamics.motor_inertias[i]
+        joint.damping = dynamics.viscous_friction[i]
+        joint.frictionloss = dynamics.coulomb_friction[i]
+        for key, value in {**_FRICTION, **_STOP}.items():
+            setattr(joint, key, value)
+        if robot.elastic_joints:
+            _add_deflection(piece, body, joint, robot, dynamics, i)
+    _add_hulls(piece, robot, dynamics.hulls)
+    # A body without mass must not move by itself; this one is part of the last link.
+    flange = piece.find("body", "flange")
+    flange.add("body", name=PAYLOAD)
+
+
+def deflection_joint(name: str) -> str:
+    """Name of the joint that an elastic joint has behind its motor's."""
+    return f"{name}-deflection"
+
+
+def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
+    """Damping of the deflections that the model has, (n,), Nm s/rad.
+
+    MuJoCo takes springs at the start of a step and damping at its end, and so a light link on a
+    stiff spring is unstable without damping (an LWR's wrist at 1 kHz). Damping of half the
+    stiffness times the step makes it stable for all stiffnesses, links and steps: the spring
+    counts in the middle of the step. So what is declared counts if it is more, and else this.
+
+    Args:
+        dynamics: of n joints.
+        timestep: s.
+
+    Source: the theta scheme of Hairer and Wanner, Solving Ordinary Differential Equations II,
+        1996, IV.3, with theta = 1/2 for the spring and the velocity at the step's end.
+    """
+    return np.maximum(dynamics.joint_damping, 0.5 * timestep * dynamics.joint_stiffness)
+
+
+def _add_deflection(
+    piece: mjcf.RootElement,
+    body: Any,
+    joint: Any,
+    robot: SerialRobot,
+    dynamics: RobotDynamics,
+    i: int,
+) -> None:
+    """Puts a spring between motor and link: two joints on one axis, whose angles add up."""
+    name = deflection_joint(robot.names[i])
+    body.add(
+        "joint", name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False,
+        stiffness=dynamics.joint_stiffness[i],
+        damping=spring_damping(dynamics, TIMESTEP)[i],
+    )  # fmt: skip
+    if robot.position_limits is not None:  # of the link, not of the motor
+        joint.limited = False
+        stop = piece.tendon.add(
+            "fixed", name=f"{robot.names[i]}-stop", limited=True,
+            range=robot.position_limits[i], **_STOP,
+        )  # fmt: skip
+        stop.add("joint", joint=joint, coef=1.0)
+        stop.add("joint", joint=name, coef=1.0)
+
+
+def _add_hulls(piece: mjcf.RootElement, robot: SerialRobot, hulls: list[Array | None]) -> None:
+    """Lets links collide: with the hull of their meshes, or with the shapes that have grown."""
+    sunk = _in_the_floor(robot)
+    for i in range(robot.n + 1):
+        body = piece.find("body", f"link{i}") if i else piece.worldbody
+        touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1, "solref": _STIFF}
+        hull = hulls[i]
+        if hull is not None:
+            asset = piece.asset.add("mesh", name=f"hull{i}", vertex=hull.ravel(), inertia="convex")
+            body.add("geom", type="mesh", mesh=asset, group=HULL_GROUP, mass=0, **touches)
+        elif not robot.filenames:
+            for geom in body.geom:
+                for key, value in touches.items():
+                    setattr(geom, key, value)
+
+
+def _in_the_floor(robot: SerialRobot) -> NDArray[np.bool_]:
+    """Which links are so near the base that they may be sunk into what it stands on, (n + 1,)."""
+    near = 2.5 * housing_radii(robot.dh, robot.flange_frame)[0]
+    along = np.concatenate([[0.0], np.cumsum(np.abs(robot.dh.a) + np.abs(robot.dh.d))])
+    return np.asarray((along < near) | (np.arange(robot.n + 1) < 2))
+
+
+def exclude_neighbours(root: mjcf.RootElement, base: Any, robot: SerialRobot) -> None:
+    """Lets links of one housing pass through each other, when the robot is in its scene.
+
+    Args:
+        root: the scene.
+        base: the body that the robot's base has become.
+        robot: which robot that is.
+    """
+    bodies = [base, *(_below(base, f"link{i + 1}") for i in range(robot.n))]
+    flange = _below(base, "flange")
+    tools = [flange, *flange.find_all("body")]
+    near = _ONE_HOUSING * housing_radii(robot.dh, robot.flange_frame)[0]
+    steps = np.abs(robot.dh.a) + np.abs(robot.dh.d)
+    ends_before = robot.dh_convention == "standard"
+    for i, k in combinations(range(robot.n + 1), 2):
+        # Link i ends at joint i + 1, link k begins at joint k: the offsets between are these.
+        if k - i <= 2 or steps[i + 1 : k - ends_before].sum() < near:
+            pairs = [bodies[k], *(tools if k == robot.n else [])]
+            for other in pairs:
+                root.contact.add("exclude", body1=bodies[i], body2=other)
+
+
+def _below(base: Any, name: str) -> Any:
+    """The body of a robot with that name in the robot's own file."""
+    return next(body for body in base.find_all("body") if body.name == name)

@@ -1,0 +1,137 @@
+"""`RobotDynamics`: a robot's masses, friction and elasticity, as declared or as estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DeclarationError, Problem
+from .estimate import LinkInertias, estimate_links, link_hulls
+from .inertia import turned
+from .robot import SerialRobot
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81  # m/s2, MuJoCo's default
+
+# Estimates, by the effort that a joint is made for: its torque limit, else this many times what
+# holds the stretched arm. The LWR's limits are 3.8 times that at joint 2. Of its limits the LWR
+# has 0.8 to 2 % kg m2 as motor inertia, 0.13 to 0.5 % as Coulomb friction and 0.5 to 0.9 % as
+# viscous friction at 1 rad/s.
+_STRENGTH = 3.5
+_MOTOR_INERTIA = 0.012
+_COULOMB = 0.004
+_VISCOUS = 0.008
+_FIRST_MODE = 10.0  # Hz, motor against held link
+_DAMPING_RATIO = 0.03  # of that mode
+
+
+@dataclass(frozen=True, eq=False)
+class RobotDynamics:
+    """What a robot's equations of motion are made of; frames are those of the DH rows.
+
+    Attributes:
+        masses: of the base and every link, (n + 1,), kg.
+        centers: centres of mass, (n + 1, 3), m.
+        tensors: about these, (n + 1, 3, 3), kg m2.
+        motor_inertias: reflected to the joints, (n,), kg m2.
+        viscous_friction: before the torque sensor, (n,), Nm s/rad.
+        coulomb_friction: likewise, (n,), Nm.
+        joint_stiffness: (n,), Nm/rad.
+        joint_damping: (n,), Nm s/rad.
+        estimated: which of these are no declared figures, in the words of the robot file.
+        hulls: of the links' meshes, (k, 3) each in m; None without meshes.
+    """
+
+    masses: Array
+    centers: Array
+    tensors: Array
+    motor_inertias: Array
+    viscous_friction: Array
+    coulomb_friction: Array
+    joint_stiffness: Array
+    joint_damping: Array
+    estimated: tuple[str, ...]
+    hulls: list[Array | None]
+
+
+def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
+    """Returns the declared figures, in the frames of the DH rows, and estimates for the rest.
+
+    Raises:
+        DeclarationError: a mesh file cannot be read, or joints are elastic without an inertia.
+        ValueError: MuJoCo cannot compile a mesh.
+    """
+    declared = robot.dynamics
+    hulls = link_hulls(robot)
+    estimated = []
+    links = _declared_links(robot)
+    if links is None:
+        links = estimate_links(robot, hulls)
+        estimated.append("masses")
+    limits = robot.torque_limits
+    if limits is None:
+        limits = _STRENGTH * _holding_efforts(robot, links)
+
+    def given(key: str, estimate: Array) -> Array:
+        value: Array | None = getattr(declared, key)
+        if value is None:
+            estimated.append(key)
+        return estimate if value is None else value
+
+    motor = given("motor_inertias", _MOTOR_INERTIA * limits)
+    viscous = given("viscous_friction", _VISCOUS * limits)
+    coulomb = given("coulomb_friction", _COULOMB * limits)
+    if robot.elastic_joints and (motor <= 0).any():
+        message = (
+            f"joint {int(np.argmax(motor <= 0)) + 1}: found 0; expected a motor inertia above 0 "
+            "for a robot with elastic_joints"
+        )
+        raise DeclarationError([Problem("dynamics.motor_inertias", message)])
+    stiffness = given("joint_stiffness", motor * (2 * np.pi * _FIRST_MODE) ** 2)
+    damping = given("joint_damping", 2 * _DAMPING_RATIO * np.sqrt(stiffness * motor))
+    return RobotDynamics(
+        links.masses,
+        links.centers,
+        links.tensors,
+        motor,
+        viscous,
+        coulomb,
+        stiffness,
+        damping,
+        tuple(estimated),
+        hulls,
+    )
+
+
+def _declared_links(robot: SerialRobot) -> LinkInertias | None:
+    declared = robot.dynamics
+    if declared.masses is None or declared.centers_of_mass is None or declared.inertias is None:
+        return None
+    scale = np.full(robot.n + 1, declared.mass_scale)
+    scale[0] = 1.0
+    centers = declared.centers_of_mass.copy()
+    if declared.frame_origins is not None:
+        centers += declared.frame_origins
+    tensors = scale[:, None, None] * declared.inertias
+    if declared.frames == "zero_pose":
+        to_link = np.swapaxes(robot.dh.frames(np.zeros(robot.n))[:, :3, :3], -1, -2)
+        centers = (to_link @ centers[..., None])[..., 0]
+        tensors = turned(tensors, to_link)
+    return LinkInertias(scale * declared.masses, centers, tensors)
+
+
+def _holding_efforts(robot: SerialRobot, links: LinkInertias) -> Array:
+    """What holds the arm that is stretched from each joint against gravity, (n,), Nm or N."""
+    table, n = robot.dh, robot.n
+    steps = np.hypot(table.a, table.d)  # from joint to joint
+    gyration = np.sqrt(np.trace(links.tensors, axis1=1, axis2=2) / links.masses)
+    size = np.linalg.norm(links.centers, axis=1) + gyration
+    efforts = np.zeros(n)
+    for i in range(n):
+        far = np.concatenate([[0.0], np.cumsum(steps[i + 1 :])])
+        lever = far + size[i + 1 :] if table.revolute[i] else 1.0
+        efforts[i] = GRAVITY * (links.masses[i + 1 :] * lever).sum()
+    return efforts

@@ -1,0 +1,247 @@
+"""`sero-mj simulate`: runs a scenario, keeps what happened, and says whether it was right."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import SimulationError, UsageError
+from . import simulate_send
+from .arguments import Commands, add_command, not_negative, overrides, positive, size
+from .render import film_with_progress
+
+if TYPE_CHECKING:
+    from ..simulate.simulation import Simulation
+
+_EPILOG = """\
+examples:
+  sero-mj simulate impedance_push                      runs it, says what held and what was found
+  sero-mj simulate impedance_push --render out.mp4     and films it
+  sero-mj simulate my.toml --record run.mcap --plot torques.png --csv run.csv
+  sero-mj simulate impedance_push --set controllers.lwr.stiffness=200 --set run.duration=2
+  sero-mj simulate impedance_push --send lwr_udp       as a robot would, in real time, for a mirror
+
+A scenario is a scene with [controllers], [targets], [disturbances], [faults], [expect]. Exits with
+1 when something that was expected did not hold, or the simulation could not go on; what was
+recorded until then is kept. The same seed gives the same run, bit for bit.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "simulate", run, "run a scenario faster than real time, and judge it", _EPILOG
+    )
+    parser.add_argument("scenario", metavar="SCENARIO", help="a file, or a shipped scenario's name")
+    parser.add_argument("--record", type=Path, metavar="OUT.mcap", help="keep every step")
+    parser.add_argument(
+        "--signals-rate", type=not_negative, default=10.0, metavar="HZ",
+        help="of values as JSON in the recording, for other programs (default 10; 0 none)",
+    )  # fmt: skip
+    parser.add_argument("--csv", type=Path, metavar="OUT.csv", help="the same as a table")
+    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="torques of every joint")
+    parser.add_argument("--render", type=Path, metavar="OUT.mp4", help="film it, or OUT.png")
+    parser.add_argument(
+        "--at", type=not_negative, metavar="S", help="time of a picture (default: the end)"
+    )
+    parser.add_argument(
+        "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
+    )
+    parser.add_argument("--fps", type=positive, metavar="N", help="frames per second (default 30)")
+    parser.add_argument(
+        "--camera", metavar="CAM", help="name of a camera, or azimuth,elevation,distance"
+    )
+    parser.add_argument("--seed", type=_whole, metavar="N", help="of the noise, over the file's")
+    parser.add_argument(
+        "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
+        help="set anything over the file's: controllers.lwr.stiffness=200; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--real-time", action="store_true", help="no faster than a real robot")
+    simulate_send.add_options(parser)
+    parser.add_argument("--overwrite", action="store_true", help="record over a file that exists")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, no table")
+
+
+def _whole(text: str) -> int:
+    if text.isdecimal() and int(text) < 2**32:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected a whole number from 0")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Runs; returns 0, or 1 when something did not hold."""
+    from ..simulate.scenario_file import read_scenario
+    from ..simulate.simulation import Simulation
+
+    _check_options(options)
+    scenario = read_scenario(options.scenario, overrides(options.settings))
+    simulation = Simulation(scenario, options.seed)
+    begin = time.perf_counter()
+    error = _simulate(simulation, options)
+    seconds = time.perf_counter() - begin
+    if options.csv is not None:
+        from ..simulate.run_recorder import write_csv
+
+        write_csv(simulation, options.csv)
+    if options.plot is not None:
+        from ..simulate.plot import plot_run, spans_of
+
+        plot_run(
+            simulation.log,
+            options.plot,
+            findings=simulation.findings(),
+            spans=spans_of(simulation.scenario),
+        )
+    if options.render is not None:
+        _render(simulation, options)
+    outcomes, findings = simulation.outcomes(), simulation.findings()
+    if options.json:
+        print(json.dumps(_as_json(simulation, seconds, error, outcomes, findings), indent=2))
+    else:
+        _print(simulation, seconds, outcomes, findings, quiet=options.quiet)
+    if error is not None:
+        print(f"sero-mj: {error}", file=sys.stderr)
+    return 0 if error is None and all(outcome.holds for outcome in outcomes) else 1
+
+
+def _check_options(options: argparse.Namespace) -> None:
+    """Refuses what would only fail when all is done."""
+    endings = {
+        "record": (".mcap",),
+        "csv": (".csv",),
+        "plot": (".png", ".pdf", ".svg"),
+        "render": (".mp4", ".png", ".jpg", ".jpeg", ".webp"),
+    }
+    for key, expected in endings.items():
+        path: Path | None = getattr(options, key)
+        if path is None:
+            continue
+        if path.suffix.lower() not in expected:
+            raise UsageError(
+                f"--{key} {path}: expected a name that ends in {' or '.join(expected)}"
+            )
+        if not path.parent.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
+    is_picture = options.render is not None and options.render.suffix.lower() != ".mp4"
+    if options.at is not None and not is_picture:
+        raise UsageError("--at is for a picture: --render OUT.png")
+    if is_picture and options.fps:
+        raise UsageError("--fps is for a film: --render OUT.mp4")
+
+
+def _simulate(simulation: Simulation, options: argparse.Namespace) -> SimulationError | None:
+    """Runs to the end, or as far as it goes; returns what stopped it."""
+    from contextlib import ExitStack
+
+    from rich import progress as bars
+    from rich.console import Console
+
+    from ..simulate.run_recorder import RunRecorder
+
+    columns = (bars.TextColumn("simulating"), bars.BarColumn(), bars.TaskProgressColumn())
+    console = Console(stderr=True)
+    with ExitStack() as stack:
+        recorder = None
+        if options.record is not None:
+            recorder = stack.enter_context(
+                RunRecorder(
+                    simulation,
+                    options.record,
+                    overwrite=options.overwrite,
+                    signals_rate=options.signals_rate,
+                )
+            )
+        quiet = options.quiet or not console.is_terminal
+        progress = stack.enter_context(
+            bars.Progress(*columns, console=console, disable=quiet, transient=True)
+        )
+        task = progress.add_task("", total=simulation.steps)
+        if options.send is not None:
+            sender = stack.enter_context(simulate_send.Sender(simulation, options))
+            batches = sender.run()
+        elif options.real_time:
+            batches = simulate_send.in_real_time(simulation)
+        else:
+            batches = simulation.run()
+        try:
+            for first, stop in batches:
+                if recorder is not None:
+                    recorder.write(first, stop)
+                progress.update(task, completed=stop - 1)
+        except SimulationError as error:
+            return error
+        except KeyboardInterrupt:
+            if not options.quiet:
+                print(f"sero-mj: stopped at {simulation.time:.3f} s", file=sys.stderr)
+    return None
+
+
+def _render(simulation: Simulation, options: argparse.Namespace) -> None:
+    from ..show.capture import render_picture
+    from ..simulate.simulated_source import SimulatedSource
+    from ..simulate.staging import add_paths, stage
+
+    scene = stage(simulation.scenario, simulation.layout, SimulatedSource(simulation=simulation))
+    if simulation.scenario.run.show_paths:
+        add_paths(scene, simulation.scenario, simulation.layout, simulation.rows)
+    if options.render.suffix.lower() == ".mp4":
+        film_with_progress(
+            scene, options.render, quiet=options.quiet, duration=max(simulation.time, 1e-3),
+            fps=options.fps or 30.0, size=options.size, camera=options.camera,
+        )  # fmt: skip
+        return
+    at = simulation.time if options.at is None else options.at
+    if at > simulation.time:
+        raise UsageError(f"--at {at:g}: the run ends at {simulation.time:g} s")
+    render_picture(scene, options.render, size=options.size, camera=options.camera, at=at)
+
+
+def _print(
+    simulation: Simulation, seconds: float, outcomes: list[Any], findings: list[Any], *, quiet: bool
+) -> None:
+    if not quiet:
+        from rich.console import Console
+
+        from ..simulate.summary import as_table, summarise
+
+        speed = simulation.time / seconds if seconds > 0 else float("inf")
+        print(
+            f"{simulation.scenario.name}: {simulation.time:g} s in {seconds:.2f} s "
+            f"({speed:.0f} times real time), {simulation.step} steps"
+        )
+        Console().print(as_table(summarise(simulation.log, findings)))
+        for finding in findings[:20]:
+            print(f"  found   {finding}")
+        if len(findings) > 20:
+            print(f"  found   ... {len(findings) - 20} more")
+    for outcome in outcomes:
+        if not (quiet and outcome.holds):
+            print(f"  {'held' if outcome.holds else 'FAILED':7} {outcome.name}: {outcome.text}")
+
+
+def _as_json(
+    simulation: Simulation, seconds: float, error: Any, outcomes: list[Any], findings: list[Any]
+) -> dict[str, Any]:
+    from ..simulate import summary
+
+    return {
+        "scenario": simulation.scenario.name,
+        "seconds": simulation.time,
+        "took": seconds,
+        "error": None if error is None else str(error),
+        "expect": [
+            {"name": o.name, "holds": o.holds, "text": o.text, "value": _finite(o.value)}
+            for o in outcomes
+        ],
+        "findings": [vars(finding) for finding in findings],
+        "joints": summary.as_json(summary.summarise(simulation.log, findings)),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if abs(value) < float("inf") else None

@@ -1,0 +1,1 @@
+"""Motor torques in, measured angles, velocities and torques out: the robot that is simulated."""

@@ -1,0 +1,249 @@
+"""Cartesian impedance: the flange is a spring and a damper in six directions."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+
+from ..assemble.declaration import numbers
+from .damping import design_damping, too_stiff, unstable_joint
+from .gains import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
+from .robot_model import RobotModel
+from .state import Sensed, Target
+
+Array = NDArray[np.float64]
+
+# Below this smallest eigenvalue of J M^-1 J^T, 1/kg or 1/(kg m2), the flange counts as all but
+# blocked in a direction, and its mobility is raised by up to as much (as for inverse kinematics:
+# Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity Robustness).
+_BLOCKED = 0.01
+# Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
+_LEAST_STIFFNESS = 1.0
+
+
+def _stiffness(value: Any) -> Any:
+    array = numbers(value)
+    if array.shape == (6,):
+        array = np.diag(array)
+    if array.shape != (6, 6):
+        shape = " x ".join(map(str, array.shape)) or "one number"
+        raise ValueError(f"found {shape}; expected 6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6")
+    if np.abs(array - array.T).max() > 1e-9 * max(np.abs(array).max(), 1.0):
+        raise ValueError("found a matrix that is not symmetric; expected a symmetric one")
+    least = float(np.linalg.eigvalsh(array).min())
+    if least < -1e-9 * max(np.abs(array).max(), 1.0):
+        raise ValueError(f"found an eigenvalue of {least:g}; expected none below zero")
+    return array
+
+
+class CartesianImpedance(ControllerDeclaration):
+    """The flange is drawn to the target's pose; what is left of the joints, to its posture.
+
+    Attributes:
+        stiffness: six numbers, N/m along and Nm/rad about x, y and z, or a symmetric 6x6 matrix.
+        damping: ratio; one number.
+        axes: whose x, y and z: the `world`'s, or the target `flange`'s.
+        nullspace_stiffness: Nm/rad per joint, towards the target's posture.
+        nullspace_damping: ratio per joint; without stiffness as for 1 Nm/rad.
+        damping_every: s between two designs of the damping matrices.
+    """
+
+    kind: Literal["cartesian_impedance"] = "cartesian_impedance"
+    stiffness: Annotated[Array, BeforeValidator(_stiffness)] = np.diag([2e3] * 3 + [1e2] * 3)
+    damping: float = Field(0.7, ge=0, le=2)
+    axes: Literal["world", "flange"] = "world"
+    nullspace_stiffness: Annotated[PerJoint, within(0.0, 5000.0, "Nm/rad")] = np.array([10.0])
+    nullspace_damping: Ratio = DEFAULT_RATIO
+    damping_every: float = Field(0.04, gt=0, le=1)
+
+    def make(self, model: RobotModel, timestep: float) -> CartesianImpedanceController:
+        """The controller at work."""
+        return CartesianImpedanceController(
+            model,
+            self.stiffness,
+            self.damping,
+            timestep,
+            in_flange=self.axes == "flange",
+            nullspace_stiffness=self.per_joint("nullspace_stiffness", model.n),
+            nullspace_damping=self.per_joint("nullspace_damping", model.n),
+            damping_every=self.damping_every,
+        )
+
+
+class CartesianImpedanceController:
+    """tau = J^T (f + D (dx_d - J dq) + wrench) + tau_null + g(q) + tau_target.
+
+    f is minus the slope of the energy V = 1/2 e^T K e (Hogan 1985, Impedance Control: An Approach
+    to Manipulation). e holds the way to the target and -2 times the vector part of the quaternion
+    of R_target^T R: the angle about an axis when it is small, and defined for all rotations
+    (Caccavale, Natale, Siciliano, Villani 1999, Six-DOF Impedance Control Based on Angle/Axis
+    Representations, IEEE Trans. Robotics and Automation 15). At half a turn the torque fades to
+    zero, as of any smooth potential on rotations.
+
+    D is designed for K and the inertia that the flange feels, L = (J M^-1 J^T)^-1, and moves no
+    energy but out. So without null space the robot with a resting target is passive (Ott 2008,
+    Cartesian Impedance Control of Redundant and Flexible-Joint Robots).
+
+    The null space is a spring and a damper behind P = 1 - J^T L J M^-1, which lets through no
+    torque that would accelerate the flange (Khatib 1987, A Unified Approach for Motion and Force
+    Control of Robot Manipulators). Its damper P D P^T only takes energy. Its spring behind P is
+    not a potential: bounded, but not passive in the strict sense (Dietrich, Ott, Albu-Schäffer
+    2015, An overview of null space projections for redundant, torque-controlled robots, IJRR 34).
+
+    At singularities nothing is inverted but L, with its smallest eigenvalues bounded: torques
+    stay bounded, the blocked direction goes limp, and becomes part of the null space.
+
+    Args:
+        model: for itself.
+        stiffness: K, (6, 6), symmetric, N/m and Nm/rad.
+        damping: ratio.
+        timestep: s between two calls.
+        in_flange: whether K is in the axes of the target, else of the world.
+        nullspace_stiffness: (n,), Nm/rad.
+        nullspace_damping: ratio, (n,).
+        damping_every: s.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        stiffness: Array,
+        damping: float,
+        timestep: float,
+        *,
+        in_flange: bool,
+        nullspace_stiffness: Array,
+        nullspace_damping: Array,
+        damping_every: float = 0.04,
+    ) -> None:
+        n = model.n
+        self.model = model
+        self.stiffness = stiffness
+        self.damping: Array = np.zeros((6, 6))
+        self._ratio, self._in_flange = damping, in_flange
+        self._every = max(round(damping_every / timestep), 1)
+        self._left = 0
+        self._timestep = timestep
+        self._regularise: Array = np.zeros((6, 6))
+        self._spring = nullspace_stiffness
+        self._spring_ratio = nullspace_damping
+        self._damper: Array = np.zeros(n)
+        self._error: Array = np.zeros(6)
+        self._quaternion: Array = np.zeros(4)
+        self._force: Array = np.zeros(6)
+        self._wrench: Array = np.zeros(6)
+        self._twist: Array = np.zeros(6)
+        self._nullspace: Array = np.zeros(n)
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques of this step, (n,)."""
+        model = self.model
+        angles, velocities = sensed.motor_angles, sensed.motor_velocities
+        model.update(angles, velocities)
+        jacobian = model.jacobian()
+        back = np.linalg.inv(model.mass()).dot(jacobian.T)  # M^-1 J^T
+        mobility = jacobian.dot(back)
+        if self._left == 0:
+            self._design(mobility, target.pose)
+            self._left = self._every
+        self._left -= 1
+        mobility += self._regularise
+        felt = np.linalg.inv(mobility)
+
+        twist, wrench = self._twist, self._wrench
+        jacobian.dot(velocities, twist)
+        np.subtract(target.twist, twist, wrench)
+        wrench[:] = self.damping.dot(wrench)
+        wrench += self.spring_wrench(target.pose)
+        wrench += target.wrench
+
+        # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0)
+        held = velocities - back.dot(felt.dot(twist))  # P^T dq
+        inner = self._nullspace
+        np.subtract(target.posture, angles, inner)
+        np.multiply(inner, self._spring, inner)
+        inner -= self._damper * held
+        wrench -= felt.dot(inner.dot(back))
+        wrench.dot(jacobian, out)
+        out += inner
+        out += model.gravity()
+        out += target.torques
+
+    def spring_wrench(self, pose: Array) -> Array:
+        """f, (6,), N and Nm in world axes, where the model was last updated to.
+
+        Args:
+            pose: T_world_flange (4, 4) of the target.
+        """
+        error, force = self._error, self._force
+        rotation = pose[:3, :3]
+        turn = rotation.T.dot(self.model.flange_rotation)
+        mujoco.mju_mat2Quat(self._quaternion, turn.reshape(9))
+        np.subtract(pose[:3, 3], self.model.flange_position, error[:3])
+        w = self._quaternion.item(0)
+        np.multiply(self._quaternion[1:], -2.0 if w >= 0 else 2.0, error[3:])
+        if self._in_flange:
+            error[:3] = error[:3].dot(rotation)
+        else:
+            error[3:] = rotation.dot(error[3:])
+        self.stiffness.dot(error, force)
+        _, _, _, ex, ey, ez = error.tolist()
+        _, _, _, fx, fy, fz = force.tolist()
+        w, ex, ey, ez = abs(w), -0.5 * ex, -0.5 * ey, -0.5 * ez
+        # (w + S(v)) f_r: the slope of the quaternion's vector part v along rotations.
+        force[3] = w * fx + ey * fz - ez * fy
+        force[4] = w * fy + ez * fx - ex * fz
+        force[5] = w * fz + ex * fy - ey * fx
+        if self._in_flange:
+            force[:3] = rotation.dot(force[:3])
+            force[3:] = rotation.dot(force[3:])
+        return force
+
+    def energy(self, pose: Array) -> float:
+        """V, J: what the spring holds where the model was last updated to."""
+        self.spring_wrench(pose)
+        return float(0.5 * self._error @ self.stiffness @ self._error)
+
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long.
+
+        Args:
+            angles: (n,), rad or m, where the robot starts, at rest at its target.
+
+        Raises:
+            DeclarationError: names the joint that would shake most.
+        """
+        model = self.model
+        model.update(angles, np.zeros(model.n))
+        jacobian, mass, pose = model.jacobian(), model.mass(), model.flange()
+        back = np.linalg.solve(mass, jacobian.T)
+        self._design(jacobian @ back, pose)
+        felt = np.linalg.inv(jacobian @ back + self._regularise)
+        through = np.eye(model.n) - jacobian.T @ felt @ back.T
+        stiffness = jacobian.T @ self._in_world(pose) @ jacobian + through * self._spring
+        damping = jacobian.T @ self.damping @ jacobian + through * self._damper @ through.T
+        joint = unstable_joint(mass, stiffness, damping, self._timestep)
+        if joint is not None:
+            raise too_stiff(model.joint_names[joint], "", self._timestep)
+
+    def _in_world(self, pose: Array) -> Array:
+        """K in the world's axes, (6, 6)."""
+        if not self._in_flange:
+            return self.stiffness
+        axes = np.kron(np.eye(2), pose[:3, :3])
+        return np.asarray(axes @ self.stiffness @ axes.T)
+
+    def _design(self, mobility: Array, pose: Array) -> None:
+        least = float(np.linalg.eigvalsh(mobility)[0])
+        near = max(1.0 - least / _BLOCKED, 0.0)
+        self._regularise[:] = np.eye(6) * (_BLOCKED * near**2)
+        felt = np.linalg.inv(mobility + self._regularise)
+        symmetric = 0.5 * (felt + felt.T)
+        self.damping[:] = design_damping(symmetric, self._in_world(pose), self._ratio)
+        inertia = np.diagonal(self.model.mass())
+        spring = np.maximum(self._spring, _LEAST_STIFFNESS)
+        self._damper[:] = 2.0 * self._spring_ratio * np.sqrt(inertia * spring)

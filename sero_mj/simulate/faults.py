@@ -1,0 +1,220 @@
+"""What breaks in a robot: sensors, the controller, friction, the link to the controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, PrivateAttr
+
+from ..assemble.declaration import Declaration, Name
+from ..assemble.robot import SerialRobot
+from ..errors import DeclarationError, Problem, did_you_mean
+from .kinds import by_kind
+from .plant import Plant
+from .sensors import Signal
+
+_INVERTED = -1.0
+
+
+class Fault(Declaration):
+    """Something that breaks at a time and stays broken.
+
+    Attributes:
+        robot: whose; may be left out where there is one only.
+        joints: names of the joints; all when empty.
+        begin: s.
+    """
+
+    robot: Name | None = None
+    joints: list[str] = Field(default_factory=list)
+    begin: float = Field(0.0, ge=0)
+
+    _rows: list[int] = PrivateAttr(default_factory=list)
+
+    def choose(self, robots: Mapping[str, SerialRobot]) -> str:
+        """The robot that it happens to; remembers which rows of the plant are its joints.
+
+        Raises:
+            DeclarationError: no such robot or joint, or it has to be named.
+        """
+        name = self.robot or (next(iter(robots)) if len(robots) == 1 else None)
+        if name is None:
+            raise DeclarationError(
+                [Problem("robot", f"is required; expected one of {', '.join(robots)}")]
+            )
+        if name not in robots:
+            raise DeclarationError(
+                [Problem("robot", f"no robot '{name}'{did_you_mean(name, robots)}")]
+            )
+        names = robots[name].names
+        for joint in self.joints:
+            if joint not in names:
+                message = f"no joint '{joint}' of {name}{did_you_mean(joint, names)}"
+                raise DeclarationError([Problem("joints", message)])
+        first = 0
+        for other, declared in robots.items():
+            if other == name:
+                break
+            first += declared.n
+        self._rows = [
+            first + k for k, joint in enumerate(names) if not self.joints or joint in self.joints
+        ]
+        return name
+
+    @property
+    def rows(self) -> Sequence[int]:
+        """Which joints of the plant it concerns; `choose` finds them."""
+        return self._rows
+
+    def happen(self, plant: Plant, gains: Any) -> None:
+        """Breaks it.
+
+        Args:
+            plant: whose sensors and joints.
+            gains: (n,), what the torques that controllers ask for are multiplied by.
+        """
+        raise NotImplementedError
+
+
+class SensorFault(Fault):
+    """A sensor that is off from now on.
+
+    Attributes:
+        signal: `angles`, `velocities` or `torques`.
+        bias: added, rad, rad/s or Nm.
+        gain: what it is multiplied by.
+        noise: standard deviation, rad, rad/s or Nm.
+        resolution: distance of the values that it can show.
+        delay_ms: until a value is read; of all joints.
+    """
+
+    kind: Literal["sensor"] = "sensor"
+    signal: Signal = "torques"
+    bias: float | None = None
+    gain: float | None = None
+    noise: float | None = Field(None, ge=0)
+    resolution: float | None = Field(None, ge=0)
+    delay_ms: float | None = Field(None, ge=0, le=1e4)
+
+    def happen(self, plant: Plant, gains: Any) -> None:
+        """Changes the sensor."""
+        given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
+        changed = {key: value for key, value in given.items() if value is not None}
+        if changed:
+            plant.sensors.change(self.signal, self.rows, **changed)
+        if self.delay_ms is not None:
+            plant.sensors.delay(self.signal, round(self.delay_ms / 1e3 / plant.timestep))
+
+
+class EncoderOffset(Fault):
+    """Angles that are off by a constant.
+
+    Attributes:
+        offset: rad or m.
+        offset_deg: the same in degrees.
+    """
+
+    kind: Literal["encoder_offset"] = "encoder_offset"
+    offset: float = 0.0
+    offset_deg: float = 0.0
+
+    def happen(self, plant: Plant, gains: Any) -> None:
+        """Shifts the encoder."""
+        offset = self.offset + float(np.deg2rad(self.offset_deg))
+        plant.sensors.change("angles", self.rows, bias=offset)
+
+
+class DeadSensor(Fault):
+    """A sensor that reads zero.
+
+    Attributes:
+        signal: `angles`, `velocities` or `torques`.
+    """
+
+    kind: Literal["dead_sensor"] = "dead_sensor"
+    signal: Signal = "torques"
+
+    def happen(self, plant: Plant, gains: Any) -> None:
+        """Kills it."""
+        for row in self.rows:
+            plant.sensors.kill(self.signal, row)
+
+
+class FrozenSensor(Fault):
+    """A sensor that goes on reading what it has read last.
+
+    Attributes:
+        signal: `angles`, `velocities` or `torques`.
+    """
+
+    kind: Literal["frozen_sensor"] = "frozen_sensor"
+    signal: Signal = "torques"
+
+    def happen(self, plant: Plant, gains: Any) -> None:
+        """Freezes it."""
+        for row in self.rows:
+            plant.sensors.freeze(self.signal, row)
+
+
+class ControllerFault(Fault):
+    """Drives that do something else than the controller asks for.
+
+    Attributes:
+        gain: what torques are multiplied by: -1 is a wrong sign, 0 a drive that is off.
+    """
+
+    kind: Literal["controller"] = "controller"
+    gain: float = _INVERTED
+
+    def happen(self, plant: Plant, gains: Any) -> None:
+        """Changes the gain of the drives."""
+        gains[list(self.rows)] = self.gain
+
+
+class FrictionFault(Fault):
+    """Friction that changes: a bearing that runs dry, a brake that does not open.
+
+    Attributes:
+        viscous: factor on what there is.
+        coulomb: likewise.
+        added_coulomb: Nm, what is added to it.
+    """
+
+    kind: Literal["friction"] = "friction"
+    viscous: float = Field(1.0, ge=0)
+    coulomb: float = Field(1.0, ge=0)
+    added_coulomb: float = Field(0.0, ge=0)
+
+    def happen(self, plant: Plant, gains: Any) -> None:
+        """Changes the friction."""
+        first = 0
+        for name, part in plant.world.robots.items():
+            mine = [row - first for row in self.rows if first <= row < first + part.robot.n]
+            first += part.robot.n
+            if mine:
+                viscous = plant.model.dof_damping[part.dofs].copy()
+                coulomb = plant.model.dof_frictionloss[part.dofs].copy()
+                viscous[mine] *= self.viscous
+                coulomb[mine] = coulomb[mine] * self.coulomb + self.added_coulomb
+                plant.set_friction(name, viscous, coulomb)
+
+
+FAULTS: Mapping[str, type[Fault]] = {
+    "sensor": SensorFault,
+    "encoder_offset": EncoderOffset,
+    "dead_sensor": DeadSensor,
+    "frozen_sensor": FrozenSensor,
+    "controller": ControllerFault,
+    "friction": FrictionFault,
+}
+
+
+def fault_from(table: Any) -> Fault:
+    """Builds a fault from a table with `kind`.
+
+    Raises:
+        DeclarationError: there is no such kind, or fields are wrong.
+    """
+    return by_kind(table, FAULTS, Fault)

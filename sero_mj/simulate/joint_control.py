@@ -1,0 +1,216 @@
+"""Controllers in joint space: gravity compensation, torque, impedance, position."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from .damping import design_damping, too_stiff, unstable_joint
+from .gains import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
+from .robot_model import RobotModel
+from .state import Sensed, Target
+
+Array = NDArray[np.float64]
+
+LARGEST_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
+
+
+class GravityCompensation(ControllerDeclaration):
+    """The robot weighs nothing and can be moved by hand.
+
+    Attributes:
+        damping: Nm s/rad or N s/m per joint, against motion.
+    """
+
+    kind: Literal["gravity_compensation"] = "gravity_compensation"
+    damping: Annotated[PerJoint, within(0.0, 1e4, "Nm s/rad")] = np.zeros(1)
+
+    def make(self, model: RobotModel, timestep: float) -> GravityCompensator:
+        """The controller at work."""
+        return GravityCompensator(model, damping=self.per_joint("damping", model.n))
+
+
+class Torque(ControllerDeclaration):
+    """The target's torques, and gravity.
+
+    Attributes:
+        compensate_gravity: whether gravity is added.
+    """
+
+    kind: Literal["torque"] = "torque"
+    compensate_gravity: bool = True
+
+    def make(self, model: RobotModel, timestep: float) -> GravityCompensator:
+        """The controller at work."""
+        return GravityCompensator(
+            model, feed_forward=True, compensate_gravity=self.compensate_gravity
+        )
+
+
+class JointImpedance(ControllerDeclaration):
+    """Every joint is a spring and a damper about the target's angles.
+
+    Attributes:
+        stiffness: Nm/rad per joint, 0 to 5000 as on the KUKA LWR.
+        damping: ratio per joint; 0.7 overshoots by 4.6 %, 1 not at all.
+        feed_forward: whether the torques that the target's motion takes are added.
+        damping_every: s between two designs of the damping matrix.
+    """
+
+    kind: Literal["joint_impedance"] = "joint_impedance"
+    stiffness: Annotated[
+        PerJoint,
+        within(0.0, LARGEST_STIFFNESS, "Nm/rad", "; kind = 'joint_position' can be stiffer"),
+    ]
+    damping: Ratio = DEFAULT_RATIO
+    feed_forward: bool = False
+    damping_every: float = Field(0.04, gt=0, le=1)
+
+    def make(self, model: RobotModel, timestep: float) -> JointImpedanceController:
+        """The controller at work."""
+        return JointImpedanceController(
+            model,
+            self.per_joint("stiffness", model.n),
+            self.per_joint("damping", model.n),
+            timestep,
+            feed_forward=self.feed_forward,
+            damping_every=self.damping_every,
+        )
+
+
+class JointPosition(JointImpedance):
+    """Follows the target's angles as a stiff impedance, with the torques that its motion takes.
+
+    Attributes:
+        stiffness: Nm/rad per joint.
+        damping: ratio per joint.
+        feed_forward: as for `JointImpedance`.
+        damping_every: as for `JointImpedance`.
+    """
+
+    kind: Literal["joint_position"] = "joint_position"  # type: ignore[assignment]
+    stiffness: Annotated[PerJoint, within(1.0, 1e6, "Nm/rad")] = np.array([10000.0])
+    damping: Ratio = np.ones(1)
+    feed_forward: bool = True
+
+
+class GravityCompensator:
+    """tau = g(q) - d dq, or g(q) + tau_target.
+
+    Args:
+        model: for itself.
+        damping: d, (n,), Nm s/rad; None for none.
+        feed_forward: whether the target's torques are added.
+        compensate_gravity: whether g(q) is.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        *,
+        damping: Array | None = None,
+        feed_forward: bool = False,
+        compensate_gravity: bool = True,
+    ) -> None:
+        self.model = model
+        self._damping = damping if damping is not None and damping.any() else None
+        self._feed_forward, self._compensate = feed_forward, compensate_gravity
+        self._resisting: Array = np.zeros(model.n)
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques of this step, (n,)."""
+        if self._compensate:
+            self.model.update(sensed.motor_angles, sensed.motor_velocities)
+            out[:] = self.model.gravity()
+        else:
+            out[:] = 0.0
+        if self._feed_forward:
+            np.add(out, target.torques, out)
+        if self._damping is not None:
+            np.multiply(self._damping, sensed.motor_velocities, self._resisting)
+            np.subtract(out, self._resisting, out)
+
+
+class JointImpedanceController:
+    """tau = K (q_d - q) + D (dq_d - dq) + g(q) + tau_target.
+
+    With feed-forward also M(q) ddq_d + C(q, dq) dq_d, which makes the error of a moving target die
+    out as that of a resting one does (PD+; Paden and Panja 1988, Globally asymptotically stable
+    'PD+' controller for robot manipulators, Int. J. Control 47). To a resting target the robot
+    moves as springs and dampers on its own inertia would make it: the energy
+    1/2 dq M dq + 1/2 e K e falls by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A
+    Unified Passivity-based Control Framework, IJRR 26). D is designed from M(q), motors' inertia
+    included, every `damping_every`, and held: any positive semidefinite D takes energy.
+
+    Where joints are elastic, q and dq are the motors', and the links hang below their targets by
+    what gravity bends.
+
+    Args:
+        model: for itself.
+        stiffness: the diagonal of K, (n,), Nm/rad.
+        damping: ratio, (n,).
+        timestep: s between two calls.
+        feed_forward: whether the torques of the target's motion are added.
+        damping_every: s.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        stiffness: Array,
+        damping: Array,
+        timestep: float,
+        *,
+        feed_forward: bool = False,
+        damping_every: float = 0.04,
+    ) -> None:
+        n = model.n
+        self.model = model
+        self.stiffness: Array = np.diag(stiffness)
+        self._ratio = damping
+        self._timestep = timestep
+        self._feed_forward = feed_forward
+        self._every = max(round(damping_every / timestep), 1)
+        self._left = 0
+        # One product for both: [K D] [e; de].
+        self._gains: Array = np.hstack([self.stiffness, np.zeros((n, n))])
+        self.damping: Array = self._gains[:, n:]
+        self._error: Array = np.zeros(2 * n)
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques of this step, (n,)."""
+        model = self.model
+        model.update(sensed.motor_angles, sensed.motor_velocities)
+        if self._left == 0:
+            self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
+            self._left = self._every
+        self._left -= 1
+        np.subtract(target.state, sensed.motor_state, self._error)
+        self._gains.dot(self._error, out)
+        if self._feed_forward:
+            own = model.inverse_dynamics(target.velocities, target.accelerations)
+        else:
+            own = model.gravity()
+        np.add(out, own, out)
+        np.add(out, target.torques, out)
+
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long.
+
+        Args:
+            angles: (n,), rad or m, where the robot starts.
+
+        Raises:
+            DeclarationError: names the joint that would shake most.
+        """
+        model = self.model
+        model.update(angles, np.zeros(model.n))
+        mass = model.mass()
+        damping = design_damping(mass, self.stiffness, self._ratio)
+        joint = unstable_joint(mass, self.stiffness, damping, self._timestep)
+        if joint is not None:
+            gain = f" at {self.stiffness[joint, joint]:g} Nm/rad"
+            raise too_stiff(model.joint_names[joint], gain, self._timestep)

@@ -1,0 +1,53 @@
+"""What a simulated robot's sensors say, in the words of routes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .run_log import event_of
+from .simulation import Simulation
+
+Array = NDArray[np.float64]
+
+
+class LogSignals:
+    """The signals of one robot of a simulation at any time until now; stands in for a motion.
+
+    Args:
+        simulation: it is not run here.
+        robot: whose signals.
+    """
+
+    def __init__(self, simulation: Simulation, robot: str) -> None:
+        self._simulation = simulation
+        self._robot = simulation.scenario.scene.robots[robot]
+        columns = simulation.layout.columns
+        self._columns = {
+            signal: columns[event_of(robot, signal)]
+            for signal in (
+                "angles", "velocities", "torques", "commanded_torques", "target_angles",
+                "external_torques",
+            )
+            if event_of(robot, signal) in columns
+        }  # fmt: skip
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        """What is measured at time t, s."""
+        simulation = self._simulation
+        row = min(round(t / simulation.scenario.run.timestep), simulation.step)
+        found = {signal: simulation.rows[row, columns] for signal, columns in self._columns.items()}
+        angles = found["angles"]
+        before = simulation.rows[max(row - 1, 0), self._columns["velocities"]]
+        return {
+            **found,
+            "joint_angles": angles,
+            "commanded_angles": found.get("target_angles", angles),
+            "joint_accelerations": (found["velocities"] - before)
+            / simulation.scenario.run.timestep,
+            "billboard_values": found["velocities"],
+            "flange_check": self._robot.fwd_kin_base_to_flange(angles),
+            "further": found["external_torques"],
+        }

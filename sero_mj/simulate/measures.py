@@ -1,0 +1,94 @@
+"""What can be asked of a run: errors, speeds, torques, forces, as numbers over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .run_log import RunLog, event_of
+
+Array = NDArray[np.float64]
+
+
+def _actual(log: RunLog, robot: str, signal: str) -> Array:
+    """What is true, where that is known; else what was measured."""
+    known = f"actual_{signal}"
+    return log.of(robot, known if log.has(robot, known) else signal)
+
+
+def _position_error(log: RunLog, robot: str) -> Array:
+    return np.asarray(log.of(robot, "target_angles") - _actual(log, robot, "angles"))
+
+
+def _velocity_error(log: RunLog, robot: str) -> Array:
+    return np.asarray(log.of(robot, "target_velocities") - _actual(log, robot, "velocities"))
+
+
+def _flange(log: RunLog, robot: str, angles: Array) -> Array:
+    """T_world_flange, (T, 4, 4)."""
+    declared = log.robots[robot]
+    return np.asarray(declared.base_frame @ declared.fwd_kin_base_to_flange(angles))
+
+
+def _poses(log: RunLog, robot: str) -> tuple[Array, Array]:
+    """Where the flange should be, and where it is."""
+    event = event_of(robot, "target_pose")
+    if event in log.signals:
+        target = log.signals[event]
+    else:
+        target = _flange(log, robot, log.of(robot, "target_angles"))
+    return target, _flange(log, robot, _actual(log, robot, "angles"))
+
+
+def _flange_error(log: RunLog, robot: str) -> Array:
+    target, actual = _poses(log, robot)
+    return np.asarray(np.linalg.norm(target[:, :3, 3] - actual[:, :3, 3], axis=1)[:, None])
+
+
+def _orientation_error(log: RunLog, robot: str) -> Array:
+    target, actual = _poses(log, robot)
+    turn = np.einsum("tji,tjk->tik", target[:, :3, :3], actual[:, :3, :3])
+    sin = 0.5 * np.stack(
+        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0],
+         turn[:, 1, 0] - turn[:, 0, 1]], axis=1,
+    )  # fmt: skip
+    cos = 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0)
+    return np.asarray(np.arctan2(np.linalg.norm(sin, axis=1), cos)[:, None])
+
+
+def _torque_share(log: RunLog, robot: str) -> Array:
+    return np.asarray(log.of(robot, "commanded_torques") / log.torque_limits(robot))
+
+
+def _contact_force(log: RunLog, robot: str) -> Array:
+    return np.asarray(np.linalg.norm(log.signals[event_of(robot, "contact_force")], axis=-1))[
+        :, None
+    ]
+
+
+def _drift(log: RunLog, robot: str) -> Array:
+    angles = _actual(log, robot, "angles")
+    return np.asarray(angles - angles[0])
+
+
+# Name in files to unit, and the numbers (T, n) per joint or (T, 1).
+MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
+    "position_error": ("rad", _position_error),
+    "velocity_error": ("rad/s", _velocity_error),
+    "flange_error": ("m", _flange_error),
+    "orientation_error": ("rad", _orientation_error),
+    "velocity": ("rad/s", lambda log, robot: _actual(log, robot, "velocities")),
+    "angle": ("rad", lambda log, robot: _actual(log, robot, "angles")),
+    "drift": ("rad", _drift),
+    "torque": ("Nm", lambda log, robot: log.of(robot, "torques")),
+    "commanded_torque": ("Nm", lambda log, robot: log.of(robot, "commanded_torques")),
+    "torque_error": ("Nm", lambda log, robot: log.torque_error(robot)),
+    "torque_share": ("of the limit", _torque_share),
+    "external_torque": ("Nm", lambda log, robot: log.of(robot, "external_torques")),
+    "saturated": ("share of the time", lambda log, robot: log.of(robot, "saturated")),
+    "contact_force": ("N", _contact_force),
+}
+# Those that ask for a target, and those that only robots with obstacles have.
+NEED_TARGET = ("position_error", "velocity_error", "flange_error", "orientation_error")

@@ -1,0 +1,105 @@
+"""Where robots are to be at every step of a run, computed before it begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from .cartesian_control import CartesianImpedance
+from .cartesian_laws import CartesianLaw, CartesianMotion
+from .gains import ControllerDeclaration
+from .joint_control import GravityCompensation, Torque
+from .law import Law, Motion
+from .laws import Constant
+from .reach import follow_poses
+from .robot_model import RobotModel
+from .state import Target
+from .torque_limits import Controller
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The target of one robot at every step.
+
+    Attributes:
+        joints: angles, velocities and accelerations, (T, n) each; None where there is no target.
+        flange: poses and twists, where the controller or the law is Cartesian.
+        moves: whether it ever changes.
+    """
+
+    joints: Motion | None
+    flange: CartesianMotion | None
+    moves: bool
+
+    @cached_property
+    def _states(self) -> Array:
+        """Angles and velocities side by side, (T, 2n)."""
+        assert self.joints is not None
+        return np.hstack([self.joints.angles, self.joints.velocities])
+
+    def load(self, target: Target, k: int) -> None:
+        """Writes what is asked for at a step into a controller's target."""
+        if self.joints is not None:
+            target.state[:] = self._states[k]
+            target.accelerations[:] = self.joints.accelerations[k]
+        if self.flange is not None:
+            target.pose[:] = self.flange.poses[k]
+            target.twist[:] = self.flange.twists[k]
+
+
+def make_plan(
+    robot: SerialRobot,
+    law: Law | CartesianLaw | None,
+    controller: ControllerDeclaration | Controller,
+    times: Array,
+) -> Plan:
+    """The target of a robot over a run.
+
+    A law in joint space is turned into poses for a Cartesian controller, and a Cartesian one into
+    joint angles; the latter are shown in any case, and are proof that it can be followed.
+
+    Args:
+        robot: with its limits; it starts where it is declared to be.
+        law: of the motion; None stays where it starts, or has no target where there is no spring.
+        controller: that is to follow it.
+        times: (T,), s.
+
+    Raises:
+        DeclarationError: the motion leaves the robot's limits or reach.
+    """
+    start = np.asarray(robot.home, np.float64)
+    is_cartesian = isinstance(controller, CartesianImpedance)
+    if law is None and isinstance(controller, GravityCompensation | Torque):
+        return Plan(None, None, moves=False)
+    if isinstance(law, CartesianLaw):
+        first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)
+        flange = law.sample(times, first)
+        angles = follow_poses(flange, RobotModel.of(robot), robot, start)
+        joints = _motion(times, angles)
+        return Plan(joints, flange, moves=bool(np.ptp(flange.poses, axis=0).max() > 0))
+    joints = (law or Constant()).sample(times, robot, start)
+    moves = bool(np.ptp(joints.angles, axis=0).max() > 0)
+    return Plan(joints, _poses(robot, joints) if is_cartesian else None, moves)
+
+
+def _motion(times: Array, angles: Array) -> Motion:
+    """A motion of joints of which only the angles are known."""
+    if len(times) < 3:
+        return Motion(times, angles, np.zeros_like(angles), np.zeros_like(angles))
+    velocities = np.gradient(angles, times, axis=0)
+    return Motion(times, angles, velocities, np.gradient(velocities, times, axis=0))
+
+
+def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
+    """Where the flange is during a motion of the joints."""
+    poses = robot.base_frame @ robot.fwd_kin_base_to_flange(motion.angles)
+    jacobians = robot.dh.jacobian(motion.angles, robot.base_frame, robot.flange_frame)
+    twists = np.einsum("tij,tj->ti", jacobians, motion.velocities)
+    accelerations = np.gradient(twists, motion.times, axis=0) if len(twists) > 2 else 0.0 * twists
+    return CartesianMotion(motion.times, poses, twists, np.asarray(accelerations))

@@ -1,0 +1,313 @@
+"""`Plant`: the simulated robots, which take motor torques and give what their sensors read."""
+
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..assemble.declaration import numbers
+from ..assemble.parts import RobotPart
+from ..assemble.world import World
+from ..errors import SimulationError, UnknownName
+from .joint_model import JointModel
+from .payload import attach_payload, detach_payload
+from .push import Push
+from .sensors import Sensors
+
+Array = NDArray[np.float64]
+
+_TOO_MUCH = 1e18  # Nm squared, and what NaN is not below
+_POSITION, _VELOCITY, _ACCELERATION = (
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+)
+
+
+class Plant:
+    """All robots of a dynamic world, joint after joint in the order of `world.robots`.
+
+    After construction and after every step `data` holds the kinematics, the mass matrix and the
+    bias torques (`qfrc_bias`) of the state that it is in, so a controller has them for nothing.
+
+    Args:
+        world: compiled with `dynamic=True`.
+        sensors: what the robots have; perfect ones when None.
+        timestep: s; the model's when None.
+
+    Attributes:
+        world: what is simulated.
+        model: its `MjModel`; payloads and frictions change it.
+        data: its `MjData`.
+        n: number of joints of all robots together.
+        actual: (3, n), true angles and velocities of the links and torques between motors and
+            links, the latter during the last step; rad, rad/s, Nm.
+        measured: (3, n), what the sensors read of it.
+        motor_angles: (n,), true, rad: before the spring of an elastic joint. Always the same
+            array, to read only; so is the next.
+        motor_velocities: (n,), likewise, rad/s.
+        sensors: as given.
+        motor_torques: (n,), what acted in the last step.
+
+    Raises:
+        ValueError: the world is not dynamic, or the timestep not positive.
+    """
+
+    def __init__(
+        self, world: World, sensors: Sensors | None = None, timestep: float | None = None
+    ) -> None:
+        if not world.dynamic:
+            raise ValueError("found a world to look at; expected World(scene, dynamic=True)")
+        self.world = world
+        self.model = world.model
+        if timestep is not None:
+            if not 0 < timestep < 1:
+                raise ValueError(f"timestep: found {timestep:g} s; expected more than 0, below 1")
+            self.model.opt.timestep = timestep
+        self.data = world.make_data()
+        self.joints = JointModel(world, self.data)
+        self.n = self.joints.n
+        self.motor_angles = self.joints.motor_angles
+        self.motor_velocities = self.joints.motor_velocities
+        self.sensors = Sensors(self.n) if sensors is None else sensors
+        if self.sensors.n != self.n:
+            raise ValueError(f"found sensors of {self.sensors.n} joints; expected {self.n}")
+        self.actual = np.zeros((3, self.n))
+        self._rows = tuple(self.actual)  # views
+        self.measured = self.sensors.measured
+        self._pushes: list[Push] = []
+        self._pushed = False  # whether any acts, or did in the last step
+        self._motor = self.data.qfrc_applied
+        self._motor_dofs = self.joints.motor_dofs
+        self._outer = np.zeros(self.model.nv)  # torques of pushes in the last step
+        self._warned = self.data.warning.number
+        self._settle()
+
+    @property
+    def time(self) -> float:
+        """Since the start, s."""
+        return float(self.data.time)
+
+    @property
+    def timestep(self) -> float:
+        """Of a step, s."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def motor_torques(self) -> Array:
+        """What acted on the motors in the last step, (n,), Nm."""
+        return np.asarray((self._motor - self._outer)[self._motor_dofs])
+
+    def reset(self, joint_angles: Any | None = None) -> None:
+        """Puts the robots where they are declared to be, at rest, and ends pushes.
+
+        Payloads, frictions and faults of sensors stay; the noise begins anew.
+
+        Args:
+            joint_angles: (n,), of all robots, rad; the declared ones when None.
+
+        Raises:
+            ValueError: not n finite numbers.
+        """
+        self.world.reset(self.data)
+        self._pushes.clear()
+        self._motor[:] = self._outer[:] = 0.0
+        if joint_angles is not None:
+            angles = numbers(joint_angles)
+            if angles.shape != (self.n,):
+                raise ValueError(f"joint_angles: found {angles.size} numbers; expected {self.n}")
+            for part in self.world.robots.values():
+                self.data.qpos[part.qpos] = angles[part.joints]
+        self._settle()
+
+    def _settle(self) -> None:
+        """Computes all that follows from a state at rest, in which the joints hold the links."""
+        mujoco.mj_forward(self.model, self.data)
+        if self.joints.elastic:
+            self.joints.load_springs()
+            mujoco.mj_forward(self.model, self.data)
+        self.joints.hold()
+        self.joints.read(*self._rows)
+        self.sensors.reset(self.actual)
+
+    def step(self, motor_torques: Array) -> Array:
+        """Lets one timestep pass.
+
+        Args:
+            motor_torques: (n,), before gear friction and as seen at the joint, Nm; none is cut
+                off here.
+
+        Returns:
+            `measured`, (3, n): the same array every time.
+
+        Raises:
+            SimulationError: a torque is no number, or the motion has become unstable; names the
+                joint and the time. `measured` and `actual` are those before.
+        """
+        motor = self._motor
+        pushes = self._gather_pushes() if self._pushed else None
+        motor[self._motor_dofs] = motor_torques
+        if not motor.dot(motor) < _TOO_MUCH:  # nor is NaN
+            self._stop_for_torque()
+        joints = self.joints
+        joints.advance(motor, pushes)
+        warned = self._warned
+        if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
+            self._stop_for_motion()
+        joints.read(*self._rows)
+        return self.sensors.measure(self.actual)
+
+    def _gather_pushes(self) -> Array:
+        """What pushes do at the joints now, (nv,), Nm; also clears what they did before."""
+        self._motor[:] = self._outer[:] = 0.0
+        for push in self._pushes:
+            push.apply(self.model, self.data, self._outer)
+        self._pushed = bool(self._pushes)
+        return self._outer
+
+    def push(
+        self,
+        frame: str,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        torque: ArrayLike = (0.0, 0.0, 0.0),
+        expressed_in: str = "world",
+        at: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Push:
+        """Lets a force and a torque act on a frame until `release`.
+
+        Args:
+            frame: at whose origin they act, e.g. `lwr/flange`.
+            force: (3,), N.
+            torque: (3,), Nm.
+            expressed_in: name of the frame in whose axes both are given.
+            at: (3,), where in the frame they act, m.
+
+        Returns:
+            the push; change its `force` and `torque` at any time.
+
+        Raises:
+            UnknownName: no such frame.
+            ValueError: not three finite numbers.
+        """
+        push = Push(self.world, frame, force, torque, expressed_in, at)
+        self._pushes.append(push)
+        self._pushed = True
+        return push
+
+    def release(self, push: Push) -> None:
+        """Ends a push; nothing happens if it has ended."""
+        if push in self._pushes:
+            self._pushes.remove(push)
+
+    def external_torques(self) -> Array:
+        """What acted on the links from outside in the last step, (n,), Nm, true.
+
+        Of pushes, contacts and stops; a payload is a part of its robot.
+        """
+        return self.joints.external(self._outer)
+
+    def set_friction(
+        self, robot: str, viscous: ArrayLike | None = None, coulomb: ArrayLike | None = None
+    ) -> None:
+        """Changes a robot's friction from now on.
+
+        Args:
+            robot: its name.
+            viscous: one number or (n,), Nm s/rad; as it is when None.
+            coulomb: likewise, Nm.
+
+        Raises:
+            UnknownName: no such robot.
+            ValueError: a friction below zero, or neither one nor n.
+        """
+        dofs = self._part(robot).dofs
+        for name, value, target in (
+            ("viscous", viscous, self.model.dof_damping),
+            ("coulomb", coulomb, self.model.dof_frictionloss),
+        ):
+            if value is not None:
+                friction = np.atleast_1d(numbers(value))
+                if friction.shape not in ((1,), dofs.shape):
+                    raise ValueError(
+                        f"{name}: found {friction.size} numbers; expected 1 or {len(dofs)}"
+                    )
+                if (friction < 0).any():
+                    raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
+                target[dofs] = friction
+        self.refresh()
+
+    def attach_payload(
+        self,
+        robot: str,
+        mass: float,
+        center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike | None = None,
+    ) -> None:
+        """Fixes a payload to a robot's flange, in place of the one that it may have.
+
+        Args:
+            robot: its name.
+            mass: kg.
+            center_of_mass: (3,), in the flange's frame, m.
+            inertia: about it, in the flange's axes, kg m2: 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz,
+                Iyz) or (3, 3); that of a ball of steel when None.
+
+        Raises:
+            UnknownName: no such robot.
+            ValueError: no rigid body has this mass and inertia.
+        """
+        self._part(robot)
+        attach_payload(self.model, robot, mass, center_of_mass, inertia)
+        self.refresh()
+
+    def detach_payload(self, robot: str) -> None:
+        """Takes a robot's payload away.
+
+        Raises:
+            UnknownName: no such robot.
+        """
+        self._part(robot)
+        detach_payload(self.model, robot)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Lets all follow from `model` and `data` as they were changed; no time passes."""
+        self.joints.refresh()
+        mujoco.mj_step1(self.model, self.data)
+
+    def _part(self, robot: str) -> RobotPart:
+        if robot not in self.world.robots:
+            raise UnknownName("robot", robot, self.world.robots)
+        return self.world.robots[robot]
+
+    def _joint_name(self, row: int) -> str:
+        names = [
+            f"{name}/{j}" for name, part in self.world.robots.items() for j in part.robot.names
+        ]
+        return names[row]
+
+    def _stop_for_torque(self) -> NoReturn:
+        torques = self.motor_torques.copy()
+        self._motor[:] = 0.0
+        row = int(np.argmax(~(np.abs(torques) < np.sqrt(_TOO_MUCH / self.n))))
+        reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
+        raise SimulationError(self.time, self._joint_name(row), reason)
+
+    def _stop_for_motion(self) -> NoReturn:
+        acceleration = self.data.qacc[self._motor_dofs]
+        broken = ~(np.abs(acceleration) < mujoco.mjMAXVAL)
+        parts = self.world.robots.values()
+        revolute = np.concatenate([part.dh.revolute for part in parts])
+        row = int(np.argmax(broken) if broken.any() else np.argmax(np.abs(acceleration)))
+        unit = "rad/s2" if revolute[row] else "m/s2"
+        reason = (
+            f"found an acceleration of {acceleration[row]:g} {unit}; the motion is unstable: "
+            f"expected lower gains, or a timestep below {self.timestep:g} s"
+        )
+        raise SimulationError(self.time, self._joint_name(row), reason)

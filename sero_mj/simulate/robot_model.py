@@ -1,0 +1,257 @@
+"""`RobotModel`: what a controller knows of its robot, which is not all there is to it.
+
+It is a model of that robot alone: no payload, no contact, no other robots, and the masses that
+the controller believes in. What differs from them in the simulated world shows as it would on
+the real robot.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco import (
+    mj_comPos,
+    mj_comVel,
+    mj_crb,
+    mj_fullM,
+    mj_jacSite,
+    mj_kinematics,
+    mj_makeM,
+    mj_rne,
+)
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from ..assemble.scene import Scene
+from ..assemble.world import World
+from .skeleton import skeleton
+
+Array = NDArray[np.float64]
+
+
+class RobotModel:
+    """Kinematics and dynamics of one robot at the angles and velocities it was last given.
+
+    `update` once, then ask: nothing is computed that is not asked for. What comes back is a
+    buffer that the next call of the same method writes again; copy it to keep it.
+
+    Joint torques are in Nm, forces of prismatic joints in N. The Coriolis matrix C is that of the
+    Christoffel symbols (Siciliano et al. 2009, Robotics, 7.2), so that dM/dt = C + C^T.
+
+    Args:
+        model: where the robot's masses are taken from, at once; other robots, payloads fixed later
+            and contacts are not. Other joints of the robot (a gripper's, elastic ones) are rigid.
+        joints: ids of the robot's hinge and slide joints, base to flange.
+        site: id of the site at the flange. One of site and body is needed.
+        body: id of the body whose frame is the flange's.
+        name: the robot's name, for messages.
+
+    Attributes:
+        n: number of joints.
+        name: the robot's name.
+        joint_names: of every joint, without the robot's name before it.
+        motor_inertia: (n,), kg m2 or kg, as reflected to the joint; on the diagonal of M.
+        flange_position: (3,), m, in the world; always that of the last `update`.
+        flange_rotation: (3, 3), R_world_flange, likewise.
+
+    Raises:
+        ValueError: the joints are not those of one robot in their order, or there is no flange.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        joints: Sequence[int],
+        *,
+        site: int | None = None,
+        body: int | None = None,
+        name: str = "robot",
+    ) -> None:
+        if (site is None) == (body is None):
+            raise ValueError("expected a site or a body for the flange, and not both")
+        ids = [int(joint) for joint in joints]
+        n = len(ids)
+        sliding_or_turning = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+        trees = set(model.body_rootid[model.jnt_bodyid[ids]].tolist())
+        kinds = set(model.jnt_type[ids].tolist())
+        if ids != sorted(set(ids)) or len(trees) != 1 or not kinds <= sliding_or_turning:
+            raise ValueError(f"found joints {ids}; expected those of one robot, base to flange")
+        self.n, self.name = n, name
+        self.joint_names = [model.joint(joint).name.rpartition("/")[2] for joint in ids]
+        self._model = skeleton(model, ids, site, body)
+        self._data = mujoco.MjData(self._model)
+        # mj_rne reads velocities from cvel and cdof_dot. They stay zero in `_data`, so there it
+        # gives gravity alone; in the others gravity is zero.
+        self._weightless = copy.copy(self._model)
+        self._weightless.opt.gravity[:] = 0.0
+        self._moving = mujoco.MjData(self._weightless)
+        self._swapped = mujoco.MjData(self._weightless)
+        mj_kinematics(self._model, self._data)
+        mj_comPos(self._model, self._data)
+        self._take_views()
+
+    def _take_views(self) -> None:
+        """Views into MuJoCo's arrays: to look one up costs as much as to compute with it."""
+        n, data = self.n, self._data
+        self._qpos: Array = data.qpos
+        self._qvel: Array = self._moving.qvel
+        self._qacc: Array = self._moving.qacc
+        self._gravity, self._coriolis, self._transposed, self._momentum = np.zeros((4, n))
+        self._inverse: Array = np.zeros(n)
+        self._other: Array = np.zeros(n)
+        self._bias: Array = np.zeros(n)
+        self._velocities: Array = np.zeros(n)
+        self._mass: Array = np.zeros((n, n))
+        self._link_mass: Array = np.zeros((n, n))
+        self._link_diagonal: Array = self._link_mass.reshape(-1)[:: n + 1]
+        self.motor_inertia: Array = self._model.dof_armature.copy()
+        self._jacobian: Array = np.zeros((6, n))
+        self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
+        self.flange_position: Array = data.site_xpos[0]
+        self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
+        moving, swapped = self._moving, self._swapped
+        self._cinert, self._cdof = data.cinert, data.cdof
+        self._moving_cinert, self._moving_cdof = moving.cinert, moving.cdof
+        self._moving_cdof_dot = moving.cdof_dot
+        self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
+        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
+        self._is_moving = self._is_swapped = self._has_mass = False
+
+    @classmethod
+    def of(cls, robot: SerialRobot) -> RobotModel:
+        """The model of a declared robot, with its own masses and nothing else in the world.
+
+        Raises:
+            DeclarationError: MuJoCo cannot compile the robot.
+        """
+        world = World(Scene(robots=[robot], floor=False), dynamic=True)
+        part = world.robots[robot.name]
+        joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
+        return cls(world.model, joints, body=part.flange_body, name=robot.name)
+
+    def update(self, angles: Array, velocities: Array) -> None:
+        """Moves the model.
+
+        Args:
+            angles: (n,), rad or m.
+            velocities: (n,), per second; kept, not copied, until the next update.
+        """
+        self._qpos[:] = angles
+        self._velocities = velocities
+        self._is_moving = self._is_swapped = self._has_mass = False
+        mj_kinematics(self._model, self._data)
+        mj_comPos(self._model, self._data)
+
+    def gravity(self) -> Array:
+        """g(q), (n,): the torques that hold the robot still."""
+        mj_rne(self._model, self._data, 0, self._gravity)
+        return self._gravity
+
+    def coriolis(self) -> Array:
+        """C(q, dq) dq, (n,)."""
+        self._move()
+        mj_rne(self._weightless, self._moving, 0, self._coriolis)
+        return self._coriolis
+
+    def bias(self) -> Array:
+        """C(q, dq) dq + g(q), (n,)."""
+        return np.add(self.coriolis(), self.gravity(), self._bias)
+
+    def inverse_dynamics(self, velocities: Array, accelerations: Array) -> Array:
+        """M(q) a + C(q, dq) v + g(q), (n,): what tracking of v and a takes.
+
+        C(q, dq) v is linear in both and the same when they change places, so with c(x) = C(q, x) x
+        it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
+
+        Args:
+            velocities: v, (n,), per second.
+            accelerations: a, (n,), per second squared.
+        """
+        moving, qvel, result = self._moving, self._qvel, self._inverse
+        self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
+        self._qacc[:] = accelerations
+        np.add(self._velocities, velocities, qvel)
+        np.multiply(qvel, 0.5, qvel)
+        mj_comVel(self._model, moving)
+        mj_rne(self._model, moving, 1, result)
+        np.subtract(qvel, velocities, qvel)
+        mj_comVel(self._model, moving)
+        mj_rne(self._weightless, moving, 0, self._other)
+        self._is_moving = False  # it moves, but at another velocity
+        np.subtract(result, self._other, result)
+        np.multiply(self.motor_inertia, accelerations, self._other)
+        return np.add(result, self._other, result)
+
+    def transposed_coriolis(self) -> Array:
+        """C(q, dq)^T dq, (n,): the slope of the kinetic energy along the angles, dq held.
+
+        Turning joint k turns all beyond it, momentum h_k, while the velocity v of what is before
+        it stays: the slope is (v x s_k) . h_k with the axis s_k. MuJoCo has v x s_k as
+        `cdof_dot`. Its recursive Newton-Euler sums axis . (inertia x acceleration) over all beyond
+        a joint; given velocities for accelerations and v x s for the axes, it sums just this, to
+        the last digit (spatial vectors as in Featherstone 2008, Rigid Body Dynamics Algorithms).
+        """
+        self._swap()
+        self._swapped_cdof[:] = self._moving_cdof_dot
+        mj_rne(self._weightless, self._swapped, 0, self._transposed)
+        return self._transposed
+
+    def link_momentum(self) -> Array:
+        """M_link(q) dq, (n,): the generalised momentum of the links, without the motors'."""
+        self._swap()
+        self._swapped_cdof[:] = self._cdof
+        mj_rne(self._weightless, self._swapped, 0, self._momentum)
+        return self._momentum
+
+    def mass(self) -> Array:
+        """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
+        if not self._has_mass:
+            mj_crb(self._model, self._data)
+            mj_makeM(self._model, self._data)
+            mj_fullM(self._model, self._data, self._mass)
+            self._has_mass = True
+        return self._mass
+
+    def link_mass(self) -> Array:
+        """M_link(q), (n, n), without the motors' inertia: what the torque sensors see."""
+        self._link_mass[:] = self.mass()
+        self._link_diagonal -= self.motor_inertia
+        return self._link_mass
+
+    def jacobian(self) -> Array:
+        """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
+        mj_jacSite(self._model, self._data, self._linear, self._angular, 0)
+        return self._jacobian
+
+    def flange(self) -> Array:
+        """T_world_flange, (4, 4), m; a new array."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.flange_rotation, self.flange_position
+        return T
+
+    def manipulability(self) -> float:
+        """sqrt(det(J J^T)), zero where the flange cannot move in some direction.
+
+        Robots with fewer than six joints are measured by sqrt(det(J^T J)).
+        Source: Yoshikawa 1985, Manipulability of Robotic Mechanisms.
+        """
+        singular = np.linalg.svd(self.jacobian(), compute_uv=False)
+        return float(np.prod(singular))
+
+    def _move(self) -> None:
+        if not self._is_moving:
+            self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
+            self._qvel[:] = self._velocities
+            mj_comVel(self._weightless, self._moving)
+            self._is_moving = True
+
+    def _swap(self) -> None:
+        """Fills the data in which velocities stand where accelerations do."""
+        self._move()
+        if not self._is_swapped:
+            self._swapped_cinert[:], self._swapped_cdof_dot[:] = self._cinert, self._cdof
+            self._swapped_qvel[:] = self._velocities
+            self._is_swapped = True

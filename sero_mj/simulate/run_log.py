@@ -1,0 +1,134 @@
+"""`RunLog`: what happened in a run, a row for every step; each row is a packet as well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from ..receive.structure import Structure
+
+Array = NDArray[np.float64]
+
+# Per joint of every robot, in blocks of three that lie in a row as the plant has them.
+MEASURED = ("angles", "velocities", "torques")
+ACTUAL = ("actual_angles", "actual_velocities", "actual_torques")
+DRIVEN = ("commanded_torques", "saturated")
+TARGETS = ("target_angles", "target_velocities")
+ESTIMATED = ("external_torques",)
+TIME = "time"
+
+
+def event_of(robot: str, signal: str) -> str:
+    """The event of a robot's signal, as routes and recordings call it."""
+    return f"{robot.replace('-', '_')}_{signal}"
+
+
+class RunLayout:
+    """Where everything stands in a row of float64 numbers.
+
+    Args:
+        joints: robot name to its number of joints, in the order of the world.
+        targets: which of them have a target in joint space.
+        others: further events and their kind and count: `{"push_force": "1V"}`.
+
+    Attributes:
+        structure: of a row as a packet; matrices stand row by row.
+        width: numbers in a row.
+        columns: event name to its columns.
+    """
+
+    def __init__(
+        self,
+        joints: Mapping[str, int],
+        targets: tuple[str, ...] = (),
+        others: Mapping[str, str] | None = None,
+    ) -> None:
+        parts = [f"{TIME}:1F"]
+        for signal in (*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED):
+            names = targets if signal in TARGETS else joints
+            parts += [f"{event_of(name, signal)}:{joints[name]}F" for name in names]
+        parts += [f"{event}:{kind}" for event, kind in (others or {}).items()]
+        self.joints = dict(joints)
+        self.targets = targets
+        self.structure = Structure(" ".join(parts), column_major=False)
+        self.width = self.structure.size // 8
+        self.columns = {
+            item.name: slice(item.offset // 8, item.end // 8) for item in self.structure.fields
+        }
+
+    def block(self, signals: tuple[str, ...]) -> slice:
+        """The columns of these signals of all robots together; they follow each other."""
+        found = [
+            self.columns[event_of(name, signal)]
+            for signal in signals
+            for name in (self.targets if signal in TARGETS else self.joints)
+        ]
+        return slice(found[0].start, found[-1].stop) if found else slice(0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class RunLog:
+    """A run: of the simulation, of a recording of it, or of a robot.
+
+    Row 0 is the state at the start; torques of a row acted in the step that led to it.
+
+    Attributes:
+        robots: declarations by name: joint names, limits.
+        signals: event name to its values, (T, n) per joint, (T, 3) vectors, (T, 4, 4) matrices.
+            What a real robot cannot know (`actual_...`) may be missing.
+        times: (T,), s.
+        name: for titles.
+    """
+
+    robots: Mapping[str, SerialRobot]
+    signals: Mapping[str, Array]
+    times: Array
+    name: str = "run"
+
+    @classmethod
+    def from_rows(
+        cls, layout: RunLayout, rows: Array, robots: Mapping[str, SerialRobot], name: str = "run"
+    ) -> RunLog:
+        """A log whose signals are views into rows (T, width)."""
+        signals = {}
+        for event, columns in layout.columns.items():
+            shape = layout.structure.events[event]
+            values = rows[:, columns]
+            if len(shape) == 3:
+                values = values.reshape(-1, 4, 4)
+            elif len(shape) == 2:
+                values = values.reshape(-1, 3)
+            signals[event] = values
+        return cls(robots, signals, rows[:, 0], name)
+
+    def has(self, robot: str, signal: str) -> bool:
+        """Whether a robot's signal is there."""
+        return event_of(robot, signal) in self.signals
+
+    def of(self, robot: str, signal: str) -> Array:
+        """A robot's signal, (T, n).
+
+        Raises:
+            KeyError: it is not there.
+        """
+        return self.signals[event_of(robot, signal)]
+
+    def torque_error(self, robot: str) -> Array:
+        """Commanded less measured torque, (T, n), Nm."""
+        return np.asarray(self.of(robot, "commanded_torques") - self.of(robot, "torques"))
+
+    def torque_limits(self, robot: str) -> Array:
+        """(n,), Nm; infinite where the robot has none."""
+        declared = self.robots[robot]
+        limits = declared.torque_limits
+        return np.full(declared.n, np.inf) if limits is None else np.asarray(limits)
+
+    @cached_property
+    def timestep(self) -> float:
+        """Median time between two rows, s."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0

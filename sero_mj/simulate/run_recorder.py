@@ -1,0 +1,115 @@
+"""Keeps the log of a run: as MCAP, as a source's packets, and as a table."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from .. import __version__
+from ..drive.export_csv import column_names
+from ..errors import CsvError
+from ..receive.recording_writer import RecordingWriter
+from .scenario import Scenario
+from .simulation import Simulation
+from .staging import SOURCE
+
+SIGNALS_RATE = 10.0  # decoded rows per simulated second, for programs that plot; 0 for none
+
+
+class RunRecorder:
+    """Writes rows of a simulation's log into a recording, as if they had just been received.
+
+    A replay shows it like the simulation itself, and `sero-mj compare` reads it. Use it as a
+    context manager.
+
+    Args:
+        simulation: whose log.
+        path: where to, OUT.mcap.
+        overwrite: write over a file that exists.
+        signals_rate: of how many rows per simulated second the values are kept as JSON as well.
+
+    Raises:
+        RecordingError: the file exists already, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        path: Path,
+        *,
+        overwrite: bool = False,
+        signals_rate: float = SIGNALS_RATE,
+    ) -> None:
+        scenario, layout = simulation.scenario, simulation.layout
+        about = {"sero-mj": __version__, "scene": scenario.name, "seed": str(scenario.run.seed)}
+        self._simulation = simulation
+        self._writer = RecordingWriter(path, about=about, overwrite=overwrite)
+        self._begin = self._writer.clock.monotonic_ns / 1e9
+        self._writer.add_source(
+            SOURCE,
+            kind="udp",
+            declared={"structure": layout.structure.text, "column_major": False},
+            events={name: tuple(shape) for name, shape in layout.structure.events.items()},
+            size=layout.structure.size,
+        )
+        for file in files_of(scenario):
+            name = f"{file.parent.name}/{file.name}"
+            self._writer.attach(name, "application/toml", file.read_bytes())
+        timestep = scenario.run.timestep
+        self._every = max(round(1.0 / (signals_rate * timestep)), 1) if signals_rate > 0 else 0
+
+    def write(self, first: int, stop: int) -> None:
+        """Writes these rows of the log; raises RecordingError when the disk is full."""
+        simulation, writer, begin = self._simulation, self._writer, self._begin
+        rows = simulation.rows[first:stop]
+        writer.write_rows(SOURCE, rows.view(np.uint8), begin + rows[:, 0])
+        if self._every:
+            for k in range(-first % self._every, stop - first, self._every):
+                values = simulation.layout.structure.decode(rows[k].tobytes())
+                writer.write_signals(SOURCE, values, begin + float(rows[k, 0]))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        self._writer.close()
+
+
+def files_of(scenario: Scenario) -> list[Path]:
+    """The scenario's file, its scene's, and those of its robots."""
+    models = [robot._model for robot in scenario.scene.robots.values()]
+    found = [scenario.file, scenario.scene.file, *models]
+    return list(dict.fromkeys(file for file in found if file is not None and file.is_file()))
+
+
+def write_csv(simulation: Simulation, path: Path) -> None:
+    """Writes the log as a table, a row for every step.
+
+    Raises:
+        CsvError: the file cannot be written.
+    """
+    rows = simulation.rows[: simulation.step + 1]
+    events = simulation.layout.structure.events
+    names = column_names({name: tuple(shape) for name, shape in events.items()})
+    names[0] = "time"
+    partial = path.with_name(f"{path.name}.part")
+    try:
+        with open(partial, "w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(names)
+            for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
+                table.writerows(part.tolist())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise CsvError(path, f"cannot be written: {error.strerror}") from error

@@ -1,0 +1,260 @@
+"""`Scenario`: a scene whose robots are simulated, and everything that happens to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ..assemble.declaration import Declaration
+from ..assemble.scene import Scene
+from ..errors import DeclarationError, Problem, did_you_mean
+from .cartesian_laws import CARTESIAN_LAWS, CartesianLaw
+from .controllers import controller_from
+from .disturbances import Disturbance, Force, Payload, disturbance_from
+from .expect import Expect
+from .faults import Fault, fault_from
+from .gains import ControllerDeclaration
+from .joint_control import GravityCompensation, Torque
+from .kinds import by_kind
+from .law import Law
+from .laws import LAWS
+from .monitor import Monitor
+from .sensors import SIGNALS, SensorErrors, Sensors
+from .torque_limits import Controller
+
+Array = NDArray[np.float64]
+AnyLaw = Law | CartesianLaw
+
+
+class RobotSensors(Declaration):
+    """What the sensors of a robot add to the truth.
+
+    Attributes:
+        angles: errors of the encoders.
+        velocities: of what is differentiated from them.
+        torques: of the torque sensors.
+    """
+
+    angles: Mapping[str, Any] | None = None
+    velocities: Mapping[str, Any] | None = None
+    torques: Mapping[str, Any] | None = None
+
+    def errors(self, signal: str) -> SensorErrors:
+        """The errors of one signal."""
+        return SensorErrors(**(getattr(self, signal) or {}))
+
+
+class Run(Declaration):
+    """How a scenario is run.
+
+    Attributes:
+        duration: s.
+        timestep: of the simulation and of the controllers, s.
+        seed: of everything that is random.
+        elastic: whether joints are elastic, for all robots; as they are declared when None.
+        show_targets: whether transparent doubles show where robots are commanded to be.
+        show_paths: whether rows of doubles show the way there.
+        observer_gain: of the momentum observer, 1/s.
+    """
+
+    duration: float = Field(5.0, gt=0, le=1e5)
+    timestep: float = Field(0.001, ge=1e-5, le=0.05)
+    seed: int = Field(0, ge=0, lt=2**32)
+    elastic: bool | None = None
+    show_targets: bool = True
+    show_paths: bool = False
+    observer_gain: float = Field(50.0, gt=0, le=1e4)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return max(round(self.duration / self.timestep), 1)
+
+
+class Scenario:
+    """A scene, what moves its robots, what happens to them, and what must hold.
+
+    Args:
+        scene: robots, objects, and what is shown.
+        controllers: robot name to a controller's declaration or table, or to any object with the
+            method `torques` of `Controller`. Robots without one compensate gravity.
+        targets: robot name to a law of motion, in joint space or of the flange.
+        sensors: robot name to what its sensors add.
+        disturbances: by name.
+        faults: by name.
+        expect: by name, what must hold.
+        monitor: what a fault detector looks for.
+        name: for titles.
+        description: one line, for `sero-mj list`.
+        **run: fields of `Run`: `duration`, `timestep`, `seed`, ...
+
+    Attributes:
+        run: how it is run.
+        file: that it was read from.
+
+    Raises:
+        DeclarationError: everything that is wrong, at once.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        controllers: Mapping[str, Any] | None = None,
+        targets: Mapping[str, Any] | None = None,
+        sensors: Mapping[str, Any] | None = None,
+        disturbances: Mapping[str, Any] | None = None,
+        faults: Mapping[str, Any] | None = None,
+        expect: Mapping[str, Any] | None = None,
+        monitor: Mapping[str, Any] | Monitor | None = None,
+        name: str = "scenario",
+        description: str = "",
+        **run: Any,
+    ) -> None:
+        self.problems: list[Problem] = []
+        self.scene, self.name, self.description = scene, name, description
+        self.file: Path | None = scene.file
+        self.run: Run = self._read("run", lambda: Run(**run)) or Run()
+        self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
+            "controllers", controllers, _controller
+        )
+        self.targets: dict[str, AnyLaw] = self._each("targets", targets, _law)
+        self.sensors: dict[str, RobotSensors] = self._each(
+            "sensors", sensors, lambda table: _built(RobotSensors, table)
+        )
+        self.disturbances: dict[str, Disturbance] = self._each(
+            "disturbances", disturbances, disturbance_from
+        )
+        self.faults: dict[str, Fault] = self._each("faults", faults, fault_from)
+        self.expect: dict[str, Expect] = self._each(
+            "expect", expect, lambda table: _built(Expect, table)
+        )
+        self.monitor: Monitor = (
+            self._read("monitor", lambda: _built(Monitor, monitor or {})) or Monitor()
+        )
+        self._check_names()
+        if self.problems:
+            raise DeclarationError(scene.located(self.problems))
+
+    def _read(self, key: str, build: Any) -> Any:
+        try:
+            return build()
+        except DeclarationError as error:
+            self.problems += [problem.inside(key) for problem in error.problems]
+            return None
+
+    def _each(self, section: str, tables: Mapping[str, Any] | None, build: Any) -> dict[str, Any]:
+        if tables is not None and not isinstance(tables, Mapping):
+            self.problems.append(Problem(section, f"found {tables!r}; expected tables by name"))
+            return {}
+        found = {}
+        for name, table in (tables or {}).items():
+            built = self._read(f"{section}.{name}", lambda table=table: build(table))
+            if built is not None:
+                found[name] = built
+        return found
+
+    def _check_names(self) -> None:
+        robots = self.scene.robots
+        if not robots:
+            self.problems.append(Problem("robots", "found none; expected one to be simulated"))
+        for section in ("controllers", "targets", "sensors"):
+            for name in getattr(self, section):
+                if name not in robots:
+                    near = did_you_mean(name, robots)
+                    self.problems.append(Problem(f"{section}.{name}", f"no robot '{name}'{near}"))
+        for name, disturbance in self.disturbances.items():
+            self._check_disturbance(f"disturbances.{name}", disturbance)
+        for name, fault in self.faults.items():
+            self._read(f"faults.{name}", lambda fault=fault: fault.choose(robots))
+        for name, expect in self.expect.items():
+            self._read(f"expect.{name}", lambda expect=expect: expect.check(self))
+
+    def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:
+        """Looks whether what it happens to is there."""
+        known: list[tuple[str, str, list[str]]] = []
+        if isinstance(disturbance, Force):
+            frames = [*self.scene.named_frames(), "world"]
+            known = [("at", "frame", frames[:-1]), ("expressed_in", "frame", frames)]
+        elif isinstance(disturbance, Payload):
+            objects = [each.name for each in self.scene.objects]
+            known = [("robot", "robot", [*self.scene.robots]), ("object", "object", objects)]
+        for key, what, names in known:
+            value = getattr(disturbance, key)
+            if value is not None and value not in names:
+                message = f"no {what} '{value}'{did_you_mean(value, names)}"
+                self.problems.append(Problem(f"{place}.{key}", message))
+
+    @property
+    def duration(self) -> float:
+        """Of the run, s."""
+        return self.run.duration
+
+    def has_target(self, robot: str) -> bool:
+        """Whether a robot is to be somewhere: by its law, or where a spring holds it."""
+        controller = self.controllers.get(robot, GravityCompensation())
+        return robot in self.targets or not isinstance(controller, GravityCompensation | Torque)
+
+    def make_sensors(self, seed: int) -> Sensors:
+        """The sensors of all robots together.
+
+        Raises:
+            DeclarationError: errors that do not fit the joints, or delays that differ.
+        """
+        merged: dict[str, SensorErrors] = {}
+        for signal in SIGNALS:
+            parts: dict[str, list[Array]] = {
+                key: [] for key in ("noise", "bias", "resolution", "gain")
+            }
+            delays = {}
+            for name, robot in self.scene.robots.items():
+                declared = self.sensors.get(name) or RobotSensors()
+                place = f"sensors.{name}.{signal}"
+                errors = (
+                    self._read(place, lambda d=declared, s=signal: d.errors(s)) or SensorErrors()
+                )
+                for key, values in parts.items():
+                    value = np.asarray(getattr(errors, key))
+                    if value.shape not in ((), (1,), (robot.n,)):
+                        message = f"found {value.size} numbers; expected 1 or {robot.n}"
+                        self.problems.append(Problem(f"{place}.{key}", message))
+                        value = np.zeros(())
+                    values.append(np.broadcast_to(value, robot.n))
+                delays[name] = errors.delay
+            if len(set(delays.values())) > 1:
+                found = ", ".join(f"{name} {delay}" for name, delay in delays.items())
+                message = f"found {found} steps; expected the same delay of {signal} for all robots"
+                self.problems.append(Problem("sensors", message))
+            joined = {key: np.concatenate(values) for key, values in parts.items()}
+            merged[signal] = SensorErrors(**joined, delay=max(delays.values()))
+        if self.problems:
+            raise DeclarationError(self.scene.located(self.problems))
+        return Sensors(sum(robot.n for robot in self.scene.robots.values()), seed=seed, **merged)
+
+
+def _built(kind: Any, table: Any) -> Any:
+    if isinstance(table, kind):
+        return table
+    if not isinstance(table, Mapping):
+        raise DeclarationError([Problem("", f"found {table!r}; expected a table")])
+    return kind(**table)
+
+
+def _controller(table: Any) -> ControllerDeclaration | Controller:
+    if isinstance(table, Mapping) or not callable(getattr(table, "torques", None)):
+        return controller_from(table)
+    controller: Controller = table
+    return controller
+
+
+def _law(table: Any) -> AnyLaw:
+    if isinstance(table, Law | CartesianLaw):
+        return table
+    kinds: dict[str, type[Any]] = {**LAWS, **CARTESIAN_LAWS}
+    law: AnyLaw = by_kind(table, kinds, Declaration)
+    return law

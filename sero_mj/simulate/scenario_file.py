@@ -1,0 +1,129 @@
+"""Reads a scenario file: a scene, and what happens in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..assemble.scene_file import read_scene, read_scene_tables
+from ..assemble.toml_file import read_toml
+from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
+from ..paths import find_scenario, find_scene
+from .scenario import Run, Scenario
+
+# What a scenario file has beside the sections of a scene.
+SECTIONS = ("controllers", "targets", "sensors", "disturbances", "faults", "expect", "monitor")
+_OTHERS = ("scene", "run", "description")
+
+
+def is_scenario(path: Path) -> bool:
+    """Whether a file declares something to be simulated."""
+    try:
+        tables = read_toml(path)
+    except DeclarationError:
+        return False
+    return bool({*SECTIONS, "run"} & set(tables))
+
+
+def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Reads and checks a scenario.
+
+    Args:
+        path: a TOML file, or a shipped scenario's name.
+        overrides: dotted key to its value, over what the file says:
+            `controllers.lwr.stiffness`, `run.duration`, `lwr.show_axes`.
+
+    Raises:
+        DeclarationError: everything that is wrong in the file, at once.
+        UnknownName: there is no such scenario.
+    """
+    file = find_scenario(str(path))
+    tables = read_toml(file)
+    own = {key: tables.pop(key) for key in (*SECTIONS, *_OTHERS) if key in tables}
+    of_scene: dict[str, Any] = {}
+    for key, value in (overrides or {}).items():
+        section = key.partition(".")[0]
+        if section in (*SECTIONS, "run"):
+            _set(own, key, value, file)
+        else:
+            of_scene[key] = value
+    problems: list[Problem] = []
+    scene = None
+    try:
+        if "scene" in own:
+            scene, problems = _other_scene(file, own["scene"], tables, of_scene)
+        else:
+            scene, problems = read_scene_tables(file, tables, of_scene, known=(*SECTIONS, *_OTHERS))
+    except DeclarationError as error:
+        problems += error.problems
+    if scene is None:
+        raise DeclarationError(problems)
+    run = own.get("run", {})
+    for key, expected in (("run", "a table [run]"), ("description", "a text")):
+        if not isinstance(own.get(key, {} if key == "run" else ""), dict if key == "run" else str):
+            problems.append(Problem(key, f"found {own[key]!r}; expected {expected}"))
+    try:
+        scenario = Scenario(
+            scene,
+            **{key: own[key] for key in SECTIONS if key in own},
+            name=file.stem,
+            description=str(own.get("description", "")),
+            **(run if isinstance(run, dict) else {}),
+        )
+    except DeclarationError as error:
+        problems += _placed(error.problems, file)
+        raise DeclarationError(problems) from None
+    if problems:
+        raise DeclarationError(problems)
+    scenario.file = file
+    return scenario
+
+
+def _placed(problems: list[Problem], file: Path) -> list[Problem]:
+    from ..assemble.toml_file import key_lines, located
+
+    lines = key_lines(file)
+    return [problem if problem.file else located(problem, file, lines) for problem in problems]
+
+
+def _other_scene(
+    file: Path, name: Any, tables: Mapping[str, Any], overrides: Mapping[str, Any]
+) -> tuple[Any, list[Problem]]:
+    """The scene that `scene = ...` names, beside the file or a shipped one."""
+    where = str(file)
+    if not isinstance(name, str):
+        message = f"found {name!r}; expected the name or file of a scene"
+        raise DeclarationError([Problem("scene", message, where)])
+    if tables:
+        key = next(iter(tables))
+        message = f"is of the scene; write it there ({name}), or leave `scene` out"
+        raise DeclarationError([Problem(key, message, where)])
+    beside = file.parent / name
+    try:
+        path = beside if beside.is_file() else find_scene(name)
+    except UnknownName as error:
+        raise DeclarationError([Problem("scene", str(error), where)]) from None
+    return read_scene(path, overrides)
+
+
+def _set(tables: dict[str, Any], key: str, value: Any, file: Path) -> None:
+    """Sets a dotted key in nested tables, which have to be there."""
+    *outer, last = key.split(".")
+    table: Any = tables
+    for k, part in enumerate(outer):
+        if k == 0 and part in ("run", "monitor"):  # all of their keys have a default
+            table = table.setdefault(part, {})
+            continue
+        if not isinstance(table, dict) or part not in table:
+            near = did_you_mean(part, table) if isinstance(table, dict) and table else ""
+            place = ".".join(outer[: k + 1])
+            raise DeclarationError([Problem(key, f"there is no [{place}]{near}", str(file))])
+        table = table[part]
+    if not isinstance(table, dict):
+        message = f"[{'.'.join(outer)}] is no table"
+        raise DeclarationError([Problem(key, message, str(file))])
+    if outer == ["run"] and last not in Run.model_fields:
+        near = did_you_mean(last, Run.model_fields)
+        raise DeclarationError([Problem(key, f"unknown key{near}", str(file))])
+    table[last] = value

@@ -1,0 +1,249 @@
+"""Sensors of a robot: what they add to the truth, and how they fail.
+
+A value goes through gain and bias, noise, quantisation and faults, and then through the delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy import add, copyto, divide, multiply, rint
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from ..assemble.declaration import Declaration, numbers
+from ..errors import UnknownName
+
+Array = NDArray[np.float64]
+Signal = Literal["angles", "velocities", "torques"]
+SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")
+_ERRORS = ("gain", "bias", "noise", "resolution")
+_BLOCK = 256  # steps; drawing noise for each by itself takes longer than the rest
+
+
+def _per_joint(value: Any) -> Array:
+    array = numbers(value)
+    if array.ndim > 1:
+        raise ValueError(f"found {array.ndim} dimensions; expected one number, or one per joint")
+    return array
+
+
+def _at_least_zero(array: Array) -> Array:
+    if (array < 0).any():
+        raise ValueError(f"found {array.tolist()}; expected 0 or more")
+    return array
+
+
+_PerJoint = Annotated[Array, BeforeValidator(_per_joint)]
+_NotNegative = Annotated[Array, BeforeValidator(_per_joint), AfterValidator(_at_least_zero)]
+
+
+class SensorErrors(Declaration):
+    """What sensors of one kind add to the truth: one number for all joints, or (n,).
+
+    Attributes:
+        noise: standard deviation of white noise, rad, rad/s or Nm.
+        bias: rad, rad/s or Nm.
+        resolution: distance of the values there are; 0 for all.
+        gain: 1 for a sensor that is right, 0 for one that shows its bias only.
+        delay: steps until a value is read; whole, the same for all joints.
+    """
+
+    noise: _NotNegative = np.array(0.0)
+    bias: _PerJoint = np.array(0.0)
+    resolution: _NotNegative = np.array(0.0)
+    gain: _PerJoint = np.array(1.0)
+    delay: int = Field(0, ge=0, le=100_000)
+
+
+class Sensors:
+    """Sensors of n joints for three signals: angles, velocities and torques, in that order.
+
+    Args:
+        n: number of joints.
+        angles: of the link, behind gear and spring.
+        velocities: likewise.
+        torques: of the torque sensors.
+        seed: of the noise; the same seed gives the same values.
+
+    Attributes:
+        measured: (3, n), what was read last; the same array all the time.
+
+    Raises:
+        ValueError: an error has neither one number nor n.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        angles: SensorErrors | None = None,
+        velocities: SensorErrors | None = None,
+        torques: SensorErrors | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.n = n
+        self.measured = np.zeros((3, n))
+        self._seed = seed
+        self._declared = [errors or SensorErrors() for errors in (angles, velocities, torques)]
+        self._noise, self._offsets = np.zeros((2, _BLOCK, 3, n))  # noise alone, and all in all
+        self._drawn = False
+        self._grid_steps = np.zeros(n)
+        self._past = [np.zeros((1, n)) for _ in SIGNALS]  # what was read without its delay
+        self._k = 0
+        self.repair()
+        self.reset(self.measured)
+
+    def repair(self) -> None:
+        """Ends all faults and changes: every sensor is as it was declared."""
+        shape = (3, self.n)
+        self._errors = {key: np.zeros(shape) for key in _ERRORS}
+        self._dead = np.zeros(shape, bool)
+        self._frozen = np.zeros(shape, bool)
+        self._held = np.zeros(shape)
+        for row, (signal, declared) in enumerate(zip(SIGNALS, self._declared, strict=True)):
+            for key in _ERRORS:
+                value = getattr(declared, key)
+                if value.shape not in ((), (1,), (self.n,)):
+                    raise ValueError(
+                        f"{signal}.{key}: found {len(value)} numbers; expected 1 or {self.n}"
+                    )
+                self._errors[key][row] = value
+        self._delays = [0, 0, 0]
+        for signal, declared in zip(SIGNALS, self._declared, strict=True):
+            self.delay(signal, declared.delay)
+
+    def reset(self, actual: Array) -> None:
+        """Begins anew: the noise from its seed, and delays as if all had stood still before.
+
+        Args:
+            actual: (3, n), the true values now.
+        """
+        self._rng = np.random.default_rng(self._seed)
+        self._drawn = False
+        self._k = 0
+        for _ in range(max(self._delays) + 1):
+            self.measure(actual)
+
+    def change(
+        self, signal: Signal, joints: int | Sequence[int] | slice | None = None, **errors: float
+    ) -> None:
+        """Changes gain, bias, noise or resolution of some sensors while they run.
+
+        Args:
+            signal: `angles`, `velocities` or `torques`.
+            joints: from 0; all when None.
+            **errors: of `SensorErrors`, but `delay`.
+
+        Raises:
+            UnknownName: no such signal or error.
+            ValueError: noise or resolution below 0.
+        """
+        row = _row(signal)
+        for key, value in errors.items():
+            if key not in _ERRORS:
+                raise UnknownName("sensor error", key, _ERRORS)
+            if key in ("noise", "resolution") and not value >= 0:
+                raise ValueError(f"{signal}.{key}: found {value:g}; expected 0 or more")
+            self._errors[key][row, slice(None) if joints is None else joints] = value
+        self._plan()
+
+    def delay(self, signal: Signal, steps: int) -> None:
+        """Delays a signal by so many steps from now on.
+
+        What was read before is kept; before the first delay only what was read last.
+
+        Raises:
+            UnknownName: no such signal.
+            ValueError: fewer than 0 steps.
+        """
+        row = _row(signal)
+        if steps < 0:
+            raise ValueError(f"{signal}: found a delay of {steps} steps; expected 0 or more")
+        old, past = self._past[row], np.empty((steps + 1, self.n))
+        past[:] = self.measured[row]
+        for age in range(min(len(old), len(past)) if self._delays[row] else 0):
+            past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
+        self._past[row] = past
+        self._delays[row] = steps
+        self._plan()
+
+    def kill(self, signal: Signal, joint: int) -> None:
+        """A sensor that reads zero."""
+        self._dead[_row(signal), joint] = True
+        self._plan()
+
+    def freeze(self, signal: Signal, joint: int) -> None:
+        """A sensor that goes on reading what it has read last."""
+        row = _row(signal)
+        self._frozen[row, joint] = True
+        self._held[row, joint] = self.measured[row, joint]
+        self._plan()
+
+    def _plan(self) -> None:
+        """Finds out what there is to do in every step."""
+        errors = self._errors
+        self._gain = errors["gain"]
+        self._scaled = bool((self._gain != 1).any())
+        self._noisy = bool((errors["noise"] != 0).any())
+        self._shifted = self._noisy or bool((errors["bias"] != 0).any())
+        self._offset_all()
+        coarse = errors["resolution"] > 0
+        self._grids = [
+            (self.measured[row], np.where(coarse[row], errors["resolution"][row], 1.0), coarse[row])
+            for row in np.flatnonzero(coarse.any(axis=1))
+        ]
+        self._faulty = bool(self._dead.any() or self._frozen.any())
+        self._late = [
+            (self.measured[row], self._past[row], steps)
+            for row, steps in enumerate(self._delays)
+            if steps
+        ]
+
+    def _offset_all(self) -> None:
+        """Noise and bias together for a block of steps: one addition in every step."""
+        multiply(self._noise, self._errors["noise"], self._offsets)
+        add(self._offsets, self._errors["bias"], self._offsets)
+
+    def measure(self, actual: Array) -> Array:
+        """Reads all sensors.
+
+        Args:
+            actual: (3, n), the true values.
+
+        Returns:
+            `measured`, (3, n).
+        """
+        measured, source = self.measured, actual
+        if self._scaled:
+            source = multiply(source, self._gain, measured)
+        if self._shifted:
+            k = self._k % _BLOCK
+            if self._noisy and (k == 0 or not self._drawn):
+                self._rng.standard_normal(out=self._noise)
+                self._drawn = True
+                self._offset_all()
+            source = add(source, self._offsets[k], measured)
+        if source is actual:
+            copyto(measured, actual)
+        for values, grid, coarse in self._grids:
+            steps = self._grid_steps
+            divide(values, grid, steps)
+            rint(steps, steps)
+            multiply(steps, grid, steps)
+            copyto(values, steps, where=coarse)
+        if self._faulty:
+            copyto(measured, self._held, where=self._frozen)
+            copyto(measured, 0.0, where=self._dead)
+        for values, past, late in self._late:
+            past[self._k % len(past)] = values
+            values[:] = past[(self._k - late) % len(past)]
+        self._k += 1
+        return measured
+
+
+def _row(signal: str) -> int:
+    if signal not in SIGNALS:
+        raise UnknownName("signal", signal, SIGNALS)
+    return SIGNALS.index(signal)

@@ -1,0 +1,303 @@
+"""`Simulation`: a scenario at work, step by step, with a log of everything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.scene import Scene
+from ..assemble.world import World
+from ..errors import DeclarationError, Problem
+from .arm import Arm
+from .contacts import Contacts
+from .disturbances import Payload
+from .expect import Outcome
+from .happenings import Happenings
+from .joint_control import GravityCompensation
+from .monitor import Finding
+from .plan import Plan, make_plan
+from .plant import Plant
+from .run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
+from .scenario import Scenario
+
+Array = NDArray[np.float64]
+
+MOST_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
+
+
+class Simulation:
+    """Runs a scenario.
+
+    Args:
+        scenario: what to run.
+        seed: of the noise; the scenario's when None.
+
+    Attributes:
+        scenario: as given.
+        plant: the simulated robots.
+        layout: of the log's rows.
+        rows: (steps + 1, width), the log; rows behind `step` hold targets only.
+        step: how many steps have been made.
+
+    Raises:
+        DeclarationError: what only shows when robots are compiled and targets computed: unstable
+            gains, unreachable targets, limits of zero.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+        run = scenario.run
+        self.scenario = scenario
+        self.step = 0
+        scene = scenario.scene
+        _check_size(scenario)
+        if run.elastic is not None:
+            for robot in scene.robots.values():
+                robot.elastic_joints = run.elastic
+        sensors = scenario.make_sensors(run.seed if seed is None else seed)
+        # Doubles, arrows and cameras take no part, and would cost time in every step. What is
+        # carried is a mass of the flange, and nothing to run into.
+        carried = {
+            each.object for each in scenario.disturbances.values() if isinstance(each, Payload)
+        }
+        obstacles = [each for each in scene.objects if each.name not in carried]
+        stripped = Scene(
+            robots=list(scene.robots.values()),
+            objects=obstacles,
+            floor=scene.floor,
+            name=scene.name,
+            file=scene.file,
+        )
+        self.plant = Plant(World(stripped, dynamic=True), sensors, run.timestep)
+        times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
+        plans = self._plans(times)
+        self._happenings = Happenings(scenario, self.plant, run.steps)
+        others = self._happenings.others()
+        self._contacts = None
+        if obstacles or len(plans) > 1:
+            self._contacts = Contacts(self.plant.world, self.plant.data)
+            others |= {event_of(name, "contact_force"): "1V" for name in plans}
+        for name, plan in plans.items():
+            if plan.flange is not None:
+                others[event_of(name, "target_pose")] = "1M"
+        targets = tuple(name for name, plan in plans.items() if plan.joints is not None)
+        joints = {name: robot.n for name, robot in scene.robots.items()}
+        self.layout = RunLayout(joints, targets, others)
+        self.rows: Array = np.zeros((len(times), self.layout.width))
+        self.rows[:, 0] = times
+        self._fill_targets(plans)
+        self._happenings.fill(self.layout.columns, self.rows)
+        self._commanded: Array = np.zeros(self.plant.n)
+        self._driven: Array = np.zeros(self.plant.n)
+        self._saturated: Array = np.zeros(self.plant.n)
+        self._arms = self._make_arms(plans)
+        self._measured_log = self.rows[:, self.layout.block(MEASURED)]
+        self._actual_log = self.rows[:, self.layout.block(ACTUAL)]
+        self._driven_log = self.rows[:, self.layout.block(DRIVEN)]
+        self._estimated_log = self.rows[:, self.layout.block(ESTIMATED)]
+        self._measured_log[0] = self.plant.measured.reshape(-1)
+        self._actual_log[0] = self.plant.actual.reshape(-1)
+        self._driven_log[0, : self.plant.n] = self.plant.actual[2]  # what holds it at rest
+        for arm in self._arms:
+            arm.observer.update(arm.sensed)
+
+    def _plans(self, times: Array) -> dict[str, Plan]:
+        plans, problems = {}, []
+        for name, robot in self.scenario.scene.robots.items():
+            controller = self.scenario.controllers.get(name, GravityCompensation())
+            try:
+                plans[name] = make_plan(robot, self.scenario.targets.get(name), controller, times)
+            except DeclarationError as error:
+                problems += [problem.inside(f"targets.{name}") for problem in error.problems]
+        if problems:
+            raise DeclarationError(self.scenario.scene.located(problems))
+        return plans
+
+    def _make_arms(self, plans: dict[str, Plan]) -> list[Arm]:
+        arms, problems, first = [], [], 0
+        for name, plan in plans.items():
+            n = self.scenario.scene.robots[name].n
+            joints = slice(first, first + n)
+            first += n
+            try:
+                arms.append(Arm(name, self.scenario, plan, self.plant, joints))
+            except DeclarationError as error:
+                problems += [problem.inside(f"controllers.{name}") for problem in error.problems]
+        if problems:
+            raise DeclarationError(self.scenario.scene.located(problems))
+        return arms
+
+    def _fill_targets(self, plans: dict[str, Plan]) -> None:
+        columns = self.layout.columns
+        for name, plan in plans.items():
+            if plan.joints is not None:
+                self.rows[:, columns[event_of(name, "target_angles")]] = plan.joints.angles
+                self.rows[:, columns[event_of(name, "target_velocities")]] = plan.joints.velocities
+            if plan.flange is not None:
+                poses = plan.flange.poses.reshape(len(self.rows), 16)
+                self.rows[:, columns[event_of(name, "target_pose")]] = poses
+
+    @property
+    def steps(self) -> int:
+        """How many steps the run has."""
+        return len(self.rows) - 1
+
+    @property
+    def time(self) -> float:
+        """Until when it has been simulated, s."""
+        return float(self.rows[self.step, 0])
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the run is over."""
+        return self.step >= self.steps
+
+    def run(self, chunk: int = 1000) -> Iterator[tuple[int, int]]:
+        """Runs to the end, and tells after every so many steps which rows are new.
+
+        Raises:
+            SimulationError: it cannot go on; names the joint and the time. What came before is in
+                the log.
+        """
+        first = 0 if self.step == 0 else self.step + 1
+        while not self.is_done:
+            try:
+                self.advance(min(self.step + chunk, self.steps))
+            finally:
+                if self.step >= first:
+                    yield first, self.step + 1
+            first = self.step + 1
+
+    def advance(self, to_step: int) -> None:
+        """Simulates until a step.
+
+        Raises:
+            SimulationError: it cannot go on; the log ends with the step before.
+        """
+        first, stop = self.step + 1, min(to_step, self.steps)
+        if first > stop:
+            return
+        for arm in self._arms:
+            arm.plan.load(arm.target, first - 1)
+        try:
+            if len(self._arms) == 1:
+                self._advance_alone(self._arms[0], first, stop)
+            else:
+                self._advance_all(first, stop)
+        finally:
+            self._observe(first)
+
+    def _advance_alone(self, arm: Arm, first: int, stop: int) -> None:
+        """The loop for one robot, with nothing looked up twice: it runs at up to 100 kHz."""
+        happenings, step = self._happenings, self.plant.step
+        torques, saturated = arm.controller.torques, arm.controller.saturated
+        sensed, target, commanded = arm.sensed, arm.target, self._commanded
+        measured, actual = self.plant.measured.reshape(-1), self.plant.actual.reshape(-1)
+        moves, looks, load = arm.plan.moves, arm.has_to_look, arm.plan.load
+        n, data = self.plant.n, self.plant.data
+        part = slice(first, stop + 1)
+        rows = zip(
+            range(first, stop + 1),
+            self.rows[first - 1 : stop, 0].tolist(),
+            self._measured_log[part],
+            self._actual_log[part],
+            self._driven_log[part, :n],
+            self._driven_log[part, n:],
+            strict=True,
+        )
+        due = happenings.next_step
+        for k, time, measured_row, actual_row, commanded_row, saturated_row in rows:
+            if due < k:
+                happenings.before(k - 1)
+                due = happenings.next_step
+            sensed.time = time
+            if looks:
+                arm.sense()
+            if moves:
+                load(target, k - 1)
+            torques(sensed, target, commanded)
+            if happenings.is_tampered:
+                step(np.multiply(commanded, happenings.gains, self._driven))
+            else:
+                step(commanded)
+            measured_row[:] = measured
+            actual_row[:] = actual
+            commanded_row[:] = commanded
+            saturated_row[:] = saturated
+            self.step = k
+            if data.ncon or happenings.carries:
+                self._note_surroundings(k)
+
+    def _advance_all(self, first: int, stop: int) -> None:
+        """The same for several robots."""
+        happenings, plant = self._happenings, self.plant
+        n = plant.n
+        for k in range(first, stop + 1):
+            if happenings.next_step < k:
+                happenings.before(k - 1)
+            for arm in self._arms:
+                arm.sense()
+                arm.sensed.time = float(self.rows[k - 1, 0])
+                if arm.plan.moves:
+                    arm.plan.load(arm.target, k - 1)
+                arm.controller.torques(arm.sensed, arm.target, self._commanded[arm.joints])
+                self._saturated[arm.joints] = arm.controller.saturated
+            plant.step(np.multiply(self._commanded, happenings.gains, self._driven))
+            self._measured_log[k] = plant.measured.reshape(-1)
+            self._actual_log[k] = plant.actual.reshape(-1)
+            self._driven_log[k, :n], self._driven_log[k, n:] = self._commanded, self._saturated
+            self.step = k
+            if plant.data.ncon or happenings.carries:
+                self._note_surroundings(k)
+
+    def _note_surroundings(self, k: int) -> None:
+        """Writes what touches robots, and what they carry."""
+        if self._contacts is not None:
+            forces = self._contacts.update()
+            for number, arm in enumerate(self._arms):
+                columns = self.layout.columns[event_of(arm.name, "contact_force")]
+                self.rows[k, columns] = forces[number]
+        if self._happenings.carries:
+            self._happenings.place_objects(self.layout.columns, self.rows[k])
+
+    def _observe(self, first: int) -> None:
+        """Estimates the external torques of the new rows."""
+        columns = self.layout.columns
+        for arm in self._arms:
+            angles, velocities, torques = (
+                self.rows[:, columns[event_of(arm.name, signal)]] for signal in MEASURED
+            )
+            estimates = self._estimated_log[:, arm.joints]
+            arm.observe(first, self.step, (angles, velocities, torques), estimates)
+
+    @property
+    def log(self) -> RunLog:
+        """The log until now; its signals are views."""
+        rows = self.rows[: self.step + 1]
+        return RunLog.from_rows(
+            self.layout, rows, self.scenario.scene.robots, name=self.scenario.name
+        )
+
+    def findings(self) -> list[Finding]:
+        """What the monitor finds in the log until now."""
+        return self.scenario.monitor.find(self.log)
+
+    def outcomes(self) -> list[Outcome]:
+        """Whether what was expected held."""
+        log, findings = self.log, self.findings()
+        return [
+            expect.judge(name, log, findings, self.scenario)
+            for name, expect in self.scenario.expect.items()
+        ]
+
+
+def _check_size(scenario: Scenario) -> None:
+    """Refuses a run whose log would not fit into memory, before anything is computed for it."""
+    joints = sum(robot.n for robot in scenario.scene.robots.values())
+    signals = len((*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED))
+    size = 8 * (scenario.run.steps + 1) * signals * joints
+    if size > MOST_BYTES:
+        found = f"found {scenario.run.steps} steps, a log of {size / 2**30:.1f} GiB"
+        message = f"{found}; expected up to {MOST_BYTES / 2**30:.0f} GiB"
+        raise DeclarationError(scenario.scene.located([Problem("run.duration", message)]))

@@ -1,0 +1,116 @@
+"""Puts a simulation on a stage: what its scene shows of it where nobody has said so."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from ..assemble.cartesian import SmartArrow
+from ..assemble.double import Double
+from ..assemble.scene import Scene
+from .disturbances import Force
+from .run_log import RunLayout, event_of
+from .scenario import Scenario
+
+SOURCE = "simulation"
+# Inputs of robots to the signals that they get, unless the scene routes something else there.
+_SHOWN = {
+    "joint_angles": "angles",
+    "torques": "torques",
+    "commanded_torques": "commanded_torques",
+}
+
+
+def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
+    """Returns the scene as it is shown: with the source, and routes from it.
+
+    Robots get measured angles and torques and commanded torques, and their external torques where
+    an input has that name; targets get transparent doubles, pushes get arrows, and what is carried
+    goes along. What the scenario's scene routes itself is left as it is.
+
+    Args:
+        scenario: what is simulated.
+        layout: of the log's rows.
+        source: that hands them in, or a table that declares it.
+    """
+    scene = copy.copy(scenario.scene)
+    scene.sources = {SOURCE: source, **scene.sources}
+    scene.doubles, scene.arrows = dict(scene.doubles), dict(scene.arrows)
+    routes = {}
+    for name, robot in scene.robots.items():
+        for key, signal in _SHOWN.items():
+            routes[f"{name}.{key}"] = f"{SOURCE}.{event_of(name, signal)}"
+        for key in robot.inputs or []:
+            if event_of(name, key) in layout.columns:
+                routes[f"{name}.{key}"] = f"{SOURCE}.{event_of(name, key)}"
+        if name in layout.targets and scenario.run.show_targets:
+            double = _add_double(scene, name)
+            routes[f"{double}.joint_angles"] = f"{SOURCE}.{event_of(name, 'target_angles')}"
+    routes |= _show_pushes(scene, scenario, layout)
+    for each in scene.objects:
+        if (event := event_of(each.name, "frame")) in layout.columns:
+            routes[f"{each.name}.frame"] = f"{SOURCE}.{event}"
+    scene.routes = {**routes, **scene.routes}
+    return scene
+
+
+def _show_pushes(scene: Scene, scenario: Scenario, layout: RunLayout) -> dict[str, str]:
+    """Adds arrows for pushes and for what robots touch; returns routes to them."""
+    routes = {}
+    for name, disturbance in scenario.disturbances.items():
+        if not isinstance(disturbance, Force) or not disturbance.show:
+            continue
+        for key in ("force", "torque"):
+            if (event := event_of(name, key)) in layout.columns:
+                arrow = _add_arrow(scene, name, key, disturbance)
+                routes[f"{arrow}.vector"] = f"{SOURCE}.{event}"
+    for name in scene.robots:
+        if (event := event_of(name, "contact_force")) in layout.columns:
+            arrow = _free(scene, f"{name}_contact")
+            scene.arrows[arrow] = SmartArrow(
+                name=arrow, kind="force", at=f"{name}/flange", expressed_in="world"
+            )
+            routes[f"{arrow}.vector"] = f"{SOURCE}.{event}"
+    return routes
+
+
+def add_paths(scene: Scene, scenario: Scenario, layout: RunLayout, rows: np.ndarray) -> None:
+    """Adds a row of doubles along the way that every robot's target takes."""
+    for name in layout.targets:
+        angles = rows[:, layout.columns[event_of(name, "target_angles")]]
+        if np.ptp(angles, axis=0).max() < 1e-6:
+            continue
+        # Evenly along the way, not in time: resting places would come again and again.
+        steps = np.abs(np.diff(angles, axis=0)).max(axis=1)
+        way = np.hstack([0.0, np.cumsum(steps)])
+        picked = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], 40)))
+        path = angles[picked]
+        double = _free(scene, f"{name}_path")
+        scene.doubles[double] = Double(name=double, of=name, path=path, path_length=6)
+
+
+def _add_double(scene: Scene, robot: str) -> str:
+    name = _free(scene, f"{robot}_target")
+    scene.doubles[name] = Double(name=name, of=robot)
+    return name
+
+
+def _add_arrow(scene: Scene, name: str, key: str, force: Force) -> str:
+    arrow = _free(scene, name if key == "force" else f"{name}_{key}")
+    scene.arrows[arrow] = SmartArrow(
+        name=arrow,
+        kind="force" if key == "force" else "torque",
+        at=force.at,
+        expressed_in=force.expressed_in,
+    )
+    return arrow
+
+
+def _free(scene: Scene, name: str) -> str:
+    """The name, or one like it that nothing has yet."""
+    taken = {*scene.robots, *scene.doubles, *scene.arrows, *scene.frames, *scene.cameras}
+    taken |= {each.name for each in scene.objects}
+    while name in taken:
+        name += "_"
+    return name

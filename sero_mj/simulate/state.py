@@ -1,0 +1,109 @@
+"""What a controller sees of its robot, and what it is asked to do, at one instant."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Sensed:
+    """What the sensors of one robot say; the buffers are the same ones at every step.
+
+    Args:
+        n: number of joints.
+        values: (3, n), row after row in memory, to be used in place: what a simulation or a
+            receiver writes is then seen without a copy.
+        motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
+            used in place; those of the links when None.
+
+    Attributes:
+        time: s since the start.
+        values: (3, n): angles, velocities, torques; the others are views of it.
+        state: (2n,), angles, then velocities, so that one operation takes both.
+        angles: (n,), rad or m.
+        velocities: (n,), per second.
+        torques: (n,), Nm or N, as the sensors on the link side of the gears read them.
+        motor_state: (2n,), angles, then velocities of the motors, on the link's side of the gear.
+            Springs and dampers act on these: on the links' they would make energy, because between
+            them and the motors the joint swings (Ott 2008).
+        motor_angles: (n,), the first half of it.
+        motor_velocities: (n,), the second.
+
+    Raises:
+        ValueError: the values are not (3, n), float64 and row after row.
+    """
+
+    __slots__ = (
+        "angles",
+        "motor_angles",
+        "motor_state",
+        "motor_velocities",
+        "state",
+        "time",
+        "torques",
+        "values",
+        "velocities",
+    )
+
+    def __init__(
+        self, n: int, values: Array | None = None, motor_state: Array | None = None
+    ) -> None:
+        self.time = 0.0
+        self.values: Array = np.zeros((3, n)) if values is None else values
+        shape, kind = self.values.shape, self.values.dtype
+        if shape != (3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
+            gaps = "" if self.values.flags.c_contiguous else " with gaps"
+            raise ValueError(f"found {shape} {kind}{gaps}; expected (3, {n}) float64 without gaps")
+        self.state: Array = self.values[:2].reshape(2 * n)
+        self.angles: Array = self.values[0]
+        self.velocities: Array = self.values[1]
+        self.torques: Array = self.values[2]
+        self.motor_state: Array = self.state if motor_state is None else motor_state
+        self.motor_angles: Array = self.motor_state[:n]
+        self.motor_velocities: Array = self.motor_state[n:]
+
+
+class Target:
+    """What one robot is asked to do; a controller reads what it needs and ignores the rest.
+
+    Write into the arrays (`target.angles[:] = ...`): controllers keep them.
+
+    Args:
+        n: number of joints.
+
+    Attributes:
+        state: (2n,), angles, then velocities, like that of `Sensed`.
+        angles: (n,), rad or m; the first half of `state`.
+        velocities: (n,), per second; the second half of `state`.
+        accelerations: (n,), per second squared.
+        torques: (n,), Nm or N, added to what the controller computes.
+        pose: (4, 4), T_world_flange, m.
+        twist: (6,), of the flange in world axes: m/s, then rad/s.
+        wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
+        posture: (n,), rad or m, where the null space is drawn to.
+    """
+
+    __slots__ = (
+        "accelerations",
+        "angles",
+        "pose",
+        "posture",
+        "state",
+        "torques",
+        "twist",
+        "velocities",
+        "wrench",
+    )
+
+    def __init__(self, n: int) -> None:
+        self.state: Array = np.zeros(2 * n)
+        self.angles: Array = self.state[:n]
+        self.velocities: Array = self.state[n:]
+        self.accelerations: Array = np.zeros(n)
+        self.torques: Array = np.zeros(n)
+        self.pose: Array = np.eye(4)
+        self.twist: Array = np.zeros(6)
+        self.wrench: Array = np.zeros(6)
+        self.posture: Array = np.zeros(n)

@@ -1,0 +1,247 @@
+"""The Cartesian impedance: its wrench, its energy, its steps, its null space, its singularities."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from simulated import START, Loop, lwr_model
+
+from sero_mj.assemble.frames import frame, rotation_angle
+from sero_mj.errors import DeclarationError
+from sero_mj.simulate.cartesian_control import CartesianImpedance, CartesianImpedanceController
+from sero_mj.simulate.robot_model import RobotModel
+from sero_mj.simulate.state import Sensed, Target
+
+Array = NDArray[np.float64]
+seeds = st.integers(0, 2**32 - 1)
+MODEL = lwr_model()
+
+
+def turned(vector: Array) -> Array:
+    """The rotation by a rotation vector, by MuJoCo."""
+    angle = float(np.linalg.norm(vector))
+    quat, matrix = np.zeros(4), np.zeros(9)
+    mujoco.mju_axisAngle2Quat(quat, vector / max(angle, 1e-300), angle)
+    mujoco.mju_quat2Mat(matrix, quat)
+    return matrix.reshape(3, 3)
+
+
+def flange_at(model: RobotModel, angles: Array) -> Array:
+    model.update(angles, np.zeros(7))
+    return model.flange()
+
+
+def target_at(model: RobotModel, angles: Array) -> Target:
+    target = Target(7)
+    target.pose[:] = flange_at(model, angles)
+    target.posture[:] = angles
+    return target
+
+
+@settings(deadline=None, max_examples=50)
+@given(seeds, st.sampled_from(["world", "flange"]))
+def test_the_wrench_is_minus_the_slope_of_the_energy(seed: int, axes: str) -> None:
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(6, 6))
+    control = CartesianImpedance(stiffness=a @ a.T * 100, axes=axes).make(MODEL, 1e-3)
+    q = rng.uniform(-2, 2, 7)
+    pose = frame(turned(rng.normal(size=3)), rng.normal(size=3))
+    MODEL.update(q, np.zeros(7))
+    torques = MODEL.jacobian().T @ control.spring_wrench(pose)
+    step, slope = 1e-6, []
+    for e in np.eye(7):
+        energies = []
+        for sign in (step, -step):
+            MODEL.update(q + sign * e, np.zeros(7))
+            energies.append(control.energy(pose))
+        slope.append((energies[0] - energies[1]) / (2 * step))
+    np.testing.assert_allclose(torques, -np.array(slope), atol=1e-3, rtol=1e-5)
+
+
+def test_small_errors_are_a_spring_along_and_about_the_axes_that_were_named() -> None:
+    stiffness = [1000.0, 2000.0, 3000.0, 10.0, 20.0, 30.0]
+    MODEL.update(START, np.zeros(7))
+    here = MODEL.flange()
+    moved = np.array([1e-3, -2e-3, 3e-3])
+    spun = np.array([1e-4, 2e-4, -3e-4])
+    in_world = CartesianImpedance(stiffness=stiffness).make(MODEL, 1e-3)
+    pose = frame(turned(spun) @ here[:3, :3], here[:3, 3] + moved)
+    expected = stiffness * np.hstack([moved, spun])
+    np.testing.assert_allclose(in_world.spring_wrench(pose), expected, rtol=1e-3)
+    in_flange = CartesianImpedance(stiffness=stiffness, axes="flange").make(MODEL, 1e-3)
+    pose = here @ frame(turned(spun), moved)
+    R = pose[:3, :3]
+    wrench = in_flange.spring_wrench(pose)
+    np.testing.assert_allclose(wrench[:3] @ R, stiffness[:3] * moved, rtol=1e-3)
+    np.testing.assert_allclose(wrench[3:] @ R, stiffness[3:] * spun, rtol=1e-3)
+
+
+def total_energy(loop: Loop, control: CartesianImpedanceController, pose: Array) -> float:
+    loop.robot.update(loop.sensed.angles, loop.sensed.velocities)
+    dq = loop.sensed.velocities
+    return float(0.5 * dq @ loop.robot.mass() @ dq) + control.energy(pose)
+
+
+@settings(deadline=None, max_examples=6)
+@given(seeds, st.floats(0, 1.5), st.sampled_from(["world", "flange"]))
+def test_without_null_space_spring_it_never_makes_energy(
+    seed: int, ratio: float, axes: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    loop = Loop(1e-4, rng.uniform(-1.5, 1.5, 7))
+    loop.data.qvel[:] = rng.uniform(-1.5, 1.5, 7)
+    loop.sense()
+    control = CartesianImpedance(damping=ratio, nullspace_stiffness=0.0, axes=axes).make(
+        loop.robot, 1e-4
+    )
+    target = target_at(loop.robot, rng.uniform(-1.5, 1.5, 7))
+    first = last = total_energy(loop, control, target.pose)
+    for _ in range(50):
+        loop.run(0.006, lambda sensed, out: control.torques(sensed, target, out))
+        now = total_energy(loop, control, target.pose)
+        assert now <= last + 2e-3 * first
+        last = now
+
+
+@pytest.mark.parametrize(
+    ("along", "amount"), [([1, 0, 0, 0, 0, 0], 5e-3), ([0, 0, 0, 0, 0, 1], 0.02)]
+)
+def test_steps_overshoot_as_the_ratio_says(along: list[float], amount: float) -> None:
+    # Stiffness in proportion to the inertia felt: then all directions are one and the same mode.
+    loop = Loop(2.5e-4)
+    loop.robot.update(START, np.zeros(7))
+    J = loop.robot.jacobian()
+    felt = np.linalg.inv(J @ np.linalg.solve(loop.robot.mass(), J.T))
+    stiffness = 400.0 * (felt + felt.T) / 2
+    control = CartesianImpedance(stiffness=stiffness).make(loop.robot, 2.5e-4)
+    target = target_at(loop.robot, START)
+    here = target.pose.copy()
+    spun = amount * np.array(along)
+    target.pose[:3, 3] += spun[:3]
+    target.pose[:3, :3] = turned(spun[3:]) @ here[:3, :3]
+    logged = loop.run(1.0, lambda sensed, out: control.torques(sensed, target, out))
+    moved = []
+    for q in logged[::10]:
+        now = flange_at(loop.robot, q)
+        turn = (now[:3, :3] @ here[:3, :3].T - here[:3, :3] @ now[:3, :3].T) / 2
+        moved.append([*(now - here)[:3, 3], turn[2, 1], turn[0, 2], turn[1, 0]])
+    part = np.array(moved) @ along / amount
+    assert part.max() == pytest.approx(1.046, abs=0.008)
+    assert part[-1] == pytest.approx(1.0, abs=2e-3)
+    others = np.array(moved)[:, np.flatnonzero(np.array(along) == 0)]
+    assert np.abs(others).max() < 0.1 * amount
+
+
+def test_a_force_at_the_flange_moves_it_by_force_over_stiffness() -> None:
+    loop = Loop()
+    control = CartesianImpedance(stiffness=[500, 1000, 2000, 50, 50, 50]).make(loop.robot, 1e-3)
+    target = target_at(loop.robot, START)
+    force = np.array([5.0, -10.0, 20.0])
+
+    def act(sensed: Sensed, out: Array) -> None:
+        control.torques(sensed, target, out)
+        out += loop.robot.jacobian()[:3].T @ force
+
+    loop.run(8.0, act)
+    now = flange_at(loop.robot, loop.sensed.angles)
+    np.testing.assert_allclose(now[:3, 3] - target.pose[:3, 3], [0.01, -0.01, 0.01], atol=1e-5)
+    assert rotation_angle(now[:3, :3].T @ target.pose[:3, :3]) < 1e-4
+
+
+def test_the_target_s_wrench_is_exerted() -> None:
+    target, out, before = target_at(MODEL, START), np.zeros(7), np.zeros(7)
+    sensed = Sensed(7)
+    sensed.angles[:] = START
+    control = CartesianImpedance().make(MODEL, 1e-3)
+    control.torques(sensed, target, before)
+    np.testing.assert_allclose(before, MODEL.gravity(), atol=1e-9)
+    target.wrench[:] = 1, 2, 3, 4, 5, 6
+    target.torques[:] = 7
+    control.torques(sensed, target, out)
+    expected = MODEL.jacobian().T @ target.wrench + 7
+    np.testing.assert_allclose(out - before, expected, atol=1e-9)
+
+
+def test_the_null_space_moves_the_elbow_and_leaves_the_flange() -> None:
+    loop = Loop()
+    control = CartesianImpedance(stiffness=[5000] * 3 + [300] * 3, nullspace_stiffness=30.0).make(
+        loop.robot, 1e-3
+    )
+    target = target_at(loop.robot, START)
+    target.posture[:] = START + np.array([0.8, 0, -0.8, 0, 0.5, 0, 0])
+    logged = loop.run(6.0, lambda sensed, out: control.torques(sensed, target, out))
+    assert np.abs(logged[-1] - START).max() > 0.3
+    assert np.abs(logged[-1] - logged[-500]).max() < 1e-3  # it has arrived
+    poses = [flange_at(loop.robot, q) for q in logged[::20]]
+    moved = max(np.linalg.norm(pose[:3, 3] - target.pose[:3, 3]) for pose in poses)
+    spun = max(rotation_angle(pose[:3, :3].T @ target.pose[:3, :3]) for pose in poses)
+    assert moved < 2e-3
+    assert spun < 5e-3
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds)
+def test_null_space_torques_do_not_accelerate_the_flange(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q = START + rng.uniform(-0.3, 0.3, 7)
+    target = target_at(MODEL, q)
+    sensed = Sensed(7)
+    sensed.angles[:] = q
+    control = CartesianImpedance(nullspace_stiffness=100.0).make(MODEL, 1e-3)
+    still, out = np.zeros(7), np.zeros(7)
+    control.torques(sensed, target, still)
+    target.posture[:] = q + rng.uniform(-1, 1, 7)
+    control.torques(sensed, target, out)
+    accelerations = np.linalg.solve(MODEL.mass(), out - still)
+    assert np.abs(accelerations).max() > 0.01
+    assert np.abs(MODEL.jacobian() @ accelerations).max() < 1e-3 * np.abs(accelerations).max()
+
+
+def test_it_goes_through_a_singularity_with_bounded_torques_and_comes_back() -> None:
+    loop = Loop()
+    control = CartesianImpedance(stiffness=[1e3] * 3 + [10] * 3).make(loop.robot, 1e-3)
+    target = target_at(loop.robot, START)
+    reach = target.pose[:3, 3].copy()
+    away = (reach - [0, 0, 0.31]) / np.linalg.norm(reach - [0, 0, 0.31])
+    largest, least = [0.0], [np.inf]
+
+    def act(sensed: Sensed, out: Array) -> None:
+        # Out to half a metre beyond what the arm can reach, and back.
+        target.pose[:3, 3] = reach + 1.0 * away * np.sin(np.pi * sensed.time / 4.0) ** 2
+        control.torques(sensed, target, out)
+        largest[0] = max(largest[0], float(np.abs(out).max()))
+        least[0] = min(least[0], loop.robot.manipulability())
+
+    loop.run(4.0, act)
+    assert least[0] < 1e-4
+    assert largest[0] < 100.0
+    target.pose[:3, 3] = reach
+    logged = loop.run(5.0, lambda sensed, out: control.torques(sensed, target, out))
+    assert np.linalg.norm(flange_at(loop.robot, logged[-1])[:3, 3] - reach) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"stiffness": [1, 2, 3]},
+            "found 3; expected 6 numbers (x, y, z in N/m; Nm/rad)",
+        ),
+        ({"stiffness": 5}, "stiffness: found one number; expected 6 numbers"),
+        ({"stiffness": [1, 1, 1, 1, 1, -5]}, "stiffness: found an eigenvalue of -5; expected none"),
+        ({"stiffness": np.triu(np.ones((6, 6)))}, "found a matrix that is not symmetric; expected"),
+        ({"axes": "flang"}, "axes: found 'flang'; expected 'world' or 'flange'; did you mean"),
+        ({"damping": -1}, "damping: found -1; expected greater than or equal to 0"),
+        ({"nullspace_stifness": 3}, "unknown key; did you mean 'nullspace_stiffness'?"),
+    ],
+)
+def test_wrong_gains_are_told(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(DeclarationError, match=re.escape(message)):
+        CartesianImpedance(**fields)

@@ -1,0 +1,176 @@
+"""Controllers by name, from tables as files have them, and users' own."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from simulated import START, lwr_model, lwr_robot
+
+from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.simulate.controllers import CONTROLLERS, controller_from, make_controller
+from sero_mj.simulate.joint_control import JointImpedance
+from sero_mj.simulate.state import Sensed, Target
+
+Array = NDArray[np.float64]
+MODEL = lwr_model()
+LIMITS = lwr_robot().torque_limits
+TABLES = """
+[soft]
+kind = "joint_impedance"
+stiffness = [2000, 2000, 1000, 1000, 500, 200, 200]
+damping = 0.7
+torque_rate_limits = 1000
+[stiff]
+kind = "joint_position"
+[hand]
+kind = "gravity_compensation"
+damping = 0.5
+[contact]
+kind = "cartesian_impedance"
+stiffness = [2000, 2000, 500, 200, 200, 200]
+[feed]
+kind = "torque"
+"""
+
+
+def at_start() -> tuple[Sensed, Target]:
+    sensed, target = Sensed(7), Target(7)
+    sensed.angles[:] = target.angles[:] = target.posture[:] = START
+    MODEL.update(START, np.zeros(7))
+    target.pose[:] = MODEL.flange()
+    return sensed, target
+
+
+def test_every_kind_comes_from_a_table_and_holds_the_robot_at_its_target() -> None:
+    tables = tomllib.loads(TABLES)
+    assert {table["kind"] for table in tables.values()} == set(CONTROLLERS)
+    sensed, target = at_start()
+    for table in tables.values():
+        declared = controller_from(table)
+        assert type(declared) is CONTROLLERS[table["kind"]]
+        assert declared.kind == table["kind"]  # type: ignore[attr-defined]
+        assert controller_from(declared) is declared
+        control = make_controller(declared, MODEL, 1e-3, LIMITS)
+        out = np.zeros(7)
+        control.torques(sensed, target, out)
+        np.testing.assert_allclose(out, MODEL.gravity(), atol=1e-9)
+        assert not control.saturated.any()
+
+
+def test_controllers_in_joint_space_make_no_arrays() -> None:
+    import tracemalloc
+
+    sensed, target = at_start()
+    for table in tomllib.loads(TABLES).values():
+        if table["kind"] in ("cartesian_impedance", "torque"):
+            continue
+        control, out = make_controller(controller_from(table), MODEL, 1e-3, LIMITS), np.zeros(7)
+        for _ in range(3):
+            control.torques(sensed, target, out)
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[1]
+        for _ in range(20):
+            control.torques(sensed, target, out)
+        grown = tracemalloc.get_traced_memory()[1] - before
+        tracemalloc.stop()
+        assert grown < 2000, table["kind"]
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({}, "kind: is required; expected 'gravity_compensation', 'joint_position', 'joint_imp"),
+        ({"kind": "joint_impedence"}, "kind: no kind 'joint_impedence'; did you mean 'joint_imped"),
+        ({"kind": 3}, "kind: no kind 3; available: cartesian_impedance, gravity_compensation"),
+        (3, "found 3; expected a table with `kind`"),
+        ({"kind": "torque", "stiffness": 1}, "stiffness: unknown key; available: "),
+    ],
+)
+def test_a_wrong_table_is_told(table: Any, message: str) -> None:
+    with pytest.raises(DeclarationError, match=f"^{re.escape(message)}"):
+        controller_from(table)
+
+
+def test_own_limits_stand_below_the_robot_s() -> None:
+    sensed, target = at_start()
+    target.angles += 1.0
+    control = make_controller(
+        JointImpedance(stiffness=2000.0, torque_limits=30.0), MODEL, 1e-3, LIMITS
+    )
+    out = np.zeros(7)
+    control.torques(sensed, target, out)
+    assert np.abs(out).max() == 30.0
+    assert control.saturated.any()
+    with pytest.raises(DeclarationError) as error:
+        make_controller(JointImpedance(stiffness=1.0, torque_limits=100.0), MODEL, 1e-3, LIMITS)
+    assert str(error.value).splitlines() == [
+        "torque_limits: joint A5 has 100; expected up to 38, the robot's",
+        "torque_limits: joint A6 has 100; expected up to 38, the robot's",
+    ]
+    zero = JointImpedance(stiffness=1.0, torque_limits=[1, 1, 0, 1, 1, 1, 1])
+    message = r"^torque_limits: joint E1 has 0; expected a positive number of Nm$"
+    with pytest.raises(DeclarationError, match=message):
+        make_controller(zero, MODEL, 1e-3, LIMITS)
+
+
+def test_what_is_sensed_may_lie_in_another_s_array() -> None:
+    values = np.zeros((3, 2))
+    sensed = Sensed(2, values)
+    values[:] = [[1, 2], [3, 4], [5, 6]]
+    assert sensed.state.tolist() == [1, 2, 3, 4]
+    assert (sensed.angles.tolist(), sensed.velocities.tolist()) == ([1, 2], [3, 4])
+    assert sensed.torques.tolist() == [5, 6]
+    message = r"^found \(3, 2\) float64 with gaps; expected \(3, 2\) float64 without gaps$"
+    with pytest.raises(ValueError, match=message):
+        Sensed(2, np.zeros((3, 4))[:, ::2])
+    with pytest.raises(ValueError, match=r"^found \(2, 2\)"):
+        Sensed(2, np.zeros((2, 2)))
+
+
+def test_gains_are_checked_through_the_limits_and_users_have_none_to_check() -> None:
+    stiff = make_controller(controller_from({"kind": "joint_position"}), MODEL, 0.02, LIMITS)
+    with pytest.raises(DeclarationError, match=r"^stiffness: joint A\d is unstable at 1000"):
+        stiff.check(START)
+    make_controller(Wave(), MODEL, 0.02, LIMITS).check(START)
+
+
+@pytest.mark.parametrize("kind", ["joint_impedance", "cartesian_impedance", "joint_position"])
+def test_a_sensor_that_gives_no_number_is_named(kind: str) -> None:
+    table = {"kind": kind, "stiffness": 9.0} if kind == "joint_impedance" else {"kind": kind}
+    for when, (row, what) in enumerate([(0, "angle"), (1, "velocity")]):
+        control = make_controller(controller_from(table), MODEL, 1e-3, LIMITS)
+        sensed, target = at_start()
+        if when:  # after the damping was designed
+            control.torques(sensed, target, np.zeros(7))
+        sensed.values[row, 4] = np.nan
+        message = f"^lwr/A4 at 0.0000 s: the controller gets a measured {what} of nan; expected"
+        with pytest.raises(SimulationError, match=message):
+            control.torques(sensed, target, np.zeros(7))
+
+
+class Wave:
+    """A controller of a user's."""
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        out[:] = 5.0 * np.sin(sensed.time)
+        if sensed.time > 2.0:
+            out[3] = np.nan
+
+
+def test_a_user_s_controller_is_limited_and_watched() -> None:
+    control = make_controller(Wave(), MODEL, 1e-3, LIMITS)
+    sensed, target = at_start()
+    sensed.time = 1.0
+    out = np.zeros(7)
+    control.torques(sensed, target, out)
+    assert out[0] == 5.0 * np.sin(1.0)
+    sensed.time = 2.5
+    with pytest.raises(SimulationError, match=r"^lwr/A3 at 2\.5000 s: the controller asks for nan"):
+        control.torques(sensed, target, out)
+    with pytest.raises(DeclarationError, match=r"expected a method torques\(sensed, target, out\)"):
+        make_controller(object(), MODEL, 1e-3, LIMITS)  # type: ignore[arg-type]

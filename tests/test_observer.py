@@ -1,0 +1,123 @@
+"""The momentum observer against forces that are known, friction, noise and its time constant."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from simulated import START, Loop, lwr_model
+
+from sero_mj.simulate.joint_control import JointImpedance
+from sero_mj.simulate.observer import MomentumObserver, external_torques
+from sero_mj.simulate.state import Sensed, Target
+
+Array = NDArray[np.float64]
+STEP = 1e-3
+
+
+class Watched:
+    """An LWR that follows a sine, with motor friction, an outer force, and all it does logged."""
+
+    def __init__(self, force: Array, begin: float, seconds: float, friction: float = 0.0) -> None:
+        self.loop = Loop(STEP)
+        data, model, robot = self.loop.data, self.loop.model, self.loop.robot
+        model.dof_damping[:] = friction
+        control, target = JointImpedance(stiffness=1500.0).make(robot, STEP), Target(7)
+        target.angles[:] = START
+        rows: list[Array] = []
+        previous, jacobian = np.zeros(7), np.zeros((3, 7))
+
+        def act(sensed: Sensed, out: Array) -> None:
+            t = sensed.time
+            target.angles[:] = START + 0.4 * np.sin(2.0 * t) * np.linspace(1, -1, 7)
+            target.velocities[:] = 0.8 * np.cos(2.0 * t) * np.linspace(1, -1, 7)
+            control.torques(sensed, target, out)
+            data.xfrc_applied[self.loop.flange, :3] = force if t >= begin - 1e-9 else 0.0
+            # What acts in this step, by MuJoCo: on the motors, and on the links.
+            mujoco.mj_forward(model, data)
+            mujoco.mj_jacBodyCom(model, data, jacobian, None, self.loop.flange)
+            outer = jacobian.T @ force * (t >= begin - 1e-9)
+            rows.append(np.hstack([data.qpos, data.qvel, previous, outer]))
+            data.qfrc_applied[:] = out
+            mujoco.mj_forward(model, data)
+            motor = out.copy()
+            link = out - data.qvel * friction - robot.motor_inertia * data.qacc
+            previous[:] = link
+            self.motor.append(motor)
+
+        self.motor: list[Array] = []
+        self.loop.run(seconds, act)
+        log = np.array(rows)
+        self.angles, self.velocities, self.link, self.outer = np.split(log, 4, axis=1)
+        self.motor_torques = np.vstack([np.zeros(7), self.motor[:-1]])
+
+
+def test_it_finds_a_force_at_the_flange_of_a_moving_robot() -> None:
+    force = np.array([20.0, -10.0, 30.0])
+    run = Watched(force, begin=1.0, seconds=2.0)
+    gain = 50.0
+    found = external_torques(lwr_model(), gain, STEP, run.angles, run.velocities, run.link)
+    assert np.abs(found[100:1000]).max() < 0.02  # nothing is there, though it moves
+    # A low pass of the true ones, in another way: by the exact response to a held input.
+    expected = np.zeros((len(found), 7))
+    keep = np.exp(-gain * STEP)
+    for k in range(1, len(found)):
+        expected[k] = keep * expected[k - 1] + (1 - keep) * run.outer[k - 1]
+    assert np.abs(run.outer).max() > 10
+    assert np.abs(found - expected)[100:].max() < 0.02 * np.abs(run.outer).max()
+
+
+def test_on_the_motor_side_friction_is_taken_for_an_outer_torque_on_the_link_side_not() -> None:
+    run = Watched(np.zeros(3), begin=9.0, seconds=1.5, friction=5.0)
+    logs = run.angles, run.velocities
+    link = external_torques(lwr_model(), 100.0, STEP, *logs, run.link)
+    assert np.abs(link[200:]).max() < 0.03
+    motor = external_torques(lwr_model(), 100.0, STEP, *logs, run.motor_torques, motor_side=True)
+    assert np.abs(motor[200:] + 5.0 * run.velocities[200:]).max() < 0.3
+    assert np.abs(motor[200:]).max() > 2.0
+
+
+@pytest.mark.parametrize("gain", [5.0, 25.0, 100.0])
+def test_it_converges_with_the_time_constant_one_over_gain(gain: float) -> None:
+    model, sensed = lwr_model(), Sensed(7)
+    observer = MomentumObserver(model, gain, 1e-4)
+    sensed.angles[:] = START
+    model.update(START, np.zeros(7))
+    outer = np.arange(1.0, 8.0)
+    sensed.torques[:] = model.gravity() - outer  # held still against it
+    steps = round(1.0 / gain / 1e-4)
+    for _ in range(steps + 1):
+        observer.update(sensed)
+    np.testing.assert_allclose(observer.external, (1 - np.exp(-1)) * outer, rtol=0.01)
+    for _ in range(14 * steps):
+        observer.update(sensed)
+    np.testing.assert_allclose(observer.external, outer, rtol=1e-5)
+    observer.reset()
+    assert not observer.external.any()
+    np.testing.assert_array_equal(observer.update(sensed), np.zeros(7))
+
+
+def test_gains_per_joint_and_steps_one_by_one_are_those_of_the_log() -> None:
+    run = Watched(np.array([0.0, 0.0, 10.0]), begin=0.1, seconds=0.3)
+    gains = np.linspace(10, 200, 7)
+    whole = external_torques(lwr_model(), gains, STEP, run.angles, run.velocities, run.link)
+    for joint in (0, 6):
+        single = external_torques(
+            lwr_model(), gains[joint], STEP, run.angles, run.velocities, run.link
+        )
+        np.testing.assert_array_equal(whole[:, joint], single[:, joint])
+    observer, sensed = MomentumObserver(lwr_model(), gains, STEP), Sensed(7)
+    for k in range(len(whole)):
+        sensed.angles[:], sensed.velocities[:] = run.angles[k], run.velocities[k]
+        sensed.torques[:] = run.link[k]
+        np.testing.assert_array_equal(observer.update(sensed), whole[k])
+
+
+def test_wrong_gains_and_logs_are_told() -> None:
+    model = lwr_model()
+    message = r"^joint A2 has an observer gain of 0; expected a positive one, 1/s$"
+    with pytest.raises(ValueError, match=message):
+        MomentumObserver(model, np.array([1, 0, 1, 1, 1, 1, 1.0]), STEP)
+    with pytest.raises(ValueError, match=r"expected all to be \(T, 7\)$"):
+        external_torques(model, 1.0, STEP, np.zeros((3, 7)), np.zeros((3, 7)), np.zeros((2, 7)))

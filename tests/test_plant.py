@@ -1,0 +1,456 @@
+"""Motor torques in, link-side torques out: checked by inverse dynamics of the links."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from newton_euler import inverse_dynamics
+
+from sero_mj.assemble.objects import Object
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.robot_dynamics import RobotDynamics
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.errors import SimulationError, UnknownName
+from sero_mj.simulate.plant import Plant
+from sero_mj.simulate.sensors import SensorErrors, Sensors
+
+HOME = np.deg2rad([0, 30, 0, -90, 0, 60, 0])
+FREE = {"viscous_friction": [0.0] * 7, "coulomb_friction": [0.0] * 7}
+
+
+def make_lwr(*, elastic: bool = False, **changed) -> SerialRobot:
+    return SerialRobot.from_model(
+        "lwr", dynamics=changed, elastic_joints=elastic, joint_angles=HOME
+    )
+
+
+def plant_of(*robots: SerialRobot, timestep: float | None = None, **scene) -> Plant:
+    scene = {"floor": False, **scene}
+    return Plant(World(Scene(robots=list(robots), **scene), dynamic=True), timestep=timestep)
+
+
+def one_joint(**dynamics) -> SerialRobot:
+    """A rod that turns about a vertical axis."""
+    fields = {
+        "masses": [1.0, 2.0], "centers_of_mass": [[0, 0, 0], [0.3, 0, 0]],
+        "inertias": [[0.1, 0.1, 0.1, 0, 0, 0]] * 2, "motor_inertias": [1.5],
+        "viscous_friction": [0.0], "coulomb_friction": [0.0], "joint_stiffness": [1e4],
+        "joint_damping": [0.0], **dynamics,
+    }  # fmt: skip
+    return SerialRobot(
+        name="rod", dh_convention="craig", dh_params=[[0, 0, 0, 0.1]], dynamics=fields,
+        elastic_joints=bool(dynamics.get("joint_stiffness")),
+    )  # fmt: skip
+
+
+def loaded(dynamics: RobotDynamics, mass: float, center) -> RobotDynamics:
+    """The same robot with a payload of steel as a part of its last link; rotations are equal."""
+    old, r = dynamics.masses[-1], (3 * mass / (4 * np.pi * 7800)) ** (1 / 3)
+    middle = (old * dynamics.centers[-1] + mass * center) / (old + mass)
+    tensor = dynamics.tensors[-1] + 0.4 * mass * r**2 * np.eye(3)
+    for m, at in ((old, dynamics.centers[-1]), (mass, center)):
+        arm = at - middle
+        tensor = tensor + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    copies = [array.copy() for array in (dynamics.masses, dynamics.centers, dynamics.tensors)]
+    copies[0][-1], copies[1][-1], copies[2][-1] = old + mass, middle, tensor
+    return replace(dynamics, masses=copies[0], centers=copies[1], tensors=copies[2])
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+@pytest.mark.parametrize("payload", [0.0, 3.0])
+def test_sensors_read_what_moves_the_links(elastic, payload):
+    lwr = make_lwr(elastic=elastic)
+    plant = plant_of(lwr, floor=True)
+    dynamics = plant.world.dynamics["lwr"]
+    if payload:
+        at = np.array([0.05, -0.02, 0.1])
+        plant.attach_payload("lwr", payload, at)
+        dynamics = loaded(dynamics, payload, at + np.array([0, 0, 0.078]))
+    push = plant.push("lwr/flange", force=[10.0, -5.0, 8.0])
+    rng = np.random.default_rng(3)
+    gravity = plant.actual[2].copy()
+    largest = 0.0
+    for k in range(400):
+        if k == 200:
+            plant.release(push)
+        q, v = plant.actual[0].copy(), plant.actual[1].copy()
+        # The links are held roughly, shaken, and at joint 3 held by Coulomb friction alone.
+        torque = gravity + rng.normal(0, 3, 7) - 20 * v + 100 * (HOME - q)
+        torque[2] = gravity[2]
+        plant.step(torque)
+        acceleration = (plant.actual[1] - v) / plant.timestep
+        force = push.force if k < 200 else np.zeros(3)
+        expected = inverse_dynamics(lwr, dynamics, q, v, acceleration, force=force)
+        np.testing.assert_allclose(plant.actual[2], expected, rtol=0, atol=2e-8)
+        np.testing.assert_allclose(
+            plant.external_torques(), lwr.dh.jacobian(q, None, lwr.flange_frame)[:3].T @ force,
+            rtol=0, atol=1e-9,
+        )  # fmt: skip
+        np.testing.assert_array_equal(plant.measured, plant.actual)
+        largest = max(largest, np.abs(torque - plant.actual[2]).max())
+    assert largest > 1.0  # a sensor at the motor would have been found out
+
+
+def test_contacts_and_stops_are_outer_torques_that_sensors_feel():
+    table = Object(name="table", shape="box", size=[0.4, 0.8, 0.3], frame={"xyz": [-0.55, 0, 0.05]})
+    lwr = make_lwr()
+    plant = plant_of(lwr, objects=[table])
+    met = False
+    for _ in range(2000):
+        q, v = plant.actual[0].copy(), plant.actual[1].copy()
+        plant.step(np.array([0.0, -20.0, 0, 5.0, 0, 0, 20.0]) - 10 * v)
+        acceleration = (plant.actual[1] - v) / plant.timestep
+        expected = inverse_dynamics(lwr, plant.world.dynamics["lwr"], q, v, acceleration)
+        np.testing.assert_allclose(
+            plant.actual[2], expected - plant.external_torques(), rtol=0, atol=1e-6
+        )
+        met |= plant.data.ncon > 0
+    assert met
+    limit = lwr.position_limits[6, 1]
+    assert plant.actual[0, 6] == pytest.approx(limit, abs=0.01)  # joint 7 was turned to its stop
+    assert plant.external_torques()[6] == pytest.approx(-20, abs=0.5)
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+def test_links_stop_at_their_limits_also_behind_springs(elastic):
+    plant = plant_of(make_lwr(elastic=elastic))
+    gravity = plant.actual[2].copy()
+    torque = gravity.copy()
+    torque[0] = 40.0
+    for _ in range(7000):
+        plant.step(torque - [3.0, 40, 40, 40, 40, 40, 40] * plant.actual[1])
+    assert plant.actual[0, 0] == pytest.approx(np.deg2rad(170), abs=2e-3)
+    assert plant.external_torques()[0] == pytest.approx(-40.0, abs=1.0)
+
+
+def test_rest_is_what_gravity_torques_hold(lwr):
+    for elastic in (False, True):
+        plant = plant_of(make_lwr(elastic=elastic, **FREE))
+        np.testing.assert_allclose(plant.actual[0], HOME, atol=1e-15)
+        gravity = inverse_dynamics(lwr, plant.world.dynamics["lwr"], HOME)
+        np.testing.assert_allclose(plant.actual[2], gravity, atol=1e-9)
+        for _ in range(2000):
+            plant.step(gravity)
+        np.testing.assert_allclose(plant.actual[0], HOME, atol=1e-9)
+        np.testing.assert_allclose(plant.actual[2], gravity, atol=1e-6)
+        # A spring is wound up by what it holds, and the motor stands so far ahead.
+        wound = gravity / plant.world.dynamics["lwr"].joint_stiffness if elastic else np.zeros(7)
+        np.testing.assert_allclose(plant.motor_angles, HOME + wound, atol=1e-9)
+
+
+def energy(plant: Plant) -> float:
+    mujoco.mj_energyPos(plant.model, plant.data)
+    mujoco.mj_energyVel(plant.model, plant.data)
+    return float(plant.data.energy.sum())
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+def test_energy_stays_without_motors_and_friction(elastic):
+    drifts = []
+    for timestep in (2e-4, 1e-4):
+        # Joint damping of the springs is friction as well.
+        robot = make_lwr(elastic=elastic, joint_damping=[0.0] * 7, **FREE)
+        plant = plant_of(robot, timestep=timestep)
+        start, kinetic = energy(plant), 0.0
+        worst = 0.0
+        for _ in range(round(0.4 / timestep)):
+            plant.step(np.zeros(7))
+            worst = max(worst, abs(energy(plant) - start))
+            kinetic = max(kinetic, float(plant.data.energy[1]))
+        assert kinetic > 5.0  # it has fallen
+        drifts.append(worst / kinetic)
+    assert drifts[1] < 3e-3
+    assert drifts[1] < 0.6 * drifts[0]  # Euler's error goes with the step, and to zero
+
+
+def test_motor_alone_swings_against_a_held_link_at_the_published_mode():
+    # ROBOTS.md 1.5: sqrt(1e4 / 3.19) / 2 pi = 8.9 Hz, motor against a link that is held.
+    held = [[0.1] * 3 + [0] * 3, [1e6] * 3 + [0] * 3]
+    robot = one_joint(motor_inertias=[3.19], joint_stiffness=[1e4], inertias=held)
+    plant = plant_of(robot)
+    plant.step([50.0])
+    torques = []
+    for _ in range(3000):
+        plant.step([0.0])
+        torques.append(plant.actual[2, 0])
+    signs = np.flatnonzero(np.diff(np.sign(torques)) != 0)
+    frequency = (len(signs) - 1) / 2 / ((signs[-1] - signs[0]) * plant.timestep)
+    assert frequency == pytest.approx(np.sqrt(1e4 / 3.19) / 2 / np.pi, rel=0.005)
+    assert frequency == pytest.approx(8.9, abs=0.05)
+
+
+def trajectory(plant: Plant, seconds: float = 0.4) -> np.ndarray:
+    """Angles and torques every 10 ms under torques that swing, (3, samples, 7)."""
+    every = round(0.01 / plant.timestep)
+    gravity = plant.actual[2].copy()
+    samples = []
+    for k in range(round(seconds / plant.timestep)):
+        if k % every == 0:
+            samples.append(plant.actual.copy())
+        wave = np.sin(2 * np.pi * np.arange(1, 8) * k * plant.timestep)
+        plant.step(gravity + [8, 8, 5, 5, 2, 1, 0.5] * wave)
+    return np.array(samples).transpose(1, 0, 2)
+
+
+def test_stiff_joints_are_rigid_joints():
+    rigid = trajectory(plant_of(make_lwr()))
+    errors = []
+    for stiffness in (1e5, 1e6, 1e7):
+        robot = make_lwr(elastic=True, joint_stiffness=[stiffness] * 7)
+        errors.append(np.abs(trajectory(plant_of(robot))[0] - rigid[0]).max())
+    assert errors[2] < 3e-5 and errors[1] < 0.25 * errors[0]
+    assert np.ptp(rigid[0], axis=0).max() > 0.02
+
+
+def test_elastic_joints_at_1_khz_are_near_a_hundred_times_smaller_steps():
+    # Also the error that the docstring of the joint model names.
+    fine = trajectory(plant_of(make_lwr(elastic=True), timestep=1e-5))
+    coarse = trajectory(plant_of(make_lwr(elastic=True)))
+    angles, _, torques = np.abs(coarse - fine).max(axis=1)
+    span = np.ptp(fine[2], axis=0)
+    assert angles.max() < 2e-5 and torques.max() < 0.1
+    assert (torques < 0.06 * span).all()
+    assert span.max() > 5.0
+
+
+def test_elastic_joints_stay_stable_over_the_workspace():
+    rng = np.random.default_rng(4)
+    plant = plant_of(make_lwr(elastic=True, joint_damping=[0.0] * 7))
+    limits = plant.world.robots["lwr"].robot.position_limits
+    for _ in range(8):
+        plant.reset(0.9 * rng.uniform(limits[:, 0], limits[:, 1]))
+        gravity = plant.actual[2].copy()
+        plant.data.qvel[:] = rng.normal(0, 0.2, 14)
+        plant.refresh()
+        for _ in range(500):
+            plant.step(gravity - 5 * plant.actual[1])
+        assert np.abs(plant.actual[1]).max() < 1.5
+
+
+def test_coulomb_friction_holds_below_it_and_only_slows_above():
+    plant = plant_of(one_joint(coulomb_friction=[0.5]))
+    for _ in range(2000):
+        plant.step([0.45])
+    assert abs(plant.actual[0, 0]) < 2e-6  # in 2 s
+    assert abs(plant.actual[2, 0]) < 1e-5  # friction takes all before the sensor
+    for _ in range(1000):
+        plant.step([2.0])
+    inertia = 1.5 + 0.1 + 2 * 0.3**2
+    assert plant.actual[1, 0] == pytest.approx(1.5 / inertia, rel=5e-3)
+    assert plant.actual[2, 0] == pytest.approx(1.5 * (0.1 + 2 * 0.3**2) / inertia, rel=5e-3)
+
+
+def test_viscous_friction_is_before_the_sensor_as_well():
+    plant = plant_of(one_joint(viscous_friction=[4.0]))
+    for _ in range(8000):
+        plant.step([2.0])
+    assert plant.actual[1, 0] == pytest.approx(0.5, rel=1e-3)
+    assert plant.actual[2, 0] == pytest.approx(0.0, abs=2e-3)
+
+
+def test_nothing_drifts_in_a_minute_of_gravity_torques():
+    plant = plant_of(make_lwr())
+    gravity = plant.actual[2].copy()
+    for _ in range(60_000):
+        plant.step(gravity)
+    np.testing.assert_allclose(plant.actual[0], HOME, atol=1e-9)
+    offset = gravity + 0.5 * plant.world.dynamics["lwr"].coulomb_friction
+    for _ in range(10_000):
+        plant.step(offset)
+    np.testing.assert_allclose(plant.actual[0], HOME, atol=2e-5)  # creeps by its solver alone
+    np.testing.assert_allclose(plant.actual[2], gravity, atol=1e-3)
+
+
+def test_payloads_weigh_and_leave_no_trace():
+    plant = plant_of(make_lwr())
+    lwr = plant.world.robots["lwr"].robot
+    before = plant.actual[2].copy()
+    bytes_before = {key: np.array(getattr(plant.model, key)) for key in (
+        "body_mass", "body_subtreemass", "dof_invweight0", "body_invweight0")}  # fmt: skip
+    extent = plant.model.stat.extent
+    plant.attach_payload("lwr", 2.0, [0.0, 0.0, 0.1])
+    assert plant.model.stat.extent == extent
+    plant.reset()
+    tip = lwr.flange_frame.copy()
+    tip[2, 3] += 0.1
+    weight = lwr.dh.jacobian(HOME, None, tip)[:3].T @ [0, 0, 2.0 * 9.81]
+    np.testing.assert_allclose(plant.actual[2] - before, weight, atol=1e-9)
+    assert np.abs(weight).max() > 5
+    plant.detach_payload("lwr")
+    plant.reset()
+    np.testing.assert_array_equal(plant.actual[2], before)
+    for key, value in bytes_before.items():
+        np.testing.assert_array_equal(getattr(plant.model, key), value)
+
+
+def test_a_payload_picked_up_in_motion_changes_torques_at_once():
+    plant = plant_of(make_lwr())
+    gravity = plant.actual[2].copy()
+    plant.step(gravity)
+    plant.attach_payload("lwr", 5.0)
+    np.testing.assert_allclose(plant.actual[0], HOME, atol=1e-9)
+    for _ in range(100):
+        plant.step(gravity)
+    assert plant.actual[1, 1] != 0 and np.abs(plant.actual[1]).max() > 0.05
+
+
+def test_pushes_turn_with_the_frame_that_they_are_expressed_in():
+    lwr = make_lwr()
+    plant = plant_of(lwr)
+    gravity = plant.actual[2].copy()
+    push = plant.push(
+        "lwr/flange", [1, 2, 3], [0.1, 0.2, -0.3], expressed_in="lwr/flange", at=[0, 0.1, 0]
+    )
+    plant.step(gravity)
+    pose = lwr.fwd_kin_base_to_flange(HOME)
+    point = lwr.flange_frame.copy()
+    point[:3, 3] += [0, 0.1, 0]
+    wrench = np.concatenate([pose[:3, :3] @ [1, 2, 3], pose[:3, :3] @ [0.1, 0.2, -0.3]])
+    expected = lwr.dh.jacobian(HOME, None, point).T @ wrench
+    np.testing.assert_allclose(plant.external_torques(), expected, atol=1e-9)
+    np.testing.assert_allclose(plant.motor_torques, gravity, atol=1e-12)
+    push.force[:] = push.torque[:] = 0
+    plant.step(gravity)
+    np.testing.assert_allclose(plant.external_torques(), 0, atol=1e-12)
+    plant.release(push)
+    plant.release(push)
+    plant.step(gravity)
+    np.testing.assert_array_equal(plant.data.qfrc_applied, gravity)
+
+
+def test_friction_can_change_while_time_passes():
+    plant = plant_of(one_joint(coulomb_friction=[0.5]))
+    plant.set_friction("rod", coulomb=0.0, viscous=[0.25])
+    plant.step([0.4])
+    assert plant.actual[1, 0] == pytest.approx(0.001 * 0.4 / (1.5 + 0.1 + 0.18), rel=1e-3)
+    plant.set_friction("rod", coulomb=10.0)
+    for _ in range(20):
+        plant.step([0.4])
+    assert abs(plant.actual[1, 0]) < 1e-6
+    with pytest.raises(ValueError, match=r"^coulomb: found \[-1.0\]; expected 0 or more$"):
+        plant.set_friction("rod", coulomb=-1)
+    with pytest.raises(ValueError, match=r"^viscous: found 2 numbers; expected 1 or 1$"):
+        plant.set_friction("rod", viscous=[1, 2])
+    with pytest.raises(UnknownName, match=r"^no robot 'rot'; did you mean 'rod'\?$"):
+        plant.set_friction("rot", coulomb=1)
+
+
+GRIPPER = (
+    '<mujoco><worldbody><body name="jaw" pos="0 0 0.1"><joint name="slide" type="slide"/>'
+    '<geom size="0.02"/></body></worldbody></mujoco>'
+)
+BALL = (
+    '<mujoco><worldbody><body name="free" pos="2 0 0.1"><joint type="slide" axis="0 0 1"/>'
+    '<geom size="0.05"/></body></worldbody></mujoco>'
+)
+
+
+def test_robots_of_all_kinds_share_a_scene(lwr):
+    # Joints that are no robot's lie between theirs, and one of three robots is elastic.
+    left = make_lwr()
+    left.name = "left"
+    left.children = [Object(name="gripper", mjcf=GRIPPER)]
+    right = make_lwr(elastic=True)
+    right.name, right.base_frame = "right", {"xyz": [0, 2.0, 0]}
+    rail = SerialRobot(
+        name="rail", dh_convention="standard",
+        dh_params=[[1.5708, 0.1, 0.3, 0.2], [0.2, 0.3, 0, 1]],
+        joint_types=["prismatic", "revolute"], base_frame={"xyz": [0, -3.0, 0]},
+    )  # fmt: skip
+    plant = plant_of(left, rail, right, objects=[Object(name="ball", mjcf=BALL)])
+    assert plant.n == 16 and plant.model.nv == 16 + 7 + 2
+    rows = {name: part.joints for name, part in plant.world.robots.items()}
+    np.testing.assert_allclose(plant.actual[0, rows["right"]], HOME, atol=1e-12)
+    rng = np.random.default_rng(9)
+    hold = plant.actual[2].copy()
+    for _ in range(50):
+        before = plant.actual.copy()
+        plant.step(hold + rng.normal(0, 1, 16))
+        acceleration = (plant.actual[1] - before[1]) / plant.timestep
+        data = plant.data
+        np.testing.assert_array_equal(plant.motor_angles, data.qpos[plant.joints.motor_positions])
+        np.testing.assert_array_equal(plant.motor_velocities, data.qvel[plant.joints.motor_dofs])
+        for name in ("rail", "right"):
+            part, row = plant.world.robots[name], rows[name]
+            expected = inverse_dynamics(
+                part.robot, plant.world.dynamics[name], before[0, row], before[1, row],
+                acceleration[row],
+            )  # fmt: skip
+            np.testing.assert_allclose(plant.actual[2, row], expected, rtol=0, atol=1e-6)
+
+
+def test_the_same_seed_gives_the_same_bits():
+    def run() -> np.ndarray:
+        sensors = Sensors(7, torques=SensorErrors(noise=0.1), seed=4)
+        world = World(Scene(robots=[make_lwr()]), dynamic=True)
+        plant = Plant(world, sensors)
+        return np.array([plant.step(np.sin(k / 50) * np.ones(7)).copy() for k in range(600)])
+
+    np.testing.assert_array_equal(run(), run())
+
+
+def test_reset_begins_anew_to_the_bit():
+    plant = plant_of(make_lwr(elastic=True))
+    first = [plant.step(np.ones(7)).copy() for _ in range(50)]
+    plant.push("lwr/flange", [1, 0, 0])
+    plant.step(np.ones(7))
+    plant.reset()
+    np.testing.assert_array_equal(first, [plant.step(np.ones(7)).copy() for _ in range(50)])
+    assert plant.time == pytest.approx(0.05)
+
+
+def test_a_torque_that_is_no_number_stops_with_joint_and_time():
+    plant = plant_of(make_lwr())
+    plant.step(plant.actual[2].copy())
+    torques, kept = np.zeros(7), plant.actual.copy()
+    torques[3] = np.nan
+    with pytest.raises(SimulationError) as caught:
+        plant.step(torques)
+    assert str(caught.value) == (
+        "lwr/A3 at 0.0010 s: found a motor torque of nan Nm; expected a finite one, below 1e9"
+    )
+    assert (caught.value.joint, caught.value.time) == ("lwr/A3", 0.001)
+    np.testing.assert_array_equal(plant.actual, kept)
+    plant.step(np.zeros(7))  # the state is not spoilt
+
+
+def test_an_unstable_motion_stops_with_joint_and_time(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log of it
+    light = [[1e-3] * 3 + [0] * 3] * 2
+    plant = plant_of(
+        one_joint(motor_inertias=[0.0], inertias=light, centers_of_mass=[[0] * 3] * 2,
+                  joint_stiffness=None)
+    )  # fmt: skip
+    plant.step([0.1])
+    with pytest.raises(SimulationError) as caught:
+        plant.step([1e8])
+    assert str(caught.value) == (
+        "rod/J1 at 0.0020 s: found an acceleration of 1e+11 rad/s2; the motion is unstable: "
+        "expected lower gains, or a timestep below 0.001 s"
+    )
+
+
+def test_what_cannot_be_simulated_is_told():
+    world = World(Scene(robots=[make_lwr()]))
+    with pytest.raises(ValueError, match=r"expected World\(scene, dynamic=True\)$"):
+        Plant(world)
+    world = World(Scene(robots=[make_lwr()]), dynamic=True)
+    with pytest.raises(ValueError, match=r"^timestep: found 0 s; expected more than 0, below 1$"):
+        Plant(world, timestep=0.0)
+    with pytest.raises(ValueError, match=r"^found sensors of 6 joints; expected 7$"):
+        Plant(world, Sensors(6))
+    plant = Plant(world)
+    with pytest.raises(ValueError, match=r"^joint_angles: found 6 numbers; expected 7$"):
+        plant.reset([0.0] * 6)
+    with pytest.raises(UnknownName, match=r"^no frame 'lwr/flansch'; did you mean 'lwr/flange'\?$"):
+        plant.push("lwr/flansch")
+    with pytest.raises(ValueError, match=r"^force: found \[1.0, 2.0\]; expected 3 numbers$"):
+        plant.push("lwr/flange", [1, 2])
+    with pytest.raises(ValueError, match=r"^payload of lwr: found 0 kg; expected a positive mass$"):
+        plant.attach_payload("lwr", 0.0)
+    with pytest.raises(ValueError, match=r"^payload of lwr: found principal moments 1, 1, 5 kg m2"):
+        plant.attach_payload("lwr", 1.0, inertia=[1, 1, 5, 0, 0, 0])

@@ -1,0 +1,156 @@
+"""What sensors add to the truth, how they fail, and that a seed repeats it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.simulate.sensors import SensorErrors, Sensors
+
+RAMP = np.arange(200.0)[:, None, None] * np.ones((3, 4)) + np.arange(4)
+
+
+def run(sensors: Sensors, truth: np.ndarray = RAMP) -> np.ndarray:
+    return np.array([sensors.measure(row).copy() for row in truth])
+
+
+def test_perfect_sensors_read_the_truth():
+    np.testing.assert_array_equal(run(Sensors(4)), RAMP)
+
+
+def test_gain_bias_and_resolution_are_those_of_their_signal_and_joint():
+    sensors = Sensors(
+        4,
+        angles=SensorErrors(bias=[0.1, 0, 0, 0.4]),
+        torques=SensorErrors(gain=2.0, bias=0.3, resolution=[0.25, 0, 0, 0]),
+    )
+    read = run(sensors)
+    np.testing.assert_allclose(read[:, 0], RAMP[:, 0] + [0.1, 0, 0, 0.4])
+    np.testing.assert_array_equal(read[:, 1], RAMP[:, 1])
+    np.testing.assert_allclose(read[:, 2, 1:], 2 * RAMP[:, 2, 1:] + 0.3)
+    np.testing.assert_allclose(read[:, 2, 0], 2 * RAMP[:, 2, 0] + 0.25)
+
+
+@given(resolution=st.floats(1e-4, 10), value=st.floats(-1e3, 1e3))
+def test_quantised_values_lie_on_the_grid_next_to_the_truth(resolution, value):
+    sensors = Sensors(1, angles=SensorErrors(resolution=resolution))
+    read = sensors.measure(np.full((3, 1), value))[0, 0]
+    assert abs(read - value) <= resolution / 2 * (1 + 1e-9)
+    assert read / resolution == pytest.approx(round(read / resolution), abs=1e-6)
+
+
+def test_noise_has_its_deviation_and_no_memory():
+    sensors = Sensors(4, torques=SensorErrors(noise=[0.5, 0.5, 0.1, 0.0]), seed=1)
+    error = run(sensors, np.zeros((20_000, 3, 4)))
+    assert not error[:, :2].any() and not error[:, 2, 3].any()
+    # Of 20,000 values: four standard errors of deviation (1 / 200) and of mean (1 / 141).
+    np.testing.assert_allclose(error[:, 2, :3].std(axis=0), [0.5, 0.5, 0.1], rtol=0.02)
+    assert (np.abs(error[:, 2, :3].mean(axis=0)) < 0.03 * np.array([0.5, 0.5, 0.1])).all()
+    left, right = error[:-1, 2, 0], error[1:, 2, 0]
+    assert abs(np.corrcoef(left, right)[0, 1]) < 0.03
+    assert abs(np.corrcoef(error[:, 2, 0], error[:, 2, 1])[0, 1]) < 0.03
+
+
+def test_a_seed_repeats_the_noise_and_another_does_not():
+    def noise(seed: int) -> np.ndarray:
+        return run(Sensors(4, angles=SensorErrors(noise=1.0), seed=seed), np.zeros((600, 3, 4)))
+
+    np.testing.assert_array_equal(noise(3), noise(3))
+    assert (noise(3)[:, 0] != noise(4)[:, 0]).all()
+    sensors = Sensors(4, angles=SensorErrors(noise=1.0), seed=3)
+    first = run(sensors, np.zeros((300, 3, 4)))
+    sensors.reset(np.zeros((3, 4)))
+    np.testing.assert_array_equal(run(sensors, np.zeros((300, 3, 4))), first)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 5, 100])
+def test_delayed_values_are_those_of_so_many_steps_before(steps):
+    sensors = Sensors(4, velocities=SensorErrors(delay=steps), torques=SensorErrors(delay=2))
+    sensors.reset(RAMP[0])
+    read = run(sensors)
+    np.testing.assert_array_equal(read[:, 0], RAMP[:, 0])
+    np.testing.assert_array_equal(read[steps:, 1], RAMP[: len(RAMP) - steps, 1])
+    np.testing.assert_array_equal(read[:steps, 1], np.broadcast_to(RAMP[0, 1], (steps, 4)))
+    np.testing.assert_array_equal(read[2:, 2], RAMP[:-2, 2])
+
+
+def test_a_delay_can_begin_and_end_while_time_passes():
+    sensors = Sensors(4)
+    sensors.reset(RAMP[0])
+    run(sensors, RAMP[:50])
+    sensors.delay("torques", 3)
+    read = run(sensors, RAMP[50:80])
+    # What went by before was not kept; it begins with the last that was read.
+    assert read[:, 2, 0].tolist() == [49, 49, 49, *range(50, 77)]
+    sensors.delay("torques", 1)
+    assert run(sensors, RAMP[80:85])[:, 2, 0].tolist() == [79, 80, 81, 82, 83]
+    sensors.delay("torques", 0)
+    np.testing.assert_array_equal(run(sensors, RAMP[85:90]), RAMP[85:90])
+
+
+def test_faults_come_while_time_passes_and_are_repaired():
+    sensors = Sensors(4, torques=SensorErrors(bias=0.5))
+    run(sensors, RAMP[:10])
+    sensors.kill("torques", 2)
+    sensors.freeze("angles", 1)
+    sensors.change("velocities", 0, gain=-1.0)
+    sensors.change("torques", bias=2.0)
+    read = run(sensors, RAMP[10:20])
+    assert not read[:, 2, 2].any()
+    np.testing.assert_array_equal(read[:, 0, 1], RAMP[9, 0, 1])
+    np.testing.assert_array_equal(read[:, 1, 0], -RAMP[10:20, 1, 0])
+    np.testing.assert_array_equal(read[:, 2, 0], RAMP[10:20, 2, 0] + 2.0)
+    others = np.ones((3, 4), bool)
+    others[[0, 1], [1, 0]] = others[2] = False
+    np.testing.assert_array_equal(read[:, others], RAMP[10:20][:, others])
+    sensors.repair()
+    np.testing.assert_array_equal(run(sensors, RAMP[20:25])[:, 2], RAMP[20:25, 2] + 0.5)
+
+
+def test_the_truth_is_left_alone():
+    truth = RAMP[5].copy()
+    Sensors(4, angles=SensorErrors(gain=3.0, noise=1.0, delay=2)).measure(truth)
+    np.testing.assert_array_equal(truth, RAMP[5])
+
+
+@pytest.mark.parametrize(
+    ("errors", "message"),
+    [
+        ({"noise": -0.1}, "noise: found -0.1; expected 0 or more"),
+        ({"noise": [[0.1]]}, "noise: found 2 dimensions; expected one number, or one per joint"),
+        ({"delay": -1}, "delay: found -1; expected greater than or equal to 0"),
+        ({"delay": 0.5}, "delay: found 0.5; expected integer"),
+        ({"biass": 1.0}, "biass: unknown key; did you mean 'bias'?"),
+        ({"gain": float("nan")}, "gain: found nan; expected finite numbers, no NaN or inf"),
+    ],
+)
+def test_wrong_errors_are_told(errors, message):
+    with pytest.raises(DeclarationError) as caught:
+        SensorErrors(**errors)
+    assert str(caught.value) == message
+
+
+def test_wrong_names_and_counts_are_told():
+    with pytest.raises(ValueError, match=r"^torques.bias: found 3 numbers; expected 1 or 4$"):
+        Sensors(4, torques=SensorErrors(bias=[1, 2, 3]))
+    with pytest.raises(UnknownName, match=re.escape("no signal 'torque'; did you mean 'torques'?")):
+        Sensors(4).kill("torque", 0)
+    with pytest.raises(UnknownName, match=r"^no sensor error 'drift'; available: bias, gain, "):
+        Sensors(4).change("torques", 0, drift=1.0)
+    with pytest.raises(ValueError, match=r"^torques: found a delay of -1 steps; expected 0 or"):
+        Sensors(4).delay("torques", -1)
+    with pytest.raises(ValueError, match=r"^torques.noise: found -1; expected 0 or more$"):
+        Sensors(4).change("torques", 0, noise=-1.0)
+
+
+def test_noise_that_begins_late_is_there_at_once():
+    sensors = Sensors(4)
+    run(sensors, RAMP[:10])
+    sensors.change("torques", 1, noise=0.5)
+    error = run(sensors, RAMP[10:40]) - RAMP[10:40]
+    assert error[:, 2, 1].all() and not error[:, :2].any() and not error[:, 2, [0, 2, 3]].any()
