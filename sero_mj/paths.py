@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from .errors import DeclarationError, Problem, UnknownName
@@ -95,11 +96,7 @@ def find_scenario(name: str) -> Path:
     Raises:
         UnknownName: nothing of that name exists; lists the shipped scenarios.
     """
-    for candidate in (Path(name), scenarios_dir() / f"{name}.toml"):
-        if _is_file(candidate):
-            return candidate
-    _refuse_path(name)
-    raise UnknownName("scenario", name, list_scenarios())
+    return _find("scenario", name, scenarios_dir(), list_scenarios)
 
 
 def find_scene(name: str) -> Path:
@@ -108,8 +105,13 @@ def find_scene(name: str) -> Path:
     Raises:
         UnknownName: nothing of that name exists; lists the shipped scenes.
     """
-    for candidate in (Path(name), scenes_dir() / f"{name}.toml"):
+    return _find("scene", name, scenes_dir(), list_scenes)
+
+
+def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) -> Path:
+    """A file, or a shipped one of that name."""
+    for candidate in (Path(name), folder / f"{name}.toml"):
         if _is_file(candidate):
             return candidate
     _refuse_path(name)
-    raise UnknownName("scene", name, list_scenes())
+    raise UnknownName(kind, name, shipped())

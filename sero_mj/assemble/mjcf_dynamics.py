@@ -34,7 +34,8 @@ _SLIDING = [0.3, 0.005, 1e-4]
 _RUBBER = [1.0, 0.005, 1e-4]
 # Stops, floors and tables are stiffer than by default; not beyond what a step can follow.
 _STIFF = [0.005, 1.0]
-_STOP = {"solreflimit": _STIFF, "solimplimit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
+# The stops of joints have rubber on them, or gears would break.
+_STOP = {"solreflimit": [0.02, 1.0], "solimplimit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
 
 def set_up_dynamics(root: mjcf.RootElement) -> None:
