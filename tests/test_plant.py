@@ -123,7 +123,7 @@ def test_links_stop_at_their_limits_also_behind_springs(elastic):
     torque[0] = 40.0
     for _ in range(7000):
         plant.step(torque - [3.0, 40, 40, 40, 40, 40, 40] * plant.actual[1])
-    assert plant.actual[0, 0] == pytest.approx(np.deg2rad(170), abs=2e-3)
+    assert plant.actual[0, 0] == pytest.approx(np.deg2rad(170), abs=4e-3)  # rubber
     assert plant.external_torques()[0] == pytest.approx(-40.0, abs=1.0)
 
 
