@@ -13,6 +13,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.errors import DeclarationError, UnknownName
 from sero_mj.paths import list_scenarios
 from sero_mj.simulate.disturbances import Force
+from sero_mj.simulate.run_recorder import RunRecorder
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import is_scenario, read_scenario
 from sero_mj.simulate.simulation import Simulation
@@ -202,3 +203,43 @@ def test_a_force_acts_by_its_profile() -> None:
         Force(**{**force, "begin": 2.0, "end": 1.0})
     with pytest.raises(DeclarationError, match="end: is required; expected the time"):
         Force(at="x", force=[0, 0, 1.0], profile="ramp")
+
+
+# ---- recorded motions
+
+
+def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
+    swing = {"lwr": {"kind": "sine", "amplitude_deg": 10.0, "frequency": 0.5}}
+    first = Simulation(scenario(targets=swing, duration=2.0))
+    with RunRecorder(first, tmp_path / "run.mcap") as recorder:
+        for rows in first.run():
+            recorder.write(*rows)
+    table = tmp_path / "run.csv"
+    angles = first.log.of("lwr", "angles")[::10]
+    lines = [",".join(map(str, row)) for row in np.column_stack([first.log.times[::10], angles])]
+    table.write_text("\n".join(["time,A1,A2,E1,A3,A4,A5,A6", *lines]))
+    for file in ("run.mcap", "run.csv"):
+        text = BASE.replace("0.1", "2.0") + f"[targets.lwr]\nkind='recorded'\nfile='{file}'\n"
+        again = ran(read(tmp_path, text))
+        assert again.log.of("lwr", "angles")[0] == pytest.approx(angles[0], abs=2e-3)
+        target = again.log.of("lwr", "target_angles")
+        # Averages over 20 ms, which belong to their middle.
+        assert np.abs(target[100:1900] - first.log.of("lwr", "angles")[100:1900]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("file='none.mcap'", "targets.lwr.file: "),
+        ("file='none.csv'", "none.csv: cannot be read"),
+        ("file='bad.csv'", "found 2 columns beside time; expected 7, one per joint"),
+        ("file='bad.csv'\nof='x'", "targets.lwr.of: is for recordings"),
+        ("file='bad.csv'\ntimes=[0,1]", "targets.lwr.times: is what the file says; leave it or"),
+        ("file=5", "targets.lwr.file: found 5; expected the name of a recording or a table"),
+    ],
+)
+def test_a_motion_that_is_not_there_is_told(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "bad.csv").write_text("time,a,b\n0,1,2\n1,2,3\n")
+    with pytest.raises(DeclarationError) as caught:
+        read(tmp_path, f"{BASE}[targets.lwr]\nkind='recorded'\n{text}\n")
+    assert message in str(caught.value) and "mine.toml:" in str(caught.value)

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..assemble.scene import Scene
 from ..assemble.scene_file import read_scene, read_scene_tables
 from ..assemble.toml_file import read_toml
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ..paths import find_scenario, find_scene
+from .recorded_motion import with_motion
 from .scenario import Run, Scenario
 
 # What a scenario file has beside the sections of a scene.
@@ -59,6 +61,7 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         problems += error.problems
     if scene is None:
         raise DeclarationError(problems)
+    problems += _read_motions(own, scene, file)
     run = own.get("run", {})
     for key, expected in (("run", "a table [run]"), ("description", "a text")):
         if not isinstance(own.get(key, {} if key == "run" else ""), dict if key == "run" else str):
@@ -78,6 +81,27 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         raise DeclarationError(problems)
     scenario.file = file
     return scenario
+
+
+def _read_motions(own: dict[str, Any], scene: Scene, file: Path) -> list[Problem]:
+    """Replaces motions in files by what is in them; a robot without a pose begins where they do."""
+    targets = own.get("targets")
+    problems: list[Problem] = []
+    for name, table in targets.items() if isinstance(targets, dict) else ():
+        robot = scene.robots.get(name)
+        if robot is None or not isinstance(table, dict):
+            continue
+        try:
+            found = with_motion(table, robot, file.parent)
+        except DeclarationError as error:
+            wrong = [problem.inside(f"targets.{name}") for problem in error.problems]
+            problems += _placed(wrong, file)
+            own["targets"] = {key: value for key, value in own["targets"].items() if key != name}
+            continue
+        if "file" in table and robot.joint_angles is None:
+            robot.joint_angles = found["angles"][0]
+        own["targets"] = {**own["targets"], name: found}
+    return problems
 
 
 def _placed(problems: list[Problem], file: Path) -> list[Problem]:
