@@ -19,6 +19,7 @@ from ..assemble.robot import SerialRobot
 from ..drive.mirror import Mirror
 from ..errors import DeclarationError, Problem, SimulationError, UnknownName
 from ..show.headless import HeadlessRenderer
+from ..simulate.compiler import Compiler
 from ..simulate.controllers import make_controller
 from ..simulate.expect import Expect
 from ..simulate.gains import ControllerDeclaration
@@ -159,6 +160,7 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
         self.episode = -1
         self.error: SimulationError | None = None
         self._ended = True
+        self._compiler = Compiler()
         self._view: tuple[Mirror, HeadlessRenderer] | None = None
         self._shape: tuple[int, int, str | None] = (0, 0, None)
         self._open = ExitStack()
@@ -167,7 +169,7 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
 
     def _make_simulation(self) -> None:
         rng = np.random.default_rng([self._settings.seed, max(self.episode, 0)])
-        self.simulation = Simulation(self.scenario, seed=int(rng.integers(2**32)))
+        self.simulation = Simulation(self.scenario, int(rng.integers(2**32)), self._compiler)
         self._columns = self._find_columns()
 
     def _find_columns(self) -> dict[str, slice]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
-from ..assemble.world import World
 from ..errors import DeclarationError, Problem
+from .compiler import Compiler
 from .controllers import make_controller
 from .expect import Outcome
 from .happenings import Happenings
@@ -18,7 +18,6 @@ from .monitor import Finding
 from .observer import MomentumObserver
 from .plan import Plan, make_plan
 from .plant import Plant
-from .robot_model import RobotModel
 from .run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, RunLayout, RunLog, event_of
 from .scenario import Scenario
 from .state import Sensed, Target
@@ -38,7 +37,7 @@ class _Arm:
         scenario = simulation.scenario
         robot = scenario.scene.robots[name]
         self.joints, self.plan = joints, plan
-        self.model = RobotModel.of(robot)
+        self.model = simulation.compiler.robot_model(robot)
         declared = scenario.controllers.get(name, GravityCompensation())
         self.controller: LimitedController = make_controller(
             declared, self.model, scenario.run.timestep, robot.torque_limits
@@ -51,7 +50,9 @@ class _Arm:
         self.target = Target(robot.n)
         self.target.posture[:] = robot.home
         self.observer = MomentumObserver(
-            RobotModel.of(robot), scenario.run.observer_gain, scenario.run.timestep
+            simulation.compiler.robot_model(robot),
+            scenario.run.observer_gain,
+            scenario.run.timestep,
         )
 
 
@@ -61,9 +62,11 @@ class Simulation:
     Args:
         scenario: what to run.
         seed: of the noise; the scenario's when None.
+        compiler: that remembers what it has compiled, for those who run many; a new one when None.
 
     Attributes:
         scenario: as given.
+        compiler: as given.
         plant: the simulated robots.
         layout: of the log's rows.
         rows: (steps + 1, width), the log; rows behind `step` hold targets only.
@@ -74,8 +77,11 @@ class Simulation:
             gains, unreachable targets, limits of zero.
     """
 
-    def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, seed: int | None = None, compiler: Compiler | None = None
+    ) -> None:
         run = scenario.run
+        self.compiler = compiler or Compiler()
         self.scenario = scenario
         self.step = 0
         scene = scenario.scene
@@ -91,7 +97,7 @@ class Simulation:
             name=scene.name,
             file=scene.file,
         )
-        self.plant = Plant(World(stripped, dynamic=True), sensors, run.timestep)
+        self.plant = Plant(self.compiler.world(stripped), sensors, run.timestep)
         times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         plans = self._plans(times)
         self._happenings = Happenings(scenario, self.plant, run.steps)
