@@ -24,6 +24,7 @@ from . import (
     simulate,
     status,
     structure,
+    sweep,
 )
 from .arguments import OneLineParser, join_negative_values
 
@@ -85,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         render,
         send,
         simulate,
+        sweep,
         status,
         structure,
         record,
