@@ -296,6 +296,7 @@ def test_targets_are_free_and_within_limits() -> None:
         ("lwr/reach", {"control_timestep": 0.0015}, "control_timestep: found 0.0015 s; expected a "
          "whole number of steps of 0.001 s"),
         ("lwr/reach", {"start": [0.0, 1.0]}, "start: found 2 numbers; expected 7, one per joint"),
+        ("lwr/reach", {"start": np.full(7, 2.5)}, "start: joint A2 is to be at 2.5; expected -2."),
         ("lwr/reach", {"action": "impedance", "stiffness": 9999.0}, "stiffness: found 9999; "
          "expected 0 to 5000 Nm/rad"),
         ("lwr/reach", {"sensors": {"angle": {}}}, "did you mean 'angles'?"),

@@ -171,6 +171,8 @@ def test_a_key_that_no_variant_can_have_is_told_at_once(file: Path) -> None:
         sweep(file, "controllers.lwr.stifness=1:2")
     with pytest.raises(DeclarationError, match=r"there is no \[controllers.lvr\]; did you mean"):
         sweep(file, "controllers.lvr.stiffness=1:2")
+    with pytest.raises(UsageError, match=r"--grid: found 900 x 900 = 810000 variants; expected up"):
+        sweep(file, f"{STIFFNESS}=1:2", "run.duration=1:2", samples=900, is_grid=True)
     with pytest.raises(UsageError, match=r"--vary run.seed: is given twice"):
         sweep(file, "run.seed=0:3", "run.seed=4:5")
     with pytest.raises(UsageError, match=r"--vary run.seed: is also set"):
@@ -336,7 +338,7 @@ def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
         (["-o", "out.txt"], "--out out.txt: expected a name that ends in .csv"),
         (["--plot", "out.csv"], "--plot out.csv: expected a name that ends in .png"),
         (["--resume", "--overwrite", "-o", "a.csv"], "--resume and --overwrite: expected one"),
-        (["--samples", "0"], "found '0'; expected a whole number from 1 to 1000000"),
+        (["--samples", "0"], "found '0'; expected a whole number from 1 to 200000"),
         (["--jobs", "two"], "found 'two'; expected a whole number from 1"),
         (["--seed", "-1"], "found '-1'; expected a whole number from 0"),
     ],

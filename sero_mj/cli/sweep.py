@@ -67,9 +67,9 @@ def add_to(commands: Commands) -> None:
 
 
 def _count(text: str) -> int:
-    if text.isdecimal() and 1 <= int(text) <= 1_000_000:
+    if text.isdecimal() and 1 <= int(text) <= 200_000:
         return int(text)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected a whole number from 1 to 1000000")
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected a whole number from 1 to 200000")
 
 
 def _seed(text: str) -> int:

@@ -139,6 +139,16 @@ class Arm:
         if angles.shape != (self.robot.n,):
             message = f"found {angles.size} numbers; expected {self.robot.n}, one per joint"
             raise DeclarationError([Problem("start", message)])
+        limits = self.robot.position_limits
+        if limits is not None:
+            bad = (angles < limits[:, 0]) | (angles > limits[:, 1])
+            if bad.any():
+                joint = int(np.argmax(bad))
+                low, high = limits[joint]
+                found = f"joint {self.robot.names[joint]} is to be at {angles[joint]:g}"
+                raise DeclarationError(
+                    [Problem("start", f"{found}; expected {low:.4g} to {high:.4g}")]
+                )
         return angles
 
     @property

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ..assemble.declaration import Declaration
 from ..assemble.robot import SerialRobot
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
@@ -65,4 +67,7 @@ def _known(options: dict[str, Any], *kinds: type[Declaration]) -> dict[str, Any]
     ]
     if problems:
         raise DeclarationError(problems)
-    return {key: list(v) if isinstance(v, tuple) else v for key, v in options.items()}
+    return {
+        key: np.asarray(value).tolist() if isinstance(value, tuple | np.ndarray) else value
+        for key, value in options.items()
+    }

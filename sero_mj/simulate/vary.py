@@ -16,6 +16,7 @@ from ..errors import UsageError
 
 Array = NDArray[np.float64]
 
+MOST_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
 _SCALES = ("log", "int")
 _WHOLE = ("run.seed",)  # keys that take whole numbers only
 _EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
@@ -129,8 +130,18 @@ def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dic
 
 
 def full_grid(varied: Sequence[Vary], count: int) -> list[dict[str, Any]]:
-    """Every value of every key with every value of all others; `count` in each range."""
-    return _named(varied, itertools.product(*(vary.grid(count) for vary in varied)))
+    """Every value of every key with every value of all others; `count` in each range.
+
+    Raises:
+        UsageError: that are more than `MOST_VARIANTS`.
+    """
+    columns = [vary.grid(count) for vary in varied]
+    many = math.prod(map(len, columns))
+    if many > MOST_VARIANTS:
+        sizes = " x ".join(str(len(column)) for column in columns)
+        message = f"found {sizes} = {many} variants; expected up to {MOST_VARIANTS}"
+        raise UsageError(f"--grid: {message}: fewer --samples, or no --grid")
+    return _named(varied, itertools.product(*columns))
 
 
 def _named(varied: Sequence[Vary], rows: Any) -> list[dict[str, Any]]:
