@@ -27,6 +27,7 @@ bench: .venv/.installed
 	$(BIN)/python benchmarks/streams.py
 	$(BIN)/python benchmarks/controllers.py
 	$(BIN)/python benchmarks/plant.py
+	$(BIN)/python benchmarks/simulate.py
 	$(BIN)/python benchmarks/many.py
 
 wheel: .venv/.installed

@@ -55,8 +55,11 @@ if TYPE_CHECKING:
     from .show.capture import render_picture as render_picture
     from .show.headless import HeadlessRenderer as HeadlessRenderer
     from .simulate.plant import Plant as Plant
+    from .simulate.scenario import Scenario as Scenario
+    from .simulate.scenario_file import read_scenario as read_scenario
     from .simulate.sensors import SensorErrors as SensorErrors
     from .simulate.sensors import Sensors as Sensors
+    from .simulate.simulation import Simulation as Simulation
 
 __version__ = "0.1.0"
 
@@ -89,6 +92,9 @@ _HOME = {
     "Structure": "receive.structure",
     "UdpReceiver": "receive.udp",
     "Plant": "simulate.plant",
+    "Scenario": "simulate.scenario",
+    "read_scenario": "simulate.scenario_file",
+    "Simulation": "simulate.simulation",
     "SensorErrors": "simulate.sensors",
     "Sensors": "simulate.sensors",
     "render_film": "show.capture",

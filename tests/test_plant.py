@@ -371,6 +371,9 @@ def test_robots_of_all_kinds_share_a_scene(lwr):
         before = plant.actual.copy()
         plant.step(hold + rng.normal(0, 1, 16))
         acceleration = (plant.actual[1] - before[1]) / plant.timestep
+        data = plant.data
+        np.testing.assert_array_equal(plant.motor_angles, data.qpos[plant.joints.motor_positions])
+        np.testing.assert_array_equal(plant.motor_velocities, data.qvel[plant.joints.motor_dofs])
         for name in ("rail", "right"):
             part, row = plant.world.robots[name], rows[name]
             expected = inverse_dynamics(

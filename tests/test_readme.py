@@ -60,7 +60,7 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         for process in background:
             process.terminate()
             process.wait()
-    assert ran == {"bash": 11, "python": 6, "toml": 10}
+    assert ran == {"bash": 15, "python": 8, "toml": 12}
     made = {path.name for path in (tmp_path / "out").iterdir()}
     assert made == {
         "now.png",
@@ -74,6 +74,16 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         "run.csv",
         "again.mp4",
         "replayed.mp4",
+        "other.mcap",
+        "difference.pdf",
+        "difference.png",
+        "difference.mp4",
+        "compared.mp4",
+        "push.mp4",
+        "push.png",
+        "fault.mcap",
+        "fault.csv",
+        "swing.png",
         "sweep.csv",
         "sweep.csv.json",
         "sweep.png",

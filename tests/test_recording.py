@@ -191,3 +191,29 @@ def test_starting_late_in_a_long_recording_reads_little_of_it(tmp_path: Path) ->
         assert recording.last_before("arm", late + 0.01) == expected[3900]
         recording._file = file
     assert 0 < sum(read) < path.stat().st_size / 50
+
+
+def test_rows_at_once_are_packets_one_by_one(tmp_path: Path) -> None:
+    rows = np.random.default_rng(3).integers(0, 256, (5000, 168), np.uint8)
+    files = [tmp_path / "one.mcap", tmp_path / "all.mcap"]
+    found = []
+    for file in files:
+        with begin(file, "arm", chunk_bytes=100_000) as writer:
+            arrivals = writer.clock.monotonic_ns / 1e9 + 0.001 * np.arange(len(rows))
+            if file is files[0]:
+                for row, arrival in zip(rows, arrivals.tolist(), strict=True):
+                    writer.write_raw("arm", row.tobytes(), arrival)
+            else:
+                for first in range(0, 5000, 1700):
+                    part = slice(first, first + 1700)
+                    writer.write_rows("arm", rows[part], arrivals[part])
+        with Recording(file) as recording:
+            assert recording.faults == []
+            found.append(list(recording.packets("arm")))
+        with open(file, "rb") as stream:  # the library's own reader agrees
+            messages = list(make_reader(stream).iter_messages(topics=["/arm/raw"]))
+        assert [message.sequence for _, _, message in messages] == list(range(5000))
+        assert b"".join(message.data for _, _, message in messages) == rows.tobytes()
+    assert [packet for _, packet in found[0]] == [packet for _, packet in found[1]]
+    times = np.array([[time for time, _ in each] for each in found])
+    assert times[0] == pytest.approx(times[1], abs=2e-9)

@@ -142,3 +142,15 @@ def test_wrong_names_and_counts_are_told():
         Sensors(4).kill("torque", 0)
     with pytest.raises(UnknownName, match=r"^no sensor error 'drift'; available: bias, gain, "):
         Sensors(4).change("torques", 0, drift=1.0)
+    with pytest.raises(ValueError, match=r"^torques: found a delay of -1 steps; expected 0 or"):
+        Sensors(4).delay("torques", -1)
+    with pytest.raises(ValueError, match=r"^torques.noise: found -1; expected 0 or more$"):
+        Sensors(4).change("torques", 0, noise=-1.0)
+
+
+def test_noise_that_begins_late_is_there_at_once():
+    sensors = Sensors(4)
+    run(sensors, RAMP[:10])
+    sensors.change("torques", 1, noise=0.5)
+    error = run(sensors, RAMP[10:40]) - RAMP[10:40]
+    assert error[:, 2, 1].all() and not error[:, :2].any() and not error[:, 2, [0, 2, 3]].any()

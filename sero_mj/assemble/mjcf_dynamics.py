@@ -29,6 +29,9 @@ PAYLOAD = "payload"  # a body at the flange that weighs nothing until something 
 _ONE_HOUSING = 4.0
 # Coulomb friction that holds creeps by no more than 1e-6 rad/s (the default: 1e-4).
 _FRICTION = {"solreffriction": [0.004, 1.0], "solimpfriction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
+# Metal, plastic and wood slide on each other so; by default all is rubber, and a probe hops.
+_SLIDING = [0.3, 0.005, 1e-4]
+_RUBBER = [1.0, 0.005, 1e-4]
 # Stops, floors and tables are stiffer than by default; not beyond what a step can follow.
 _STIFF = [0.005, 1.0]
 _STOP = {"solreflimit": _STIFF, "solimplimit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
@@ -44,6 +47,12 @@ def set_up_dynamics(root: mjcf.RootElement) -> None:
     if floor is not None:
         # Links that are built into the floor do not feel it, see _collide.
         floor.contype, floor.conaffinity = 0, 1
+
+
+def smooth(model: mujoco.MjModel) -> None:
+    """Gives geoms that say nothing else the friction of smooth things on each other."""
+    unsaid = (model.geom_friction == _RUBBER).all(axis=1)
+    model.geom_friction[unsaid] = _SLIDING
 
 
 def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDynamics) -> None:

@@ -23,6 +23,7 @@ from .joint_table import joint_table
 from .mesh_check import mesh_problems
 from .mjcf import build_mjcf, moved_body, xml_text
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
+from .mjcf_dynamics import smooth
 from .parts import DoublePart, Owner, RobotPart
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
@@ -75,7 +76,9 @@ class World:
         )
         self._root = root
         self.model = _compile(root, scene)
-        if dynamic:  # what is unstable shall be told, not begin anew
+        if dynamic:
+            smooth(self.model)
+            # What is unstable shall be told, not begin anew.
             self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if scene.doubles:
             self._measure_without_doubles()

@@ -12,6 +12,7 @@ from ..errors import DeclarationError, SeroError
 from ..show.gl import choose_backend
 from . import (
     check,
+    compare,
     demo,
     doctor,
     export,
@@ -91,6 +92,7 @@ def _parser() -> argparse.ArgumentParser:
         structure,
         record,
         export_csv,
+        compare,
         fk,
         check,
         export,

@@ -144,21 +144,44 @@ def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
     """
     from ..assemble.scene import Scene
     from ..drive.mirror import load_scene
+    from ..simulate.scenario_file import is_scenario
 
     try:
         path = paths.find_scene(name)
     except UnknownName as error:
+        if name in paths.list_scenarios():
+            return read_staged(name, settings)
         try:
             paths.find_model(name)
         except UnknownName:
-            available = [*paths.list_scenes(), *paths.list_models()]
+            available = [*paths.list_scenes(), *paths.list_scenarios(), *paths.list_models()]
             raise UnknownName("scene or robot", name, available) from error
         return Scene(robots=[read_model(name, overrides(settings or []))], name=name)
     if _is_robot_file(path):
         return Scene(
             robots=[read_model(str(path), overrides(settings or []))], name=path.parent.name
         )
+    if is_scenario(path):
+        return read_staged(str(path), settings)
     return load_scene(path, overrides(settings or []))
+
+
+def read_staged(name: str, settings: list[str] | None = None) -> Scene:
+    """Returns the scene of a scenario, which is simulated while it is shown.
+
+    Raises:
+        SeroError: what is wrong in the file.
+    """
+    from ..simulate.scenario_file import read_scenario
+    from ..simulate.simulated_source import SimulatedSource
+    from ..simulate.simulation import Simulation
+    from ..simulate.staging import add_paths, stage
+
+    simulation = Simulation(read_scenario(name, overrides(settings or [])))
+    scene = stage(simulation.scenario, simulation.layout, SimulatedSource(simulation=simulation))
+    if simulation.scenario.run.show_paths:
+        add_paths(scene, simulation.scenario, simulation.layout, simulation.rows)
+    return scene
 
 
 def replay_instead(scene: Scene, file: Path, start: float | None) -> None:

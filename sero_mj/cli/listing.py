@@ -31,6 +31,10 @@ def run(options: argparse.Namespace) -> int:
     print("scenes (scenes/)")
     for name in paths.list_scenes():
         print(f"  {name:14} {_first_comment(name)}")
+    print("scenarios (scenes/scenarios/), for sero-mj simulate")
+    for name in paths.list_scenarios():
+        about = tomllib.loads(paths.find_scenario(name).read_text(encoding="utf-8"))
+        print(f"  {name:18} {about.get('description', '')}")
     return 0
 
 

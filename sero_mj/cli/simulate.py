@@ -38,6 +38,10 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a file, or a shipped scenario's name")
     parser.add_argument("--record", type=Path, metavar="OUT.mcap", help="keep every step")
+    parser.add_argument(
+        "--signals-rate", type=not_negative, default=10.0, metavar="HZ",
+        help="of values as JSON in the recording, for other programs (default 10; 0 none)",
+    )  # fmt: skip
     parser.add_argument("--csv", type=Path, metavar="OUT.csv", help="the same as a table")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="torques of every joint")
     parser.add_argument("--render", type=Path, metavar="OUT.mp4", help="film it, or OUT.png")
@@ -85,9 +89,14 @@ def run(options: argparse.Namespace) -> int:
 
         write_csv(simulation, options.csv)
     if options.plot is not None:
-        from ..simulate.plot import plot_run
+        from ..simulate.plot import plot_run, spans_of
 
-        plot_run(simulation.log, options.plot, findings=simulation.findings())
+        plot_run(
+            simulation.log,
+            options.plot,
+            findings=simulation.findings(),
+            spans=spans_of(simulation.scenario),
+        )
     if options.render is not None:
         _render(simulation, options)
     outcomes, findings = simulation.outcomes(), simulation.findings()
@@ -140,7 +149,12 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
         recorder = None
         if options.record is not None:
             recorder = stack.enter_context(
-                RunRecorder(simulation, options.record, overwrite=options.overwrite)
+                RunRecorder(
+                    simulation,
+                    options.record,
+                    overwrite=options.overwrite,
+                    signals_rate=options.signals_rate,
+                )
             )
         quiet = options.quiet or not console.is_terminal
         progress = stack.enter_context(
@@ -191,11 +205,16 @@ def _print(
     simulation: Simulation, seconds: float, outcomes: list[Any], findings: list[Any], *, quiet: bool
 ) -> None:
     if not quiet:
+        from rich.console import Console
+
+        from ..simulate.summary import as_table, summarise
+
         speed = simulation.time / seconds if seconds > 0 else float("inf")
         print(
             f"{simulation.scenario.name}: {simulation.time:g} s in {seconds:.2f} s "
             f"({speed:.0f} times real time), {simulation.step} steps"
         )
+        Console().print(as_table(summarise(simulation.log, findings)))
         for finding in findings[:20]:
             print(f"  found   {finding}")
         if len(findings) > 20:
@@ -208,6 +227,8 @@ def _print(
 def _as_json(
     simulation: Simulation, seconds: float, error: Any, outcomes: list[Any], findings: list[Any]
 ) -> dict[str, Any]:
+    from ..simulate import summary
+
     return {
         "scenario": simulation.scenario.name,
         "seconds": simulation.time,
@@ -218,6 +239,7 @@ def _as_json(
             for o in outcomes
         ],
         "findings": [vars(finding) for finding in findings],
+        "joints": summary.as_json(summary.summarise(simulation.log, findings)),
     }
 
 

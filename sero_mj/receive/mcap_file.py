@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -30,6 +31,7 @@ from mcap.records import (
     Schema,
 )
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from .mcap_chunk import ChunkBuilder
@@ -196,6 +198,31 @@ class McapFile:
         self._chunk.add(channel, data, log_time, sequence)
         if len(self._chunk.data) >= self._chunk_bytes:
             self.flush()
+
+    def add_rows(
+        self, channel: int, rows: NDArray[np.uint8], log_times: NDArray[np.uint64], sequence: int
+    ) -> None:
+        """Adds messages of one length all at once; see `add_message`.
+
+        Args:
+            channel: the channel's number.
+            rows: (n, bytes of a message).
+            log_times: (n,), ns since the epoch.
+            sequence: number of the first one; the others follow.
+
+        Raises:
+            RecordingError: a chunk cannot be written.
+        """
+        if self.error is not None:
+            raise self.error
+        at_once = max(self._chunk_bytes // max(rows.shape[1], 1), 1)
+        for first in range(0, len(rows), at_once):
+            if not self._chunk.data:
+                self._oldest = time.monotonic()
+            part = slice(first, first + at_once)
+            self._chunk.add_rows(channel, rows[part], log_times[part], sequence + first)
+            if len(self._chunk.data) >= self._chunk_bytes:
+                self.flush()
 
     def flush_if_old(self) -> float:
         """Writes the chunk when it is due; returns the s until it is, infinite when it is empty.

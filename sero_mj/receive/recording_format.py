@@ -21,6 +21,9 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .. import __version__
 
 FORMAT = 1
@@ -65,6 +68,18 @@ class Clock:
         if not 0 <= log_time <= _MOST_NS:
             raise ValueError(f"arrival: found {arrival}, which is before 1970 or after 2554")
         return log_time
+
+    def log_times(self, arrivals: NDArray[np.float64]) -> NDArray[np.uint64]:
+        """The same for many arrivals, (n,).
+
+        Raises:
+            ValueError: one is not a time that a file can hold.
+        """
+        if len(arrivals):
+            for end in (np.min(arrivals), np.max(arrivals)):  # NaN is both
+                self.log_time(float(end))
+        times = np.rint(arrivals * 1e9).astype(np.int64) - self.monotonic_ns + self.epoch_ns
+        return np.asarray(times.astype(np.uint64))
 
     def to_metadata(self) -> dict[str, str]:
         """As the metadata record that every recording has."""

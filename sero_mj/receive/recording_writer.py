@@ -156,6 +156,24 @@ class RecordingWriter:
             channels.raw, packet, self.clock.log_time(arrival), number & 0xFFFFFFFF
         )
 
+    def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
+        """Keeps packets of one length all at once.
+
+        Args:
+            name: their source.
+            rows: (n, bytes of a packet).
+            arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
+
+        Raises:
+            RecordingError: there is no room. What was written before is kept.
+            UnknownName: no such source was added.
+            ValueError: an arrival is not a time.
+        """
+        channels = self._find(name)
+        number = channels.number
+        channels.number = number + len(rows)
+        self._file.add_rows(channels.raw, rows, self.clock.log_times(arrivals), number)
+
     def write_signals(
         self, name: str, values: Mapping[str, NDArray[np.float64]], arrival: float
     ) -> None:

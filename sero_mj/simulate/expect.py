@@ -4,22 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..assemble.declaration import Declaration, Name
+from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem, did_you_mean
+from .disturbances import Disturbance
+from .faults import Fault
 from .measures import MEASURES, NEED_TARGET
 from .monitor import KINDS, Finding
 from .run_log import RunLog
 
-if TYPE_CHECKING:
-    from .scenario import Scenario
-
 Array = NDArray[np.float64]
+
+
+class Happening(Protocol):
+    """What has to be known of a scenario to judge its run."""
+
+    scene: Scene
+    disturbances: dict[str, Disturbance]
+    faults: dict[str, Fault]
+
+    @property
+    def duration(self) -> float:
+        """Of the run, s."""
+
+    def has_target(self, robot: str) -> bool:
+        """Whether a robot is to be somewhere."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +61,8 @@ class Expect(Declaration):
         measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`, ...
         robot: whose; all robots when None.
         joints: names; all when empty.
-        below: what its size must be below.
-        above: what its size must be above.
+        below: what its size must be below, at every joint.
+        above: what its size must be above, at one joint at least.
         after: from this time on, s.
         before: until this time, s.
         of: `max`, `rms`, `mean`, `min` or `final`: what of it counts.
@@ -91,7 +106,7 @@ class Expect(Declaration):
             raise ValueError(f"before: found {self.before:g}; expected more than {self.after:g} s")
         return self
 
-    def check(self, scenario: Scenario) -> None:
+    def check(self, scenario: Happening) -> None:
         """Looks whether the scenario has what is asked for.
 
         Raises:
@@ -119,8 +134,8 @@ class Expect(Declaration):
                 for robot in self._robots(list(robots))
                 if robot in robots and not scenario.has_target(robot)
             ]
-        if self.after >= scenario.run.duration:
-            message = f"found {self.after:g} s; the run ends at {scenario.run.duration:g} s"
+        if self.after >= scenario.duration:
+            message = f"found {self.after:g} s; the run ends at {scenario.duration:g} s"
             problems.append(Problem("after", message))
         if problems:
             raise DeclarationError(problems)
@@ -129,7 +144,7 @@ class Expect(Declaration):
         return list(all_of_them) if self.robot is None else [self.robot]
 
     def judge(
-        self, name: str, log: RunLog, findings: Sequence[Finding], scenario: Scenario
+        self, name: str, log: RunLog, findings: Sequence[Finding], scenario: Happening
     ) -> Outcome:
         """Says whether it held in a run."""
         if self.measure is not None:
@@ -181,9 +196,8 @@ class Expect(Declaration):
             if not len(values) or not chosen:
                 continue
             reduced = _REDUCE[self.of](values[:, chosen])
-            least = self.above is not None and self.below is None
-            k = int(np.argmin(reduced) if least else np.argmax(reduced))
-            if place == "" or (reduced[k] < worst if least else reduced[k] > worst):
+            k = int(np.argmax(reduced))
+            if reduced[k] > worst:
                 worst = float(reduced[k])
                 place = "/".join(filter(None, (robot, names[chosen[k]])))
         holds = bool(place) and reaches_end

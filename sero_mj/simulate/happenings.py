@@ -45,6 +45,8 @@ class Happenings:
         self._growing: list[tuple[Push, Force, Array]] = []
         self._carried: dict[str, tuple[str, Array]] = {}  # object to robot and T_flange_object
         self._objects: dict[str, Array] = {}  # where objects that are picked up are
+        self._columns: dict[str, slice] = {}
+        self._log: Array = np.zeros((0, 0))
         times = np.arange(self.steps + 1, dtype=np.float64) * self.plant.timestep
         for disturbance in self.scenario.disturbances.values():
             if isinstance(disturbance, Force):
@@ -86,6 +88,7 @@ class Happenings:
     def fill(self, columns: dict[str, slice], rows: Array) -> None:
         """Writes what is known before the run into its log, (T, width)."""
         times = rows[:, 0]
+        self._columns, self._log = columns, rows
         for name, disturbance in self.scenario.disturbances.items():
             if not isinstance(disturbance, Force):
                 continue
@@ -101,11 +104,11 @@ class Happenings:
         """Whether any object goes with a robot now."""
         return bool(self._carried)
 
-    def place_objects(self, columns: dict[str, slice], rows: Array) -> None:
-        """Writes where objects are, from now to the end of the log, (rows left, width)."""
+    def place_objects(self, columns: dict[str, slice], row: Array) -> None:
+        """Writes where objects are now into a row of the log."""
         for name, (robot, grasp) in self._carried.items():
             self._objects[name] = self._flange(robot) @ grasp
-            rows[:, columns[event_of(name, "frame")]] = self._objects[name].ravel()
+            row[columns[event_of(name, "frame")]] = self._objects[name].ravel()
 
     def _at(self, time: float, action: Callable[[], None]) -> None:
         self._due.append((max(round(time / self.plant.timestep), 0), action))
@@ -145,16 +148,20 @@ class Happenings:
             self.plant.detach_payload(payload.robot)
             if name is not None:
                 self._carried.pop(name)
+                k = round(payload.end / self.plant.timestep) if payload.end else self.steps
+                self._log[k:, self._columns[event_of(name, "frame")]] = self._objects[name].ravel()
 
         self._at(payload.begin, pick_up)
         if payload.end is not None:
             self._at(payload.end, put_down)
 
     def _flange(self, robot: str) -> Array:
-        """T_world_flange now."""
-        declared = self.plant.world.robots[robot]
-        angles = self.plant.actual[0, declared.joints]
-        return np.asarray(declared.robot.base_frame @ declared.robot.fwd_kin_base_to_flange(angles))
+        """T_world_flange now, as the plant has it."""
+        body = self.plant.world.robots[robot].flange_body
+        frame = np.eye(4)
+        frame[:3, :3] = self.plant.data.xmat[body].reshape(3, 3)
+        frame[:3, 3] = self.plant.data.xpos[body]
+        return frame
 
     def _break(self, fault: Fault) -> None:
         fault.happen(self.plant, self.gains)

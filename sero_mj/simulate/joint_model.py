@@ -59,6 +59,8 @@ class JointModel:
         elastic: whether any of them is.
         motor_dofs: index of every motor in `qvel`, (n,).
         motor_positions: likewise in `qpos`.
+        motor_angles: (n,), rad, as `read` or MuJoCo left them.
+        motor_velocities: (n,), likewise, rad/s.
         sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
             together with the motor, or the deflection.
     """
@@ -97,8 +99,8 @@ class JointModel:
         self._torque, self._change, self._before_step = np.zeros((3, nv))
         # Where joints stand in equal steps these are views, which are always up to date.
         self._copies: list[tuple[Array, NDArray[np.intp], Array]] = []
-        self._motor_angles = self._watch(self._qpos, self.motor_positions)
-        self._motor_speeds = self._watch(self._qvel, self.motor_dofs)
+        self.motor_angles = self._watch(self._qpos, self.motor_positions)
+        self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
         self._sensed = self._watch(self._torque, self.sensor_dofs)
         self._spring_angles = self._watch(self._qpos, self._spring_q)
         self._spring_speeds = self._watch(self._qvel, self._spring_dofs)
@@ -204,14 +206,14 @@ class JointModel:
         for array, index, copy in self._copies:
             np.take(array, index, out=copy)
         if not self.elastic:
-            copyto(angles, self._motor_angles)
-            copyto(velocities, self._motor_speeds)
+            copyto(angles, self.motor_angles)
+            copyto(velocities, self.motor_velocities)
         elif self._all_elastic:
-            add(self._motor_angles, self._spring_angles, angles)
-            add(self._motor_speeds, self._spring_speeds, velocities)
+            add(self.motor_angles, self._spring_angles, angles)
+            add(self.motor_velocities, self._spring_speeds, velocities)
         else:
-            copyto(angles, self._motor_angles)
-            copyto(velocities, self._motor_speeds)
+            copyto(angles, self.motor_angles)
+            copyto(velocities, self.motor_velocities)
             angles[self._rows] += self._spring_angles
             velocities[self._rows] += self._spring_speeds
         copyto(torques, self._sensed)

@@ -63,7 +63,9 @@ def _torque_share(log: RunLog, robot: str) -> Array:
 
 
 def _contact_force(log: RunLog, robot: str) -> Array:
-    return np.asarray(np.linalg.norm(log.signals[event_of(robot, "contact_force")], axis=-1))
+    return np.asarray(np.linalg.norm(log.signals[event_of(robot, "contact_force")], axis=-1))[
+        :, None
+    ]
 
 
 def _drift(log: RunLog, robot: str) -> Array:

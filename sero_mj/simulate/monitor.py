@@ -81,20 +81,18 @@ class Monitor(Declaration):
             yield "position_limit", beyond, np.full(declared.n, -_CLOSE)
 
     def _frozen(self, log: RunLog, robot: str, limits: Array) -> tuple[Array, Array]:
-        """How long (rows) every sensor has read the same, where the command has changed."""
+        """For how long (s) every sensor has read the same where the command has changed, else 0."""
         torques, commanded = log.of(robot, "torques"), log.of(robot, "commanded_torques")
         same = np.zeros(torques.shape, bool)
         same[1:] = torques[1:] == torques[:-1]
         rows = max(round(self.frozen_after / log.timestep), 1) if log.timestep else 1
-        moved = np.zeros(torques.shape)
-        if len(commanded) > rows:
-            moved[rows:] = np.abs(commanded[rows:] - commanded[:-rows])
-        # While it has not stood for so long, the first rows of a stretch count as they stand.
-        changed = _since(same) >= rows
+        lasted = _since(same)
+        began = np.arange(len(torques))[:, None] - lasted
+        moved = np.abs(commanded - np.take_along_axis(commanded, began, axis=0))
+        changed = lasted >= rows
         share = self.frozen_change * np.where(np.isfinite(limits), limits, 0.0)
-        suspicious = (changed & (moved > share)).astype(np.float64)
-        # It has lasted for `frozen_after` already: one row is enough.
-        return suspicious * 2.0, np.full(torques.shape[1], 1.0)
+        seconds = lasted * log.timestep * (changed & (moved > share))
+        return seconds, np.full(torques.shape[1], self.frozen_after - 0.5 * log.timestep)
 
 
 @dataclass(frozen=True)

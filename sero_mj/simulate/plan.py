@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +37,16 @@ class Plan:
     flange: CartesianMotion | None
     moves: bool
 
+    @cached_property
+    def _states(self) -> Array:
+        """Angles and velocities side by side, (T, 2n)."""
+        assert self.joints is not None
+        return np.hstack([self.joints.angles, self.joints.velocities])
+
     def load(self, target: Target, k: int) -> None:
         """Writes what is asked for at a step into a controller's target."""
         if self.joints is not None:
-            target.angles[:] = self.joints.angles[k]
-            target.velocities[:] = self.joints.velocities[k]
+            target.state[:] = self._states[k]
             target.accelerations[:] = self.joints.accelerations[k]
         if self.flange is not None:
             target.pose[:] = self.flange.poses[k]

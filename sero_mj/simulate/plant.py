@@ -49,6 +49,9 @@ class Plant:
         actual: (3, n), true angles and velocities of the links and torques between motors and
             links, the latter during the last step; rad, rad/s, Nm.
         measured: (3, n), what the sensors read of it.
+        motor_angles: (n,), true, rad: before the spring of an elastic joint. Always the same
+            array, to read only; so is the next.
+        motor_velocities: (n,), likewise, rad/s.
         sensors: as given.
         motor_torques: (n,), what acted in the last step.
 
@@ -70,6 +73,8 @@ class Plant:
         self.data = world.make_data()
         self.joints = JointModel(world, self.data)
         self.n = self.joints.n
+        self.motor_angles = self.joints.motor_angles
+        self.motor_velocities = self.joints.motor_velocities
         self.sensors = Sensors(self.n) if sensors is None else sensors
         if self.sensors.n != self.n:
             raise ValueError(f"found sensors of {self.sensors.n} joints; expected {self.n}")
@@ -98,16 +103,6 @@ class Plant:
     def motor_torques(self) -> Array:
         """What acted on the motors in the last step, (n,), Nm."""
         return np.asarray((self._motor - self._outer)[self._motor_dofs])
-
-    @property
-    def motor_angles(self) -> Array:
-        """True angles of the motors, (n,), rad: before the spring of an elastic joint."""
-        return np.array(self.data.qpos[self.joints.motor_positions])
-
-    @property
-    def motor_velocities(self) -> Array:
-        """Likewise their velocities, (n,), rad/s."""
-        return np.array(self.data.qvel[self.joints.motor_dofs])
 
     def reset(self, joint_angles: Any | None = None) -> None:
         """Puts the robots where they are declared to be, at rest, and ends pushes.

@@ -18,7 +18,7 @@ from .scenario import Scenario
 from .simulation import Simulation
 from .staging import SOURCE
 
-SIGNALS_RATE = 50.0  # decoded rows per simulated second, for programs that plot; 0 for none
+SIGNALS_RATE = 10.0  # decoded rows per simulated second, for programs that plot; 0 for none
 
 
 class RunRecorder:
@@ -67,13 +67,10 @@ class RunRecorder:
         """Writes these rows of the log; raises RecordingError when the disk is full."""
         simulation, writer, begin = self._simulation, self._writer, self._begin
         rows = simulation.rows[first:stop]
-        text, size = rows.tobytes(), simulation.layout.structure.size
-        write = writer.write_raw
-        for k, time in enumerate(rows[:, 0].tolist()):
-            write(SOURCE, text[k * size : (k + 1) * size], begin + time)
+        writer.write_rows(SOURCE, rows.view(np.uint8), begin + rows[:, 0])
         if self._every:
             for k in range(-first % self._every, stop - first, self._every):
-                values = simulation.layout.structure.decode(text[k * size : (k + 1) * size])
+                values = simulation.layout.structure.decode(rows[k].tobytes())
                 writer.write_signals(SOURCE, values, begin + float(rows[k, 0]))
 
     def __enter__(self) -> Self:

@@ -190,6 +190,11 @@ class Scenario:
                 message = f"no {what} '{value}'{did_you_mean(value, names)}"
                 self.problems.append(Problem(f"{place}.{key}", message))
 
+    @property
+    def duration(self) -> float:
+        """Of the run, s."""
+        return self.run.duration
+
     def has_target(self, robot: str) -> bool:
         """Whether a robot is to be somewhere: by its law, or where a spring holds it."""
         controller = self.controllers.get(robot, GravityCompensation())

@@ -112,8 +112,8 @@ def _set(tables: dict[str, Any], key: str, value: Any, file: Path) -> None:
     *outer, last = key.split(".")
     table: Any = tables
     for k, part in enumerate(outer):
-        if k == 0 and part == "run":
-            table = table.setdefault("run", {})
+        if k == 0 and part in ("run", "monitor"):  # all of their keys have a default
+            table = table.setdefault(part, {})
             continue
         if not isinstance(table, dict) or part not in table:
             near = did_you_mean(part, table) if isinstance(table, dict) and table else ""

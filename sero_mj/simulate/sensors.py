@@ -88,8 +88,10 @@ class Sensors:
         self.measured = np.zeros((3, n))
         self.seed = seed
         self._declared = [errors or SensorErrors() for errors in (angles, velocities, torques)]
-        self._noise_block = np.zeros((_BLOCK, 3, n))
-        self._value, self._steps = np.zeros((3, n)), np.zeros((3, n))
+        self._noise, self._offsets = np.zeros((2, _BLOCK, 3, n))  # noise alone, and all in all
+        self._drawn = False
+        self._grid_steps = np.zeros(n)
+        self._past = [np.zeros((1, n)) for _ in SIGNALS]  # what was read without its delay
         self._k = 0
         self.repair()
         self.reset(self.measured)
@@ -109,8 +111,9 @@ class Sensors:
                         f"{signal}.{key}: found {len(value)} numbers; expected 1 or {self.n}"
                     )
                 self._errors[key][row] = value
-        self._delays = [declared.delay for declared in self._declared]
-        self._plan()
+        self._delays = [0, 0, 0]
+        for signal, declared in zip(SIGNALS, self._declared, strict=True):
+            self.delay(signal, declared.delay)
 
     def reset(self, actual: Array) -> None:
         """Begins anew: the noise from its seed, and delays as if all had stood still before.
@@ -119,9 +122,9 @@ class Sensors:
             actual: (3, n), the true values now.
         """
         self._rng = np.random.default_rng(self.seed)
+        self._drawn = False
         self._k = 0
-        self._past = np.zeros((max(self._delays) + 1, 3, self.n))
-        for _ in self._past:
+        for _ in range(max(self._delays) + 1):
             self.measure(actual)
 
     def change(
@@ -136,11 +139,14 @@ class Sensors:
 
         Raises:
             UnknownName: no such signal or error.
+            ValueError: noise or resolution below 0.
         """
         row = _row(signal)
         for key, value in errors.items():
             if key not in _ERRORS:
                 raise UnknownName("sensor error", key, _ERRORS)
+            if key in ("noise", "resolution") and not value >= 0:
+                raise ValueError(f"{signal}.{key}: found {value:g}; expected 0 or more")
             self._errors[key][row, slice(None) if joints is None else joints] = value
         self._plan()
 
@@ -148,14 +154,20 @@ class Sensors:
         """Delays a signal by so many steps from now on.
 
         What was read before is kept; before the first delay only what was read last.
+
+        Raises:
+            UnknownName: no such signal.
+            ValueError: fewer than 0 steps.
         """
-        self._delays[_row(signal)] = steps
-        length, old = max(self._delays) + 1, len(self._past)
-        past = np.empty((length, 3, self.n))
-        past[:] = self.measured
-        for age in range(min(length, old) if self._delayed else 0):
-            past[(self._k - 1 - age) % length] = self._past[(self._k - 1 - age) % old]
-        self._past = past
+        row = _row(signal)
+        if steps < 0:
+            raise ValueError(f"{signal}: found a delay of {steps} steps; expected 0 or more")
+        old, past = self._past[row], np.empty((steps + 1, self.n))
+        past[:] = self.measured[row]
+        for age in range(min(len(old), len(past)) if self._delays[row] else 0):
+            past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
+        self._past[row] = past
+        self._delays[row] = steps
         self._plan()
 
     def kill(self, signal: Signal, joint: int) -> None:
@@ -173,18 +185,27 @@ class Sensors:
     def _plan(self) -> None:
         """Finds out what there is to do in every step."""
         errors = self._errors
-        self._scaled = bool((errors["gain"] != 1).any())
-        self._biased = bool((errors["bias"] != 0).any())
+        self._gain = errors["gain"]
+        self._scaled = bool((self._gain != 1).any())
         self._noisy = bool((errors["noise"] != 0).any())
-        self._coarse = errors["resolution"] > 0
-        self._grid = np.where(self._coarse, errors["resolution"], 1.0)
-        self._quantised = bool(self._coarse.any())
+        self._shifted = self._noisy or bool((errors["bias"] != 0).any())
+        self._offset_all()
+        coarse = errors["resolution"] > 0
+        self._grids = [
+            (self.measured[row], np.where(coarse[row], errors["resolution"][row], 1.0), coarse[row])
+            for row in np.flatnonzero(coarse.any(axis=1))
+        ]
         self._faulty = bool(self._dead.any() or self._frozen.any())
-        self._delayed = any(self._delays)
-        self._perfect = not (
-            self._scaled or self._biased or self._noisy or self._quantised or self._faulty
-        )
-        self._transparent = self._perfect and not self._delayed
+        self._late = [
+            (self.measured[row], self._past[row], steps)
+            for row, steps in enumerate(self._delays)
+            if steps
+        ]
+
+    def _offset_all(self) -> None:
+        """Noise and bias together for a block of steps: one addition in every step."""
+        multiply(self._noise, self._errors["noise"], self._offsets)
+        add(self._offsets, self._errors["bias"], self._offsets)
 
     def measure(self, actual: Array) -> Array:
         """Reads all sensors.
@@ -195,43 +216,32 @@ class Sensors:
         Returns:
             `measured`, (3, n).
         """
-        if self._transparent:
-            copyto(self.measured, actual)
-            self._k += 1
-            return self.measured
-        value = self._value
-        copyto(value, actual)
-        if not self._perfect:
-            self._falsify(value)
-        if not self._delayed:
-            copyto(self.measured, value)
-        else:
-            length = len(self._past)
-            self._past[self._k % length] = value
-            for row, steps in enumerate(self._delays):
-                self.measured[row] = self._past[(self._k - steps) % length, row]
-        self._k += 1
-        return self.measured
-
-    def _falsify(self, value: Array) -> None:
+        measured, source = self.measured, actual
         if self._scaled:
-            multiply(value, self._errors["gain"], value)
-        if self._biased:
-            add(value, self._errors["bias"], value)
-        if self._noisy:
+            source = multiply(source, self._gain, measured)
+        if self._shifted:
             k = self._k % _BLOCK
-            if k == 0:
-                self._rng.standard_normal(out=self._noise_block)
-            multiply(self._noise_block[k], self._errors["noise"], self._steps)
-            add(value, self._steps, value)
-        if self._quantised:
-            divide(value, self._grid, self._steps)
-            rint(self._steps, self._steps)
-            multiply(self._steps, self._grid, self._steps)
-            copyto(value, self._steps, where=self._coarse)
+            if self._noisy and (k == 0 or not self._drawn):
+                self._rng.standard_normal(out=self._noise)
+                self._drawn = True
+                self._offset_all()
+            source = add(source, self._offsets[k], measured)
+        if source is actual:
+            copyto(measured, actual)
+        for values, grid, coarse in self._grids:
+            steps = self._grid_steps
+            divide(values, grid, steps)
+            rint(steps, steps)
+            multiply(steps, grid, steps)
+            copyto(values, steps, where=coarse)
         if self._faulty:
-            copyto(value, self._held, where=self._frozen)
-            copyto(value, 0.0, where=self._dead)
+            copyto(measured, self._held, where=self._frozen)
+            copyto(measured, 0.0, where=self._dead)
+        for values, past, late in self._late:
+            past[self._k % len(past)] = values
+            values[:] = past[(self._k - late) % len(past)]
+        self._k += 1
+        return measured
 
 
 def _row(signal: str) -> int:

@@ -47,6 +47,17 @@ def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
         if name in layout.targets and scenario.run.show_targets:
             double = _add_double(scene, name)
             routes[f"{double}.joint_angles"] = f"{SOURCE}.{event_of(name, 'target_angles')}"
+    routes |= _show_pushes(scene, scenario, layout)
+    for each in scene.objects:
+        if (event := event_of(each.name, "frame")) in layout.columns:
+            routes[f"{each.name}.frame"] = f"{SOURCE}.{event}"
+    scene.routes = {**routes, **scene.routes}
+    return scene
+
+
+def _show_pushes(scene: Scene, scenario: Scenario, layout: RunLayout) -> dict[str, str]:
+    """Adds arrows for pushes and for what robots touch; returns routes to them."""
+    routes = {}
     for name, disturbance in scenario.disturbances.items():
         if not isinstance(disturbance, Force) or not disturbance.show:
             continue
@@ -54,11 +65,14 @@ def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
             if (event := event_of(name, key)) in layout.columns:
                 arrow = _add_arrow(scene, name, key, disturbance)
                 routes[f"{arrow}.vector"] = f"{SOURCE}.{event}"
-    for each in scene.objects:
-        if (event := event_of(each.name, "frame")) in layout.columns:
-            routes[f"{each.name}.frame"] = f"{SOURCE}.{event}"
-    scene.routes = {**routes, **scene.routes}
-    return scene
+    for name in scene.robots:
+        if (event := event_of(name, "contact_force")) in layout.columns:
+            arrow = _free(scene, f"{name}_contact")
+            scene.arrows[arrow] = SmartArrow(
+                name=arrow, kind="force", at=f"{name}/flange", expressed_in="world"
+            )
+            routes[f"{arrow}.vector"] = f"{SOURCE}.{event}"
+    return routes
 
 
 def add_paths(scene: Scene, scenario: Scenario, layout: RunLayout, rows: np.ndarray) -> None:

@@ -1,0 +1,105 @@
+"""Measures what a simulated LWR costs beside a bare `mj_step` loop of the same model.
+
+    .venv/bin/python benchmarks/simulate.py
+
+The scenario loop has joint impedance with torque limits, sensors and a log of every step at 1 kHz;
+the bare loop holds the same arm. Times are medians of alternating runs, so that a slow moment of
+the machine hits all.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from sero_mj.show.gl import choose_backend
+
+choose_backend()
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from sero_mj import Scenario, Scene, SerialRobot, Simulation
+from sero_mj.simulate.run_recorder import RunRecorder
+
+HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
+SECONDS, ROUNDS = 4.0, 9
+SWING = {"kind": "sine", "amplitude_deg": 5.0, "frequency": 0.5}
+GAINS = {"joint_impedance": {"stiffness": 800.0}}
+NOISE = {"torques": {"noise": 0.05, "resolution": 0.01}, "velocities": {"noise": 1e-3}}
+
+
+def simulation(controller: str, **fields: Any) -> Simulation:
+    robot = SerialRobot.from_model("lwr", joint_angles=HOME)
+    scenario = Scenario(
+        Scene(robots=[robot]),
+        controllers={"lwr": {"kind": controller, **GAINS.get(controller, {})}},
+        targets={} if controller in ("gravity_compensation", "torque") else {"lwr": SWING},
+        duration=SECONDS,
+        **fields,
+    )
+    return Simulation(scenario)
+
+
+def run(made: Simulation, record: Path | None = None) -> float:
+    """Microseconds per step."""
+    start = time.perf_counter()
+    if record is None:
+        for _ in made.run():
+            pass
+    else:
+        with RunRecorder(made, record, overwrite=True) as recorder:
+            for first, stop in made.run():
+                recorder.write(first, stop)
+    return (time.perf_counter() - start) / made.steps * 1e6
+
+
+def bare() -> float:
+    plant = simulation("gravity_compensation").plant
+    model, data = plant.model, plant.data
+    data.qfrc_applied[:] = data.qfrc_bias  # what holds it
+    steps = round(SECONDS / plant.timestep)
+    start = time.perf_counter()
+    for _ in range(steps):
+        mujoco.mj_step(model, data)
+    return (time.perf_counter() - start) / steps * 1e6
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "run.mcap"
+        works: dict[str, Callable[[], float]] = {
+            "bare mj_step": bare,
+            "gravity compensation": lambda: run(simulation("gravity_compensation")),
+            "joint impedance": lambda: run(simulation("joint_impedance")),
+            "joint impedance, real sensors": lambda: run(
+                simulation("joint_impedance", sensors={"lwr": NOISE})
+            ),
+            "joint impedance, recorded": lambda: run(simulation("joint_impedance"), file),
+            "joint position": lambda: run(simulation("joint_position")),
+            "Cartesian impedance": lambda: run(simulation("cartesian_impedance")),
+            "joint impedance, elastic joints": lambda: run(
+                simulation("joint_impedance", elastic=True)
+            ),
+        }
+        times = np.array([[work() for work in works.values()] for _ in range(ROUNDS)])
+    medians = np.median(times, axis=0)
+    table = Table("what", "us a step", "times bare", "times real time", title="sero-mj simulate")
+    for name, median in zip(works, medians, strict=True):
+        ratio, speed = median / medians[0], 1e3 / median
+        table.add_row(name, f"{median:.1f}", f"{ratio:.2f}", f"{speed:.0f}")
+    console = Console(width=100)
+    console.print(table)
+    names = list(works)
+    plain, kept = (medians[names.index(f"joint impedance{x}")] for x in ("", ", recorded"))
+    console.print(f"recording costs {100 * (kept / plain - 1):.0f} % more (goal: under 10 %)")
+    console.print("goals: at most 3 times bare, at least 50 times real time")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""`sero-mj compare`: how much two recordings of a robot differ."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from ..errors import RecordingError, UsageError
+from .arguments import Commands, add_command, not_negative, read_scene_or_model, size
+
+if TYPE_CHECKING:
+    from ..simulate.align import Pair
+    from ..simulate.run_log import RunLog
+
+_EPILOG = """\
+examples:
+  sero-mj compare simulated.mcap real.mcap
+  sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
+  sero-mj compare a.mcap b.mcap --render difference.mp4     arrows on the difference
+  sero-mj compare a.mcap b.mcap --tolerance-torque 2 --tolerance-angle 0.5 && echo the same
+
+Recordings of simulations and of robots alike; differences are A less B. Time counts from the start
+of a simulation, or from the first packet of a robot. The exit status is 1 when a tolerance is
+exceeded, 2 when they cannot be compared.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "compare", run, "compare two recordings of a robot, joint by joint", _EPILOG
+    )
+    parser.add_argument("a", type=Path, metavar="A.mcap", help="a recording")
+    parser.add_argument("b", type=Path, metavar="B.mcap", help="another one")
+    parser.add_argument(
+        "--robot", metavar="NAME", help="which robot; NAME,NAME where it has two names"
+    )
+    parser.add_argument(
+        "--scene",
+        metavar="SCENE",
+        help="robots and routes, where a recording has no scene (default: what is in it)",
+    )
+    parser.add_argument(
+        "--source", metavar="NAME", help="which source; NAME,NAME for A and B (default: all)"
+    )
+    parser.add_argument(
+        "--offset", type=_offset, default=0.0, metavar="S|auto",
+        help="added to the times of B; auto finds it by the motion (default 0)",
+    )  # fmt: skip
+    parser.add_argument("--plot", type=Path, metavar="OUT", help="a figure: .png, .pdf or .svg")
+    parser.add_argument("--csv", type=Path, metavar="OUT.csv", help="both and their difference")
+    parser.add_argument("--json", action="store_true", help="print the table as JSON")
+    parser.add_argument(
+        "--render", type=Path, metavar="OUT.mp4",
+        help="a film of A with arrows on the difference, and a transparent double for B",
+    )  # fmt: skip
+    parser.add_argument(
+        "--size", type=size, default=(1280, 800), metavar="WxH", help="of the film, pixels"
+    )
+    parser.add_argument(
+        "--tolerance-torque", type=not_negative, metavar="NM",
+        help="exit with 1 where measured torques differ by more, Nm (N)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--tolerance-angle", type=not_negative, metavar="DEG",
+        help="likewise for angles, degrees; of sliding joints mm",
+    )  # fmt: skip
+    parser.add_argument("--quiet", action="store_true", help="no table, no progress bar")
+
+
+def _offset(text: str) -> float | Literal["auto"]:
+    if text == "auto":
+        return "auto"
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"found '{text}'; expected a number of seconds, or auto")
+    return value
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compares; returns 0, or 1 when a tolerance is exceeded."""
+    _check_names(options)
+    from ..simulate.align import align
+    from ..simulate.compare import as_json, as_table, compare, exceeded, write_csv
+
+    a, b = _read(options)
+    pair = align(a, b, options.robot, options.offset)
+    if not pair.signals:
+        raise UsageError(f"{a.name} and {b.name} have no signal in common")
+    differences = compare(pair)
+    over = exceeded(differences, torque=options.tolerance_torque, angle=_angle(options))
+    if options.tolerance_torque is not None and "torques" not in pair.signals:
+        raise UsageError("--tolerance-torque: there are no torques in both recordings")
+    if options.json:
+        found = {**as_json(pair, differences), "exceeded": [str(each) for each in over]}
+        print(json.dumps(found, indent=2))
+    elif not options.quiet:
+        from rich.console import Console
+
+        Console().print(as_table(pair, differences))
+        if pair.likeness is not None:
+            print(f"offset {pair.offset:+.4f} s, likeness of the motions {pair.likeness:.3f}")
+    if options.csv is not None:
+        write_csv(pair, options.csv)
+    if options.plot is not None:
+        from ..simulate.plot_comparison import plot_pair
+
+        plot_pair(pair, options.plot)
+    if options.render is not None:
+        _film(pair, a, options)
+    for each in over:
+        print(f"sero-mj: {each}", file=sys.stderr)
+    return 1 if over else 0
+
+
+def _check_names(options: argparse.Namespace) -> None:
+    """Refuses names that nothing can be written to before anything is computed."""
+    from ..simulate.figure import SUFFIXES
+
+    if options.plot is not None and options.plot.suffix.lower() not in SUFFIXES:
+        expected = ", ".join(SUFFIXES)
+        raise UsageError(f"--plot {options.plot}: expected a name that ends in {expected}")
+    if options.render is not None and options.render.suffix.lower() != ".mp4":
+        raise UsageError(f"--render {options.render}: expected a name that ends in .mp4")
+
+
+def _angle(options: argparse.Namespace) -> float | None:
+    degrees = options.tolerance_angle
+    return None if degrees is None else math.radians(degrees)
+
+
+def _read(options: argparse.Namespace) -> list[RunLog]:
+    from ..simulate.run_recording import read_run
+
+    scene = None if options.scene is None else read_scene_or_model(options.scene)
+    of_a, _, of_b = (options.source or "").partition(",")
+    runs = []
+    for path, source in ((options.a, of_a), (options.b, of_b or of_a)):
+        try:
+            runs.append(read_run(path, source or None, scene=scene))
+        except RecordingError as error:
+            if scene is None and "give" in error.reason:
+                raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
+            raise
+    return runs
+
+
+def _film(pair: Pair, a: RunLog, options: argparse.Namespace) -> None:
+    from tempfile import TemporaryDirectory
+
+    from ..simulate.compare_scene import compare_scene
+    from .render import film_with_progress
+
+    with TemporaryDirectory() as directory:
+        scene = compare_scene(pair, Path(directory))
+        film_with_progress(
+            scene,
+            options.render,
+            quiet=options.quiet,
+            duration=float(pair.times[-1] - pair.times[0]),
+            fps=30.0,
+            size=options.size,
+            camera=None,
+            wait=0.0,
+            clicks=[],
+        )

@@ -1,0 +1,320 @@
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from runs import record_run, simulated, sine_run, two_joints
+
+from sero_mj.cli import main
+from sero_mj.errors import CsvError, UsageError
+from sero_mj.simulate.align import align, at_times
+from sero_mj.simulate.compare import as_json, compare, exceeded, write_csv
+from sero_mj.simulate.compare_scene import compare_scene
+from sero_mj.simulate.run_log import RunLog
+from sero_mj.simulate.shift import find_shift
+
+
+def shifted(log: RunLog, **signals: float) -> RunLog:
+    changed = {key: values + signals.get(key, 0.0) for key, values in log.signals.items()}
+    return RunLog(log.robots, changed, log.times, "other")
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    delay=st.floats(-1.2, 1.2),
+    start=st.floats(-50.0, 50.0),
+    rates=st.tuples(st.sampled_from([250.0, 500.0, 1000.0]), st.sampled_from([250.0, 1000.0])),
+)
+def test_a_known_shift_is_found_within_a_sample(
+    delay: float, start: float, rates: tuple[float, float]
+) -> None:
+    a = sine_run(rate=rates[0], duration=4.0)
+    b = sine_run(rate=rates[1], duration=4.0, delay=delay)
+    shift = find_shift(a.times, a.of("arm", "angles"), b.times + start, b.of("arm", "angles"))
+    assert shift is not None
+    assert shift.seconds == pytest.approx(-delay - start, abs=1.0 / min(rates))
+    assert shift.likeness > 0.99
+
+
+def test_a_part_of_a_motion_is_found_in_it() -> None:
+    a = sine_run(duration=6.0)
+    part = a.of("arm", "angles")[3000:4500]
+    noisy = part + np.random.default_rng(1).normal(0.0, 1e-4, part.shape)
+    shift = find_shift(a.times, a.of("arm", "angles"), np.arange(1500) * 1e-3, noisy)
+    assert shift is not None
+    assert shift.seconds == pytest.approx(3.0, abs=1e-3)
+
+
+def test_of_a_motion_that_repeats_itself_the_nearest_shift_is_taken() -> None:
+    t = np.arange(5000) * 1e-3
+    periodic = np.sin(2.0 * np.pi * t)[:, None]
+    shift = find_shift(t, periodic, t, np.sin(2.0 * np.pi * (t - 0.1))[:, None])
+    assert shift is not None
+    assert shift.seconds == pytest.approx(-0.1, abs=1e-3)
+
+
+def test_without_motion_nothing_is_aligned() -> None:
+    a = sine_run()
+    still = RunLog(a.robots, {**a.signals, "arm_angles": np.zeros((4001, 2))}, a.times, "still")
+    with pytest.raises(UsageError, match=r"--offset auto: one of the runs hardly moves; expected"):
+        align(a, still, offset="auto")
+    noise = np.cumsum(np.random.default_rng(1).normal(0.0, 0.01, (4001, 2)), axis=0)
+    other = RunLog(a.robots, {**a.signals, "arm_angles": noise}, a.times, "noise")
+    with pytest.raises(UsageError, match=r"of run and noise are not alike \(-?0\.\d\d of 1\)"):
+        align(a, other, offset="auto")
+
+
+def test_differences_have_the_peak_and_rms_that_they_were_made_with() -> None:
+    a, b = sine_run(amplitude=3.0), sine_run(amplitude=1.0)
+    found = {(each.signal, each.joint): each for each in compare(align(a, b))}
+    # 2 Nm sin(4 pi t) over whole periods.
+    commanded = found["commanded_torques", "turn"]
+    assert commanded.rms == pytest.approx(2.0 / np.sqrt(2.0), rel=1e-3)
+    assert abs(commanded.peak) == pytest.approx(2.0, rel=1e-6)
+    assert commanded.at % 0.25 == pytest.approx(0.125, abs=1e-3)
+    assert commanded.unit == "Nm"
+    assert found["commanded_torques", "slide"].unit == "N"
+    assert found["angles", "turn"].peak == 0.0
+    assert (found["angles", "turn"].unit, found["angles", "slide"].unit) == ("rad", "m")
+
+
+def test_the_sign_is_that_of_the_first_less_the_second() -> None:
+    a = sine_run()
+    b = shifted(a, arm_torques=0.25)
+    found = {each.signal: each for each in compare(align(a, b)) if each.joint == "turn"}
+    assert found["torques"].peak == pytest.approx(-0.25)
+    assert found["torques"].rms == pytest.approx(0.25)
+
+
+def test_runs_of_different_rates_meet_at_the_times_of_the_faster_one() -> None:
+    a, b = sine_run(rate=1000.0), sine_run(rate=200.0)
+    pair = align(a, b)
+    np.testing.assert_array_equal(pair.times, a.times)
+    by_numpy = np.interp(a.times, b.times, b.of("arm", "torques")[:, 1])
+    np.testing.assert_allclose(pair.b["torques"][:, 1], by_numpy, atol=1e-12)
+    # 20 sin(t) between rows 5 ms apart is off by no more than this.
+    slide = [each for each in compare(pair) if each.signal == "torques"][1]
+    assert abs(slide.peak) <= 20.0 * 0.005**2 / 8.0 * 1.001
+    np.testing.assert_array_equal(align(b, a).times, a.times)
+
+
+def test_only_what_both_have_is_compared() -> None:
+    a = sine_run()
+    only = {"arm_angles": a.signals["arm_angles"][1000:3001]}
+    b = RunLog(a.robots, only, a.times[1000:3001] + 7.0, "b")
+    pair = align(a, b, offset=-7.0)
+    assert pair.signals == ["angles"]
+    assert (pair.times[0], pair.times[-1]) == (1.0, 3.0)
+    np.testing.assert_allclose(pair.difference("angles"), 0.0, atol=1e-12)
+
+
+def test_nothing_is_made_up_in_a_gap() -> None:
+    a = sine_run()
+    keep = (a.times < 1.0) | (a.times > 1.5)
+    b = RunLog(a.robots, {key: v[keep] for key, v in a.signals.items()}, a.times[keep], "gap")
+    known = np.isfinite(align(a, b).difference("angles")).all(axis=1)
+    np.testing.assert_array_equal(known, keep)
+
+
+@given(st.integers(2, 40), st.integers(0, 2**32 - 1))
+def test_values_at_other_times_are_those_of_numpy(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(1e-3, 2e-3, count))
+    values = rng.normal(size=(count, 2))
+    wanted = np.sort(np.append(rng.uniform(times[0], times[-1], 20), times))
+    found = at_times(times, values, wanted)
+    for k in range(2):
+        np.testing.assert_allclose(found[:, k], np.interp(wanted, times, values[:, k]), atol=1e-9)
+    assert np.isnan(at_times(times, values, np.array([times[0] - 1.0, times[-1] + 1.0]))).all()
+
+
+def test_what_cannot_be_compared_is_told() -> None:
+    a, late = sine_run(name="a"), sine_run(start=20.0, name="late")
+    with pytest.raises(UsageError, match=r"a from 0.000 s to 4.000 s, late from 20.000 s to 24.0"):
+        align(a, late)
+    other = sine_run(robot=two_joints("leg"), name="b")
+    assert align(a, other).robot.name == "arm"  # the only one in each
+    with pytest.raises(UsageError, match=r"--robot: no robot 'leh' in b; did you mean 'leg'\?"):
+        align(a, other, "arm,leh")
+    both = RunLog({**a.robots, **other.robots}, {**a.signals, **other.signals}, a.times, "both")
+    with pytest.raises(UsageError, match=r"both runs have arm, leg; choose with --robot NAME"):
+        align(both, both)
+    assert align(both, both, "leg").robot.name == "leg"
+    third = RunLog({"x": two_joints("x"), "y": two_joints("y")}, {}, a.times, "third")
+    with pytest.raises(UsageError, match=r"a has arm, third has x, y: no robot in common"):
+        align(a, third)
+    lwr = simulated().log
+    with pytest.raises(UsageError, match=r"arm has 2 joints in a, lwr has 7 in swing"):
+        align(a, lwr)
+
+
+def test_tolerances_tell_joint_time_and_both_numbers() -> None:
+    a = sine_run()
+    differences = compare(align(a, shifted(a, arm_torques=0.25, arm_angles=np.deg2rad(2.0))))
+    assert exceeded(differences) == []
+    assert exceeded(differences, torque=0.2500001, angle=0.1) == []
+    found = [str(each) for each in exceeded(differences, torque=0.2, angle=0.01)]
+    pattern = r"turn: {} differs by {} at \d\.\d{{3}} s; allowed {}"
+    assert re.fullmatch(pattern.format("angle", "2 deg", "0.573 deg"), found[0])
+    assert re.fullmatch(pattern.format("torque", "0.25 Nm", "0.2 Nm"), found[2])
+    blank = RunLog(a.robots, {**a.signals, "arm_torques": np.full((4001, 2), np.nan)}, a.times)
+    assert len(exceeded(compare(align(a, blank)), torque=1e9)) == 2  # unknown is not the same
+
+
+def test_a_first_row_in_which_nothing_was_commanded_is_not_compared() -> None:
+    log = sine_run()
+    commanded = log.signals["arm_commanded_torques"].copy()
+    commanded[0] = 0.0
+    before = RunLog(log.robots, {**log.signals, "arm_commanded_torques": commanded}, log.times)
+    pair = align(before, log)
+    assert np.isnan(pair.a["commanded_torques"][0]).all()
+    assert np.isfinite(pair.a["commanded_torques"][1:]).all()
+    assert not commanded[0].any()  # the run itself is as it was
+    assert np.isfinite(align(log, log).a["commanded_torques"]).all()
+
+
+def test_csv_and_json_carry_the_numbers(tmp_path: Path) -> None:
+    a = sine_run(duration=0.1)
+    pair = align(a, shifted(a, arm_torques=0.25))
+    write_csv(pair, tmp_path / "d.csv")
+    with open(tmp_path / "d.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 101
+    for row, time, torque in zip(rows, a.times, a.of("arm", "torques")[:, 0], strict=True):
+        assert float(row["time"]) == time
+        assert float(row["torques_turn_a"]) == torque
+        assert float(row["torques_turn_diff"]) == pytest.approx(-0.25)
+    found = json.loads(json.dumps(as_json(pair, compare(pair))))
+    assert (found["robot"], found["rows"], found["offset"]) == ("arm", 101, 0.0)
+    assert len(found["differences"]) == 2 * len(pair.signals)
+    with pytest.raises(CsvError, match="cannot be written"):
+        write_csv(pair, tmp_path / "nowhere" / "d.csv")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("recorded")
+    soft = record_run(simulated(800.0), folder / "soft.mcap")
+    return soft, record_run(simulated(2000.0), folder / "stiff.mcap")
+
+
+def command(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", *map(str, arguments)])
+    return int(ended.value.code or 0)
+
+
+def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
+    recorded: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    soft, stiff = recorded
+    assert command(soft, soft, "--tolerance-torque", 0, "--tolerance-angle", 0) == 0
+    assert "soft less soft: lwr, 0.000 s to 0.500 s" in capsys.readouterr().out
+    assert command(soft, stiff) == 0
+    capsys.readouterr()
+    assert command(soft, stiff, "--json", "--tolerance-angle", 0.05) == 1
+    told = capsys.readouterr()
+    found = json.loads(told.out)
+    a, b = simulated(800.0).log, simulated(2000.0).log
+    by_hand = np.rad2deg(np.abs(a.of("lwr", "angles") - b.of("lwr", "angles")).max(axis=0))
+    peaks = [abs(each["peak"]) for each in found["differences"] if each["signal"] == "angles"]
+    np.testing.assert_allclose(np.rad2deg(peaks), by_hand, rtol=1e-9)
+    assert len(found["exceeded"]) == (by_hand > 0.05).sum() > 0
+    assert "allowed 0.05 deg" in told.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--plot", "x.jpg"], "--plot x.jpg: expected a name that ends in .png, .pdf, .svg"),
+        (["--render", "x.gif"], "--render x.gif: expected a name that ends in .mp4"),
+        (["--offset", "soon"], "found 'soon'; expected a number of seconds, or auto"),
+        (["--robot", "lwx"], "--robot: no robot 'lwx' in soft; did you mean 'lwr'?"),
+        (["--offset", "30"], "they overlap"),
+        (["--source", "udp"], "no source 'udp' in"),
+    ],
+)
+def test_the_command_says_what_is_wrong(
+    recorded: tuple[Path, Path],
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    said: str,
+) -> None:
+    assert command(*recorded, *arguments) == 2
+    assert said.replace("they overlap", "expected runs that overlap") in capsys.readouterr().err
+
+
+@pytest.mark.gl
+def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
+    recorded: tuple[Path, Path], tmp_path: Path
+) -> None:
+    from sero_mj.drive.mirror import Mirror
+
+    a, b = simulated(800.0).log, simulated(2000.0).log
+    scene = compare_scene(align(a, b), tmp_path)
+    assert scene.robots["lwr"].arrow_quantity == "torque_error"
+    assert "lwr" not in {double.name for double in scene.doubles.values()}
+    with Mirror(scene) as mirror:
+        world, data = mirror.world, mirror.data
+        for k in (50, 250, 500):
+            mirror.advance(a.times[k] + 1e-4)
+            near = slice(max(k - 5, 0), k + 1)  # films need not every row
+            for target, wanted in (
+                ("lwr.commanded_torques", a.of("lwr", "torques")),
+                ("lwr.torques", b.of("lwr", "torques")),
+                ("b.joint_angles", b.of("lwr", "angles")),
+            ):
+                shown = data.userdata[world.slots[target]]
+                assert (np.abs(wanted[near] - shown).max(axis=1) == 0.0).any(), target
+            shown = data.qpos[world.robots["lwr"].qpos]
+            assert (np.abs(a.of("lwr", "angles")[near] - shown).max(axis=1) == 0.0).any()
+
+
+@pytest.mark.gl
+def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+    import av
+
+    film = tmp_path / "film.mp4"
+    assert command(*recorded, "--render", film, "--size", "160x120", "--quiet") == 0
+    with av.open(str(film)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 15  # 0.5 s
+    assert frames[0].shape == (120, 160, 3)
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 40
+
+
+@pytest.mark.gl
+def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
+    from PIL import Image
+
+    from sero_mj.show.capture import render_picture
+
+    log = simulated().log
+
+    def count(name: str, **signals: float) -> tuple[int, int, int]:
+        """Pixels of the double's, the negative and the positive arrows' colours."""
+        folder = tmp_path / name
+        folder.mkdir()
+        scene = compare_scene(align(log, shifted(log, **signals)), folder)
+        scene.robots["lwr"].show_billboards = False
+        render_picture(scene, folder / "x.png", size=(320, 200), wait=0.0)
+        r, g, b = np.moveaxis(np.asarray(Image.open(folder / "x.png").convert("RGB"), int), -1, 0)
+        return (
+            int(((g > r + 40) & (g > b + 20)).sum()),
+            int(((b > r + 90) & (b > g + 60)).sum()),
+            int(((r > b + 110) & (r > g + 50)).sum()),
+        )
+
+    same, other = count("same"), count("other", lwr_angles=0.5)
+    more, less = count("more", lwr_torques=-40.0), count("less", lwr_torques=40.0)
+    assert other[0] > 300
+    assert same[0] < 20
+    assert more[2] > same[2] + 100
+    assert more[1] < 20
+    assert less[1] > same[1] + 100

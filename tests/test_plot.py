@@ -1,0 +1,249 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.colors import to_rgb
+from PIL import Image
+from runs import simulated, sine_run, two_joints
+
+from sero_mj.errors import RenderError, UsageError
+from sero_mj.simulate.envelope import envelope
+from sero_mj.simulate.figure import BLUE, FAULT, INK, ORANGE, Sheet, Span
+from sero_mj.simulate.monitor import Finding
+from sero_mj.simulate.plot import plot_run, spans_of
+from sero_mj.simulate.plot_comparison import plot_comparison
+from sero_mj.simulate.run_log import RunLog
+
+
+@pytest.fixture
+def sheets(monkeypatch: pytest.MonkeyPatch) -> list[Sheet]:
+    """The sheets that were saved."""
+    saved: list[Sheet] = []
+    save = Sheet.save
+
+    def keep(self: Sheet, path: Path) -> None:
+        saved.append(self)
+        save(self, path)
+
+    monkeypatch.setattr(Sheet, "save", keep)
+    return saved
+
+
+def line(panel: object, label: str) -> np.ndarray:
+    """The points of a line, (k, 2)."""
+    found = [each for each in panel.lines if each.get_label() == label]  # type: ignore[attr-defined]
+    assert len(found) == 1, label
+    return np.asarray(found[0].get_xydata())
+
+
+def pixels_of(path: Path, sheet: Sheet, panel: object) -> np.ndarray:
+    """What stands within a panel's frame, (h, w, 3)."""
+    picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    at = panel.get_position()  # type: ignore[attr-defined]
+    height, width = picture.shape[:2]
+    return picture[
+        round((1 - at.y1) * height) : round((1 - at.y0) * height),
+        round(at.x0 * width) : round(at.x1 * width),
+    ]
+
+
+def share_of(pixels: np.ndarray, colour: str) -> float:
+    wanted = np.rint(255 * np.array(to_rgb(colour)))
+    return float((np.abs(pixels - wanted).max(axis=-1) < 12).mean())
+
+
+def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, sheets: list[Sheet]) -> None:
+    log = simulated().log
+    path = tmp_path / "run.png"
+    plot_run(log, path, findings=[Finding(0.2, "lwr", "A3", "torque_error", 9.0, 1.0)],
+             spans=[Span("push", 0.1, 0.2), Span("broken", 0.3, None, True)])  # fmt: skip
+    (sheet,) = sheets
+    assert [len(row) for row in sheet.axes] == [2] * 7
+    texts = [text.get_text() for text in sheet.figure.texts]
+    assert all(name in texts for name in (*log.robots["lwr"].names, "swing"))
+    for k, (torques, error) in enumerate(sheet.axes):
+        measured, commanded = line(torques, "torques"), line(torques, "commanded_torques")
+        np.testing.assert_array_equal(measured[:, 1], log.of("lwr", "torques")[:, k])
+        np.testing.assert_array_equal(commanded[:, 1], log.of("lwr", "commanded_torques")[:, k])
+        shown = line(error, "torque_error")
+        np.testing.assert_array_equal(shown[:, 1], log.torque_error("lwr")[:, k])
+        for panel in (torques, error):
+            low, high = panel.get_ylim()
+            for curve in (measured, commanded) if panel is torques else (shown,):
+                assert low < np.nanmin(curve[:, 1]) <= np.nanmax(curve[:, 1]) < high
+        pixels = pixels_of(path, sheet, torques)
+        assert share_of(pixels, ORANGE) > 1e-3
+        assert share_of(pixels, BLUE) > 1e-3
+        assert share_of(pixels_of(path, sheet, error), INK) > 1e-4
+    marks = [[each for each in panel.lines if each.get_label() == "torque error found"]
+             for row in sheet.axes for panel in row]  # fmt: skip
+    assert [bool(each) for each in marks] == [i == 7 for i in range(14)]  # A3, its error
+    assert share_of(pixels_of(path, sheet, sheet.axes[3][1]), FAULT) > 1e-3
+    legend = [text.get_text() for text in sheet.figure.legends[0].get_texts()]
+    assert legend == ["commanded", "measured", "disturbance", "fault", "torque error found"]
+
+
+def test_limits_are_seen_where_torques_come_near(tmp_path: Path, sheets: list[Sheet]) -> None:
+    robot = two_joints(torque_limits=[6.0, 1000.0])
+    plot_run(sine_run(robot=robot), tmp_path / "limits.png")
+    turn, slide = sheets[0].axes[0][0], sheets[0].axes[1][0]
+    limits = [each.get_ydata()[0] for each in turn.lines if each.get_label() == "limit"]
+    assert limits == [-6.0, 6.0]
+    assert turn.get_ylim()[0] < -6.0 < 6.0 < turn.get_ylim()[1]
+    assert not [each for each in slide.lines if each.get_label() == "limit"]
+    assert "limit" in [text.get_text() for text in sheets[0].figure.legends[0].get_texts()]
+    assert any("N" in title for title in [turn.get_title(loc="left")])
+    assert turn.get_title(loc="left") == "torque, Nm or N"
+
+
+def test_a_peak_of_one_row_in_a_million_is_in_the_figure(
+    tmp_path: Path, sheets: list[Sheet]
+) -> None:
+    log = sine_run(rate=1e5, duration=10.0)
+    torques = log.of("arm", "torques")
+    torques[654_321, 0] = 55.0
+    begin = time.perf_counter()
+    plot_run(log, tmp_path / "long.png")
+    assert time.perf_counter() - begin < 10.0
+    points = line(sheets[0].axes[0][0], "torques")
+    assert len(points) < 5000
+    assert points[np.argmax(points[:, 1])].tolist() == [log.times[654_321], 55.0]
+
+
+@given(
+    values=st.lists(st.floats(-1e6, 1e6) | st.just(np.nan), min_size=1, max_size=300),
+    bins=st.integers(1, 40),
+)
+def test_an_envelope_keeps_extremes_and_makes_nothing_up(values: list[float], bins: int) -> None:
+    given_values = np.array(values)
+    times = np.arange(len(values)) * 0.5
+    at, kept = envelope(times, given_values, bins)
+    assert len(at) <= 2 * bins + 2
+    assert (np.diff(at) > 0).all()
+    np.testing.assert_array_equal(kept, given_values[np.rint(at / 0.5).astype(int)])
+    if np.isfinite(given_values).any():
+        assert np.nanmin(kept) == np.nanmin(given_values)
+        assert np.nanmax(kept) == np.nanmax(given_values)
+    assert (at[0], at[-1]) == (times[0], times[-1])
+
+
+def test_a_gap_stays_a_gap() -> None:
+    values = np.sin(np.arange(10_000) * 1e-2)
+    values[4000:6000] = np.nan
+    at, kept = envelope(np.arange(10_000.0), values, 100)
+    inside = (at > 4000) & (at < 5990)
+    assert inside.any()
+    assert np.isnan(kept[inside]).all()
+
+
+def test_what_is_missing_is_left_out(tmp_path: Path, sheets: list[Sheet]) -> None:
+    log = sine_run()
+    signals = {key: log.signals[key] for key in ("arm_angles", "arm_torques")}
+    plot_run(
+        RunLog(log.robots, signals, log.times, "measured"), tmp_path / "m.svg", joints=["turn"]
+    )
+    (sheet,) = sheets
+    assert [len(row) for row in sheet.axes] == [1]
+    blank = {**log.signals, "arm_torques": np.full((4001, 2), np.nan)}
+    plot_run(RunLog(log.robots, blank, log.times, "blank"), tmp_path / "b.pdf")
+    assert [text.get_text() for text in sheets[1].axes[0][1].texts] == ["no data"]
+
+
+def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
+    log = sine_run()
+    with pytest.raises(UsageError, match=r"x\.jpg: found '\.jpg'; expected .* \.png, \.pdf, \.svg"):
+        plot_run(log, tmp_path / "x.jpg")
+    with pytest.raises(UsageError, match=r"no robot 'arn' in run; did you mean 'arm'\?"):
+        plot_run(log, tmp_path / "x.png", robots=["arn"])
+    with pytest.raises(UsageError, match=r"no joint 'tur' in run; did you mean 'turn'\?"):
+        plot_run(log, tmp_path / "x.png", joints=["tur"])
+    angles = RunLog(log.robots, {"arm_angles": log.signals["arm_angles"]}, log.times, "angles")
+    with pytest.raises(UsageError, match=r"run angles has no torques of robot 'arm'; expected"):
+        plot_run(angles, tmp_path / "x.png")
+    with pytest.raises(UsageError, match=r"size_mm: found 1e\+06 mm wide; expected 60 mm to"):
+        plot_run(log, tmp_path / "x.png", size_mm=(1e6, 100.0))
+    with pytest.raises(RenderError, match=r"cannot be written: No such file or directory"):
+        plot_run(log, tmp_path / "nowhere" / "x.png")
+
+
+def test_it_is_as_wide_as_a4_and_sharp_enough_for_print(tmp_path: Path) -> None:
+    plot_run(sine_run(), tmp_path / "a4.png")
+    with Image.open(tmp_path / "a4.png") as picture:
+        assert picture.width / 300.0 * 25.4 == pytest.approx(190.0, abs=0.1)
+        assert picture.info["dpi"][0] == pytest.approx(300.0, abs=0.1)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
+def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -> None:
+    one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
+    before = dict(mpl.rcParams)
+    plot_run(sine_run(duration=0.5), one)
+    plot_run(sine_run(duration=0.5), two)
+    assert one.read_bytes() == two.read_bytes()
+    assert dict(mpl.rcParams) == before
+
+
+def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path: Path) -> None:
+    code = (
+        "import sys; import sero_mj.simulate.plot, sero_mj.simulate.plot_comparison;"
+        "print('matplotlib' in sys.modules);"
+        "from runs import sine_run; sero_mj.simulate.plot.plot_run(sine_run(), sys.argv[1]);"
+        "print('matplotlib.pyplot' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "x.png")],
+        capture_output=True, text=True, cwd=Path(__file__).parent, check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ["False", "False"]
+
+
+def test_a_comparison_shows_both_torques_and_both_differences(
+    tmp_path: Path, sheets: list[Sheet]
+) -> None:
+    a, b = simulated(800.0).log, simulated(2000.0).log
+    path = tmp_path / "both.png"
+    plot_comparison(a, b, path)
+    (sheet,) = sheets
+    assert [len(row) for row in sheet.axes] == [3] * 7
+    titles = [panel.get_title(loc="left") for panel in sheet.axes[0]]
+    assert titles == ["torque, Nm", "torque, A − B, Nm", "angle, A − B, deg"]
+    for k, (both, torque, angle) in enumerate(sheet.axes):
+        np.testing.assert_array_equal(line(both, "a")[:, 1], a.of("lwr", "torques")[:, k])
+        np.testing.assert_array_equal(line(both, "b")[:, 1], b.of("lwr", "torques")[:, k])
+        difference = a.of("lwr", "torques")[:, k] - b.of("lwr", "torques")[:, k]
+        np.testing.assert_array_equal(line(torque, "difference")[:, 1], difference)
+        degrees = np.rad2deg(a.of("lwr", "angles")[:, k] - b.of("lwr", "angles")[:, k])
+        np.testing.assert_allclose(line(angle, "difference")[:, 1], degrees, atol=1e-12)
+        pixels = pixels_of(path, sheet, both)
+        assert share_of(pixels, ORANGE) > 1e-3
+        assert share_of(pixels, BLUE) > 1e-4
+    only = {"arm_angles": sine_run().signals["arm_angles"]}
+    angles = RunLog(sine_run().robots, only, sine_run().times, "angles")
+    plot_comparison(angles, sine_run(), tmp_path / "angles.png", joints=["slide"])
+    assert [panel.get_title(loc="left") for panel in sheets[1].axes[0]] == [
+        "angle, mm",
+        "angle, A − B, mm",
+    ]
+    with pytest.raises(UsageError, match=r"no joint 'A9' of lwr; available: A1, A2"):
+        plot_comparison(a, b, tmp_path / "x.png", joints=["A9"])
+
+
+def test_what_happens_in_a_scenario_becomes_bands() -> None:
+    from sero_mj.simulate.scenario import Scenario
+
+    scene = simulated().scenario.scene
+    scenario = Scenario(
+        scene,
+        disturbances={"push": {"kind": "force", "at": "lwr/flange", "force": [0, 0, 9.0],
+                               "begin": 0.1, "end": 0.2}},
+        faults={"dead": {"kind": "dead_sensor", "begin": 0.3}},
+    )  # fmt: skip
+    assert spans_of(scenario) == [Span("push", 0.1, 0.2), Span("dead", 0.3, None, True)]

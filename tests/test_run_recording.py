@@ -1,0 +1,231 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from runs import HOME, record_packets, record_run, simulated
+
+from sero_mj.assemble.scene_file import read_scene
+from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.errors import RecordingError, UsageError
+from sero_mj.simulate.run_recording import read_run
+
+# Degrees and mNm; outputs of robots go into others.
+SCENE = """\
+[robots.left]
+model = "lwr"
+joint_angles = [0, 0, 0, 0, 0, 0, 0]
+torque_limits = [1, 2, 3, 4, 5, 6, 7]
+
+[robots.right]
+model = "lwr"
+base_frame = { xyz = [0.0, 1.0, 0.0] }
+
+[doubles.goal]
+of = "left"
+
+[sources.udp]
+kind = "udp"
+port = 31999
+structure = "7F14F7F"
+
+[routes]
+"left.joint_angles" = "udp.values0 * deg"
+"left.torques" = "udp.values1[0:7] * mNm"
+"left.commanded_torques" = "left.torques + udp.values1[7:14]"
+"goal.joint_angles" = "-udp.values2"
+"right.joint_angles" = "0.5 * left.joint_angles"
+"left.show_arrows" = "udp.receiving"
+"right.base_frame" = "left/flange"
+"""
+
+
+@pytest.fixture
+def mirrored(tmp_path: Path) -> tuple[Path, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.001, 0.004, 60))
+    numbers = np.cumsum(rng.normal(size=(60, 28)), axis=0)
+    numbers[20, 9] = np.nan  # a torque that was not there
+    path = tmp_path / "real.mcap"
+    rows = {"values0": numbers[:, :7], "values1": numbers[:, 7:21], "values2": numbers[:, 21:]}
+    record_packets(path, "7F14F7F", rows, times, {"scenes/mine.toml": SCENE})
+    return path, times, numbers
+
+
+def test_a_recorded_simulation_is_the_run_that_it_was(tmp_path: Path) -> None:
+    simulation = simulated()
+    found = read_run(record_run(simulation, tmp_path / "swing.mcap"))
+    log = simulation.log
+    assert found.name == "swing"
+    assert list(found.robots) == ["lwr"]
+    assert found.robots["lwr"].names == log.robots["lwr"].names
+    np.testing.assert_array_equal(found.times, log.times)
+    assert set(found.signals) == set(log.signals)
+    for event, values in log.signals.items():
+        if event != "time":
+            np.testing.assert_array_equal(found.signals[event], values, err_msg=event)
+
+
+def test_nan_in_a_simulation_is_kept(tmp_path: Path) -> None:
+    simulation = simulated()
+    saved = simulation.rows[100].copy()
+    column = simulation.layout.columns["lwr_torques"].start
+    simulation.rows[100, column] = np.nan
+    try:
+        found = read_run(record_run(simulation, tmp_path / "swing.mcap"))
+    finally:
+        simulation.rows[100] = saved
+    assert np.isnan(found.of("lwr", "torques")[100, 0])
+    assert np.isfinite(found.of("lwr", "torques")[101:]).all()
+
+
+def test_a_recorded_robot_is_read_through_its_routes(
+    mirrored: tuple[Path, np.ndarray, np.ndarray],
+) -> None:
+    path, times, numbers = mirrored
+    run = read_run(path)
+    np.testing.assert_allclose(run.times, times - times[0], atol=1e-8)
+    left = np.deg2rad(numbers[:, :7])
+    np.testing.assert_allclose(run.of("left", "angles"), left, rtol=1e-12)
+    np.testing.assert_allclose(run.of("left", "torques"), numbers[:, 7:14] * 1e-3, rtol=1e-12)
+    commanded = numbers[:, 7:14] * 1e-3 + numbers[:, 14:21]
+    np.testing.assert_allclose(run.of("left", "commanded_torques"), commanded, rtol=1e-12)
+    np.testing.assert_allclose(run.of("left", "target_angles"), -numbers[:, 21:], rtol=1e-12)
+    np.testing.assert_allclose(run.of("right", "angles"), 0.5 * left, rtol=1e-12)
+    assert not run.has("right", "torques")
+    np.testing.assert_array_equal(run.torque_limits("left"), np.arange(1.0, 8.0))
+    assert np.isnan(run.of("left", "torques")[20, 2])
+
+
+def test_it_is_what_a_mirror_shows(
+    mirrored: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    """The second route: the recording played through the mirror, packet by packet."""
+    path, times, _ = mirrored
+    file = tmp_path / "mine.toml"
+    file.write_text(SCENE)
+    scene = load_scene(file)
+    scene.sources["udp"] = {"kind": "replay", "file": str(path)}
+    run = read_run(path)
+    with Mirror(scene) as mirror:
+        world, data = mirror.world, mirror.data
+        for k in (0, 7, 31, 59):
+            mirror.advance(times[k] - times[0] + 1e-5)
+            for robot in ("left", "right"):
+                qpos = data.qpos[world.robots[robot].qpos]
+                np.testing.assert_allclose(run.of(robot, "angles")[k], qpos, rtol=1e-12)
+            for key in ("torques", "commanded_torques"):
+                shown = data.userdata[world.slots[f"left.{key}"]]
+                np.testing.assert_allclose(run.of("left", key)[k], shown, rtol=1e-12)
+
+
+def test_velocities_that_were_not_sent_are_differences(
+    mirrored: tuple[Path, np.ndarray, np.ndarray],
+) -> None:
+    path, _, numbers = mirrored
+    run = read_run(path)
+    before, after = run.times[10] - run.times[9], run.times[11] - run.times[10]
+    left = np.deg2rad(numbers[:, :7])
+    # The parabola through three points, whose slope in the middle is this.
+    slope = (
+        (left[11] - left[10]) / after * before + (left[10] - left[9]) / before * after
+    ) / (before + after)  # fmt: skip
+    np.testing.assert_allclose(run.of("left", "velocities")[10], slope, rtol=1e-6)
+
+
+def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
+    times, angles = np.arange(5) * 0.01, np.arange(35.0).reshape(5, 7)
+    path = record_packets(tmp_path / "bare.mcap", "7F", {"values0": angles}, times, {})
+    with pytest.raises(RecordingError, match=r"bare.mcap: has no robot in it: found no files"):
+        read_run(path)
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "7F"\n'
+        '[routes]\n"lwr.joint_angles" = "udp.values0"\n'
+    )
+    scene, problems = read_scene(file)
+    assert not problems
+    run = read_run(path, scene=scene)
+    np.testing.assert_array_equal(run.of("lwr", "angles"), angles)
+
+
+def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path) -> None:
+    path = record_run(simulated(), tmp_path / "alone.mcap", attach=False)
+    with pytest.raises(RecordingError, match=r"does not say what robot 'lwr' is.*give a scene"):
+        read_run(path)
+    assert read_run(path, scene=simulated().scenario.scene).robots["lwr"].n == 7
+
+
+def test_robots_with_other_joints_are_refused(tmp_path: Path) -> None:
+    times, rows = np.arange(3) * 0.01, {"time": np.arange(3)[:, None] * 0.01,
+                                        "lwr_angles": np.zeros((3, 6))}  # fmt: skip
+    files = {"x/mine.toml": '[robots.lwr]\nmodel = "lwr"\n'}
+    path = record_packets(tmp_path / "six.mcap", "time:1F lwr_angles:6F", rows, times, files)
+    with pytest.raises(RecordingError, match=r"lwr_angles are 6; its robot 'lwr' has 7 joints"):
+        read_run(path)
+
+
+def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, object]) -> None:
+    path = mirrored[0]
+    with pytest.raises(UsageError, match=r"no source 'udq' in .*did you mean 'udp'\?"):
+        read_run(path, "udq")
+    text = tmp_path / "text.mcap"
+    text.write_text("time,angle\n")
+    with pytest.raises(RecordingError, match="is no MCAP file"):
+        read_run(text)
+    with pytest.raises(RecordingError, match=r"missing.mcap: cannot be read"):
+        read_run(tmp_path / "missing.mcap")
+    foreign = tmp_path / "foreign.mcap"
+    with open(foreign, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("s", "jsonschema", b"{}")
+        channel = writer.register_channel("/camera", "json", schema)
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"is an MCAP file of another program"):
+        read_run(foreign)
+
+
+def test_a_recording_that_moves_no_robot_is_told(tmp_path: Path) -> None:
+    scene = ('[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "7F"\n'
+             '[routes]\n"lwr.torques" = "udp.values0"\n')  # fmt: skip
+    rows = {"values0": np.zeros((3, 7))}
+    path = record_packets(
+        tmp_path / "still.mcap", "7F", rows, np.arange(3.0), {"scenes/x.toml": scene}
+    )
+    with pytest.raises(RecordingError, match=r"no source in it moves a robot: .*lwr.torques"):
+        read_run(path)
+    bad = scene.replace('"udp.values0"', '"udp.values9"').replace("torques", "joint_angles")
+    path = record_packets(tmp_path / "bad.mcap", "7F", rows, np.arange(3.0), {"s/x.toml": bad})
+    with pytest.raises(RecordingError, match=r"its routes cannot be followed: .*values9"):
+        read_run(path)
+
+
+def test_a_robot_that_is_not_installed_is_taken_from_the_recording(tmp_path: Path) -> None:
+    own = ('dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2]]\ntorque_limits = [5.0]\n'
+           'filenames = ["base.stl", "link.stl"]\n')  # fmt: skip
+    scene = ('[robots.mine]\nmodel = "../elsewhere/rod"\n[sources.udp]\nkind = "udp"\n'
+             'structure = "1F"\n[routes]\n"mine.joint_angles" = "udp.values0"\n')  # fmt: skip
+    files = {"scenes/x.toml": scene, "rod/robot.toml": own}
+    rows = {"values0": np.ones((3, 1))}
+    path = record_packets(tmp_path / "rod.mcap", "1F", rows, np.arange(3.0), files)
+    run = read_run(path)
+    assert run.torque_limits("mine") == [5.0]
+    assert run.robots["mine"].filenames == []  # the meshes are not here: links grow
+    files.pop("rod/robot.toml")
+    path = record_packets(tmp_path / "gone.mcap", "1F", rows, np.arange(3.0), files)
+    with pytest.raises(RecordingError, match=r"robot 'mine' is not in it, nor installed.*scene"):
+        read_run(path)
+
+
+def test_packets_that_came_at_once_count_as_one(tmp_path: Path) -> None:
+    times = np.array([0.0, 0.1, 0.1, 0.1, 0.2])
+    files = {"x/mine.toml": '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\n'
+             'structure = "7F"\n[routes]\n"lwr.joint_angles" = "udp.values0"\n'}  # fmt: skip
+    rows = {"values0": np.arange(5.0)[:, None] * np.ones(7) + HOME}
+    run = read_run(record_packets(tmp_path / "x.mcap", "7F", rows, times, files))
+    np.testing.assert_allclose(run.times, [0.0, 0.1, 0.2], atol=1e-8)
+    np.testing.assert_allclose(run.of("lwr", "angles")[:, 0], [0.0, 3.0, 4.0])

@@ -1,0 +1,204 @@
+"""Scenarios: files, what is wrong in them, and whether what must hold does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.paths import list_scenarios
+from sero_mj.simulate.disturbances import Force
+from sero_mj.simulate.scenario import Scenario
+from sero_mj.simulate.scenario_file import is_scenario, read_scenario
+from sero_mj.simulate.simulation import Simulation
+
+HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
+
+
+def lwr(**fields: Any) -> SerialRobot:
+    return SerialRobot.from_model("lwr", **{"joint_angles": HOME, **fields})
+
+
+def scenario(**fields: Any) -> Scenario:
+    robots = fields.pop("robots", None) or [lwr()]
+    fields.setdefault("controllers", {"lwr": {"kind": "joint_impedance", "stiffness": 800.0}})
+    return Scenario(Scene(robots=robots, objects=fields.pop("objects", [])), **fields)
+
+
+def ran(declared: Scenario, **options: Any) -> Simulation:
+    simulation = Simulation(declared, **options)
+    for _ in simulation.run():
+        pass
+    return simulation
+
+
+def problems(**fields: Any) -> list[str]:
+    with pytest.raises(DeclarationError) as caught:
+        Simulation(scenario(**fields))
+    return [f"{problem.key}: {problem.message}" for problem in caught.value.problems]
+
+
+# ---- what ships
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_everything_that_a_shipped_scenario_expects_holds(name: str) -> None:
+    declared = read_scenario(name)
+    assert declared.description and declared.expect
+    outcomes = ran(declared).outcomes()
+    assert [outcome.text for outcome in outcomes if not outcome.holds] == []
+
+
+def test_the_scenarios_that_the_issue_asks_for_are_there() -> None:
+    assert set(list_scenarios()) >= {
+        "hand_guiding", "impedance_push", "drive_home", "table_contact", "sensor_fault",
+        "controller_fault", "payload", "singularity_pass", "haptic_position", "haptic_torque",
+    }  # fmt: skip
+
+
+# ---- files
+
+
+BASE = """
+[robots.lwr]
+model = "lwr"
+
+[run]
+duration = 0.1
+
+[controllers.lwr]
+kind = "joint_impedance"
+stiffness = 500
+"""
+
+
+def read(tmp_path: Path, text: str, overrides: dict[str, Any] | None = None) -> Scenario:
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    return read_scenario(path, overrides)
+
+
+def test_a_file_is_read_and_anything_can_be_set_over_it(tmp_path: Path) -> None:
+    declared = read(tmp_path, BASE)
+    assert (declared.name, declared.run.duration, declared.run.timestep) == ("mine", 0.1, 0.001)
+    over = {"controllers.lwr.stiffness": 100, "run.seed": 7, "lwr.show_axes": True}
+    changed = read(tmp_path, BASE, over)
+    assert changed.controllers["lwr"].stiffness.tolist() == [100.0]  # type: ignore[union-attr]
+    assert changed.run.seed == 7
+    assert changed.scene.robots["lwr"].show_axes
+    assert is_scenario(tmp_path / "mine.toml")
+    (tmp_path / "scene.toml").write_text('[robots.lwr]\nmodel = "lwr"\n')
+    assert not is_scenario(tmp_path / "scene.toml")
+
+
+def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
+    (tmp_path / "arms.toml").write_text('[robots.arm]\nmodel = "lwr"\n')
+    declared = read(tmp_path, 'scene = "arms.toml"\n[targets.arm]\nkind = "constant"\n')
+    assert list(declared.scene.robots) == ["arm"]
+    with pytest.raises(DeclarationError) as caught:
+        read(tmp_path, 'scene = "armz"\n[run]\n')
+    assert "mine.toml" in str(caught.value) and "no scene 'armz'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[controlers.lwr]\n", ":11: controlers: unknown section; did you mean 'controllers'?"),
+        ("[targets.lwrr]\nkind='constant'\n", "targets.lwrr: no robot 'lwrr'; did you mean 'lwr'?"),
+        ("[targets.lwr]\nkind='sinus'\n", "targets.lwr.kind: no kind 'sinus'; did you mean 'sine'"),
+        (
+            "[disturbances.push]\nkind='force'\nat='lwr/flansch'\nforce=[0,0,1]\n",
+            "disturbances.push.at: no frame 'lwr/flansch'; did you mean 'lwr/flange'?",
+        ),
+        (
+            "[disturbances.push]\nkind='force'\nat='lwr/flange'\n",
+            "disturbances.push: found neither force nor torque; expected three numbers of one",
+        ),
+        (
+            "[faults.x]\nkind='dead_sensor'\njoints=['A9']\n",
+            "faults.x.joints: no joint 'A9' of lwr; available: A1, A2",
+        ),
+        ("[faults.x]\nkind='ded_sensor'\n", "no kind 'ded_sensor'; did you mean 'dead_sensor'?"),
+        ("[expect.e]\nmeasure='position_eror'\nbelow=1\n", "did you mean 'position_error'?"),
+        ("[expect.e]\nmeasure='torque'\n", "below: is required; expected below or above, a number"),
+        ("[expect.e]\nbelow=1\n", "found none of them; expected one of measure, finds"),
+        ("[expect.e]\nfinds='torque_error'\ncause='psh'\n", "no disturbance or fault 'psh'"),
+        (
+            "[expect.e]\nmeasure='torque'\nbelow=1\nafter=3\n",
+            "expect.e.after: found 3 s; the run ends at 0.1 s",
+        ),
+        ("[sensors.lwr]\ntorqes={noise=1}\n", "sensors.lwr.torqes: unknown key; did you mean"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_key(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        read(tmp_path, BASE + text)
+    assert message in str(caught.value)
+    assert "mine.toml:" in str(caught.value)
+
+
+def test_an_unknown_name_lists_what_there_is() -> None:
+    with pytest.raises(UnknownName, match="did you mean 'hand_guiding'"):
+        read_scenario("hand_guidin")
+
+
+def test_what_is_set_has_to_be_there(tmp_path: Path) -> None:
+    for key, message in (
+        ("controllers.lwrr.stiffness", r"no \[controllers.lwrr\]; did you mean 'lwr'\?"),
+        ("run.duratio", r"unknown key; did you mean 'duration'\?"),
+        ("controllers.lwr.stifness", r"stifness: unknown key; did you mean 'stiffness'\?"),
+    ):
+        with pytest.raises(DeclarationError, match=message):
+            read(tmp_path, BASE, {key: 1})
+
+
+# ---- what only shows when it is compiled
+
+
+def test_what_cannot_work_is_told_before_the_first_step() -> None:
+    far = {"kind": "constant", "angles_deg": [0, 130, 0, 0, 0, 0, 0]}
+    assert problems(targets={"lwr": far}) == [
+        "targets.lwr: joint A2 is to be at 130 deg at t = 0.000 s; expected -120 to 120 deg"
+    ]
+    (found,) = problems(
+        controllers={"lwr": {"kind": "cartesian_impedance"}},
+        targets={
+            "lwr": {"kind": "cartesian_way_points", "relative_to": "start", "times": [1.0],
+                    "poses": [{"xyz": [0.0, 0.0, 2.0]}]}
+        },
+    )  # fmt: skip
+    assert found.startswith("targets.lwr: the flange cannot follow at t = 0.")
+    (found,) = problems(
+        controllers={"lwr": {"kind": "joint_impedance", "stiffness": 5000}}, timestep=0.05
+    )
+    assert "controllers.lwr" in found and "joint A" in found
+    (found,) = problems(
+        controllers={"lwr": {"kind": "torque", "torque_limits": [1, 1, 0, 1, 1, 1, 1]}}
+    )
+    assert "joint E1 has 0; expected a positive number of Nm" in found
+
+
+def test_a_log_that_is_too_large_is_told() -> None:
+    (found,) = problems(duration=1e5, timestep=1e-4)
+    assert found.startswith("run.duration: found 1000000000 steps, a log of ")
+
+
+# ---- pieces
+
+
+def test_a_force_acts_by_its_profile() -> None:
+    times = np.array([0.0, 1.0, 1.5, 2.0, 2.5])
+    force = {"at": "x", "force": [0, 0, 1.0], "begin": 1.0, "end": 2.0}
+    assert Force(**force).share(times).tolist() == [0, 1, 1, 0, 0]
+    assert Force(**force, profile="ramp").share(times).tolist() == [0, 0, 0.5, 1, 1]
+    half_sine = Force(**force, profile="half_sine").share(times)
+    assert half_sine == pytest.approx([0, 0, 1, 0, 0])
+    with pytest.raises(DeclarationError, match="end: found 1; expected more than begin, 2 s"):
+        Force(**{**force, "begin": 2.0, "end": 1.0})
+    with pytest.raises(DeclarationError, match="end: is required; expected the time"):
+        Force(at="x", force=[0, 0, 1.0], profile="ramp")

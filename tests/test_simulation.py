@@ -1,0 +1,222 @@
+"""The simulation loop: physics by second routes, determinism, faults, and what stops it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_scenarios import HOME, lwr, ran, scenario
+
+from sero_mj.assemble.objects import Object
+from sero_mj.errors import SimulationError
+from sero_mj.simulate.run_log import MEASURED, event_of
+from sero_mj.simulate.simulation import Simulation
+
+PUSH = {"kind": "force", "at": "lwr/flange", "force": [5.0, 10.0, -40.0]}
+
+
+def test_a_pushed_spring_gives_way_as_statics_say() -> None:
+    push = {"push": PUSH}
+    log = ran(scenario(disturbances=push, duration=4.0)).log
+    error = (log.of("lwr", "target_angles") - log.of("lwr", "actual_angles"))[-1]
+    robot = lwr()
+    jacobian = robot.dh.jacobian(log.of("lwr", "actual_angles")[-1], None, robot.flange_frame)
+    expected = -jacobian[:3].T @ np.array(PUSH["force"]) / 800.0
+    # Friction may hold every joint off by as much as it has.
+    friction = np.array([0.5, 0.8, 0.4, 0.3, 0.2, 0.1, 0.05]) / 800.0
+    assert (np.abs(error - expected) <= friction + 1e-5).all()
+    assert np.abs(expected).max() > 10 * friction.max()
+
+
+def test_external_torques_are_those_of_the_push() -> None:
+    log = ran(scenario(disturbances={"push": PUSH}, duration=3.0)).log
+    robot = lwr()
+    jacobian = robot.dh.jacobian(log.of("lwr", "actual_angles")[-1], None, robot.flange_frame)
+    expected = jacobian[:3].T @ np.array(PUSH["force"])
+    assert log.of("lwr", "external_torques")[-1] == pytest.approx(expected, abs=0.05)
+
+
+def test_a_payload_weighs_what_it_weighs() -> None:
+    load = {"kind": "payload", "robot": "lwr", "mass": 3.0, "center_of_mass": [0.05, 0, 0.1],
+            "begin": 0.5}  # fmt: skip
+    log = ran(scenario(disturbances={"load": load}, duration=3.0)).log
+    robot, angles = lwr(), log.of("lwr", "actual_angles")[-1]
+    reach = robot.flange_frame @ np.array(
+        [[1, 0, 0, 0.05], [0, 1, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1]]
+    )
+    jacobian = robot.dh.jacobian(angles, None, reach)
+    expected = jacobian[:3].T @ np.array([0.0, 0.0, -3.0 * 9.81])
+    assert log.of("lwr", "external_torques")[-1] == pytest.approx(expected, abs=0.05)
+    assert np.abs(log.of("lwr", "external_torques")[:490]).max() < 0.05
+
+
+def test_measured_torque_is_commanded_less_what_motor_and_friction_take() -> None:
+    swing = {"lwr": {"kind": "sine", "amplitude_deg": 8.0, "frequency": 0.7}}
+    log = ran(scenario(targets=swing, duration=2.0)).log
+    speeds = log.of("lwr", "actual_velocities")
+    inertia = np.array([3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394])
+    viscous = np.array([1.0, 1.2, 0.9, 0.8, 0.5, 0.3, 0.2])
+    coulomb = np.array([0.5, 0.8, 0.4, 0.3, 0.2, 0.1, 0.05])
+    taken = inertia * np.diff(speeds, axis=0) / 1e-3 + viscous * speeds[1:]
+    left = log.torque_error("lwr")[1:] - taken
+    assert (np.abs(left) <= coulomb + 1e-6).all()
+    moving = np.abs(speeds[1:]) > 0.05
+    assert left[moving] == pytest.approx(
+        (np.sign(speeds[1:]) * coulomb)[moving], rel=1e-3, abs=1e-3
+    )
+
+
+def test_a_table_carries_what_presses_on_it() -> None:
+    table = Object(name="table", shape="box", size=[0.5, 0.5, 0.4],
+                   frame={"xyz": [-0.6, 0.0, 0.2 - 0.2]})  # fmt: skip
+    robot = lwr(joint_angles=[0.0, 0.8, 0.0, -1.3, 0.0, 1.04, 0.0])
+    down = {"kind": "cartesian_way_points", "relative_to": "start", "times": [1.0],
+            "poses": [{"xyz": [0.0, 0.0, 0.15]}]}  # fmt: skip
+    log = ran(
+        scenario(
+            robots=[robot], objects=[table], duration=2.5, timestep=0.0005,
+            controllers={"lwr": {"kind": "cartesian_impedance"}}, targets={"lwr": down},
+        )
+    ).log  # fmt: skip
+    force = log.signals["lwr_contact_force"].reshape(-1, 3)
+    assert np.abs(force[:500]).max() == 0.0
+    assert force[-1, 2] > 20.0
+    # At rest, what the table gives is what the joints feel.
+    jacobian = robot.dh.jacobian(log.of("lwr", "actual_angles")[-1], None, robot.flange_frame)
+    felt = np.linalg.lstsq(jacobian.T, log.of("lwr", "external_torques")[-1], rcond=None)[0]
+    assert felt[:3] == pytest.approx(force[-1], abs=1.0)
+
+
+# ---- determinism
+
+
+def noisy(**fields: Any) -> Any:
+    sensors = {"lwr": {"torques": {"noise": 0.1}, "velocities": {"noise": 1e-3}}}
+    return scenario(sensors=sensors, disturbances={"push": PUSH}, duration=0.6, **fields)
+
+
+def test_the_same_seed_is_the_same_run_bit_for_bit_however_it_is_cut() -> None:
+    whole = ran(noisy()).rows
+    again = Simulation(noisy())
+    while not again.is_done:
+        again.advance(again.step + 7)
+    assert np.array_equal(whole, again.rows)
+    assert not np.array_equal(whole, ran(noisy(), seed=1).rows)
+    assert np.array_equal(ran(noisy(), seed=1).rows, ran(noisy(seed=1)).rows)
+
+
+def test_two_robots_do_what_each_does_alone() -> None:
+    other = lwr(name="other", base_frame={"xyz": [0.0, 2.0, 0.0]})
+    gains = {"kind": "joint_impedance", "stiffness": 800.0}
+    both = ran(
+        scenario(
+            robots=[lwr(), other], controllers={"lwr": gains, "other": gains},
+            disturbances={"push": PUSH}, duration=0.5,
+        )
+    ).log  # fmt: skip
+    alone = ran(scenario(disturbances={"push": PUSH}, duration=0.5)).log
+    for signal in MEASURED:
+        assert both.of("lwr", signal) == pytest.approx(alone.of("lwr", signal), abs=1e-9)
+    still = both.of("other", "angles")
+    assert still == pytest.approx(np.tile(HOME, (501, 1)), abs=1e-9)
+
+
+def test_elastic_joints_feel_the_same_push() -> None:
+    stiff = ran(scenario(disturbances={"push": PUSH}, duration=2.0)).log
+    elastic = ran(scenario(disturbances={"push": PUSH}, duration=2.0, elastic=True)).log
+    assert elastic.of("lwr", "torques")[-1] == pytest.approx(
+        stiff.of("lwr", "torques")[-1], abs=1.0
+    )
+    assert not np.array_equal(elastic.of("lwr", "angles"), stiff.of("lwr", "angles"))
+
+
+# ---- faults
+
+
+def found(fault: dict[str, Any], **fields: Any) -> list[tuple[str, str]]:
+    swing = {"lwr": {"kind": "sine", "amplitude_deg": 10.0, "frequency": 0.25}}
+    simulation = ran(
+        scenario(
+            faults={"it": {"begin": 1.0, **fault}}, targets=swing, duration=2.0,
+            monitor={"torque_error": 0.05, "external_torque": 0.05, "position_error": 0.03},
+            **fields,
+        )
+    )  # fmt: skip
+    assert all(finding.time > 1.0 for finding in simulation.findings())
+    return [(finding.joint, finding.kind) for finding in simulation.findings()]
+
+
+@pytest.mark.parametrize(
+    ("fault", "finding"),
+    [
+        ({"kind": "sensor", "joints": ["A3"], "bias": 20.0}, ("A3", "torque_error")),
+        ({"kind": "sensor", "joints": ["A2"], "gain": 0.5}, ("A2", "torque_error")),
+        ({"kind": "dead_sensor", "joints": ["A2"]}, ("A2", "external_torque")),
+        ({"kind": "frozen_sensor", "joints": ["A2"]}, ("A2", "frozen_torque")),
+        ({"kind": "controller", "joints": ["A3"]}, ("A3", "torque_error")),
+        ({"kind": "controller", "joints": ["A2"], "gain": 0.0}, ("A2", "torque_error")),
+        ({"kind": "friction", "joints": ["A1"], "added_coulomb": 40.0}, ("A1", "torque_error")),
+        (
+            {"kind": "encoder_offset", "joints": ["A2"], "offset_deg": 5.0},
+            ("A2", "position_error"),
+        ),
+        (
+            {"kind": "sensor", "signal": "angles", "joints": ["A3"], "bias": 0.2},
+            ("A3", "position_error"),
+        ),
+    ],
+)
+def test_faults_are_found_at_their_joint(fault: dict[str, Any], finding: tuple[str, str]) -> None:
+    assert finding in found(fault)
+
+
+def test_nothing_is_found_where_nothing_is_wrong() -> None:
+    assert found({"kind": "sensor", "bias": 0.0}) == []
+
+
+def test_a_delay_of_the_angles_makes_a_spring_swing() -> None:
+    late = {"kind": "sensor", "signal": "angles", "delay_ms": 120.0}
+    swung = ran(scenario(faults={"late": late}, disturbances={"push": PUSH}, duration=1.0)).log
+    calm = ran(scenario(disturbances={"push": PUSH}, duration=1.0)).log
+    speeds = [np.abs(log.of("lwr", "actual_velocities")[-200:]).max() for log in (swung, calm)]
+    assert speeds[0] > 3 * speeds[1]
+
+
+# ---- what stops it
+
+
+class Wave:
+    """A user's controller that breaks."""
+
+    def torques(self, sensed: Any, target: Any, out: Any) -> None:
+        out[:] = 0.0
+        if sensed.time > 0.05:
+            out[3] = np.nan
+
+
+def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
+    simulation = Simulation(scenario(controllers={"lwr": Wave()}, duration=1.0))
+    seen = []
+    with pytest.raises(SimulationError) as caught:
+        for rows in simulation.run(chunk=10):
+            seen.append(rows)
+    assert str(caught.value).startswith("lwr/A3 at 0.05")
+    assert "asks for nan Nm; expected a finite number" in str(caught.value)
+    assert simulation.step in (50, 51)
+    assert seen[-1][1] == simulation.step + 1
+    assert np.isfinite(simulation.log.of("lwr", "angles")).all()
+    assert len(simulation.log.times) == simulation.step + 1
+
+
+def test_the_log_says_what_its_columns_are() -> None:
+    simulation = ran(scenario(disturbances={"push": PUSH}, duration=0.01))
+    layout = simulation.layout
+    assert layout.structure.size == 8 * layout.width
+    row = simulation.rows[-1]
+    decoded = layout.structure.decode(row.tobytes())
+    for signal in (*MEASURED, "commanded_torques", "external_torques"):
+        event = event_of("lwr", signal)
+        assert decoded[event].tolist() == simulation.log.signals[event][-1].tolist()
+    assert decoded["push_force"].tolist() == [[5.0, 10.0, -40.0]]
+    assert decoded["time"].tolist() == pytest.approx([0.01])
