@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.simulate.compiler import Compiler, fingerprint
 from sero_mj.simulate.scenario import Scenario
+from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
 
@@ -82,3 +84,16 @@ def test_a_fingerprint_tells_declarations_apart() -> None:
     assert hash(fingerprint(one)) == hash(fingerprint(other))
     moved = SerialRobot.from_model("lwr", base_frame={"xyz": [0.1, 0.0, 0.0]})
     assert fingerprint(moved) != fingerprint(one)
+
+
+@pytest.mark.parametrize("name", ["impedance_push", "singularity_pass", "haptic_position"])
+def test_a_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = Compiler()
+    Simulation(read_scenario(name), compiler=compiler)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a world is compiled again")
+
+    monkeypatch.setattr("sero_mj.simulate.compiler.World", refuse)
+    monkeypatch.setattr("sero_mj.simulate.robot_model.World", refuse)
+    Simulation(read_scenario(name), compiler=compiler)

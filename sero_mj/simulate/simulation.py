@@ -112,7 +112,8 @@ class Simulation:
         for name, robot in self.scenario.scene.robots.items():
             controller = self.scenario.controllers.get(name, GravityCompensation())
             try:
-                plans[name] = make_plan(robot, self.scenario.targets.get(name), controller, times)
+                law = self.scenario.targets.get(name)
+                plans[name] = make_plan(robot, law, controller, times, self.compiler)
             except DeclarationError as error:
                 problems += [problem.inside(f"targets.{name}") for problem in error.problems]
         if problems:
