@@ -313,14 +313,33 @@ def test_what_is_asked_for_wrongly_is_told(
     assert message in str(caught.value)
 
 
-def test_every_listed_environment_can_be_made() -> None:
-    names = list_environments()
-    assert {"lwr/reach", "lwr/hold", "impedance_push"} <= set(names)
-    for name in names:
-        environment = sero_mj.make_environment(name)
-        assert environment.reset().first()
-        action = environment.action_spec().generate_value()
-        assert environment.step(0.0 * action).mid()
+@pytest.mark.parametrize("name", list_environments())
+def test_every_listed_environment_keeps_what_its_specs_say_to_the_end(name: str) -> None:
+    environment = sero_mj.make_environment(name, control_timestep=0.1, action="impedance")
+    step = environment.reset()
+    specs, still = environment.observation_spec(), 0.0 * environment.action_spec().minimum
+    while not step.last():
+        step = environment.step(still)
+        assert step.observation.keys() == specs.keys()
+        for key, spec in specs.items():
+            spec.validate(step.observation[key])
+        environment.reward_spec().validate(step.reward)
+    assert environment.error is None and step.discount == 1.0
+
+
+def test_the_environments_are_those_of_robots_and_scenarios() -> None:
+    assert {"lwr/reach", "lwr/hold", "impedance_push", "table_contact"} <= set(list_environments())
+
+
+def test_an_agent_feels_a_push_in_a_scenario() -> None:
+    environment = sero_mj.make_environment("impedance_push", action="impedance", stiffness=800.0)
+    step = environment.reset()
+    felt = {}
+    while not step.last():
+        step = environment.step(np.zeros(7))
+        felt[round(environment.simulation.time, 2)] = step.observation["external_torques"]
+    assert np.abs(felt[0.9]).max() < 0.1  # the push is there from 1 s to 3 s
+    assert np.abs(felt[2.9]).max() > 10.0
 
 
 def test_a_robot_file_with_estimated_dynamics_will_do(tmp_path: Any) -> None:

@@ -38,6 +38,16 @@ from .actions import AnyAction, ImpedanceAction, Kind, TorqueAction, checked_act
 
 Array = NDArray[np.float64]
 
+# What an agent sees of every robot, and where the log has it.
+_SEEN = {
+    "joint_angles": "angles",
+    "joint_velocities": "velocities",
+    "torques": "torques",
+    "external_torques": "external_torques",
+    "target_angles": "target_angles",
+    "target_velocities": "target_velocities",
+}
+
 
 class ScenarioSettings(Declaration):
     """What an environment of a scenario has.
@@ -177,10 +187,7 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
         layout, found = self.simulation.layout, {}
         for name in self.scenario.scene.robots:
             prefix = "" if name == self.robot.name else f"{name}/"
-            signals = {"joint_angles": "angles", "joint_velocities": "velocities",
-                       "torques": "torques", "target_angles": "target_angles",
-                       "target_velocities": "target_velocities"}  # fmt: skip
-            for key, signal in signals.items():
+            for key, signal in _SEEN.items():
                 if event_of(name, signal) in layout.columns:
                     found[f"{prefix}{key}"] = layout.columns[event_of(name, signal)]
         return found
