@@ -15,6 +15,7 @@ import pytest
 from polling import until
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
+from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
 from sero_mj.drive.mirror import load_scene
 from sero_mj.drive.record_sources import record_sources
@@ -88,7 +89,8 @@ def test_it_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list[tup
     ):
         assert not mirror.is_live
         slot = mirror.world.slots["sources.udp"]
-        times = [slot.start + 3, slot.start + 7]  # ages: the same but for the time of looking
+        ages = ("age", "fault_age", "link_age")  # the same but for the time of looking
+        times = [slot.start + SOURCE_FIELDS.index(age) for age in ages]
         others = np.setdiff1d(np.arange(len(mirror.data.userdata)), times)
         for at, userdata, qpos, pixels in shown:
             mirror.advance(at)

@@ -48,7 +48,8 @@ class SourceStates:
                 counters.duplicates,
                 counters.restarts,
                 _dropped(source),
-                counters.senders,
+                # One is as it should be, and a recording knows of none.
+                counters.senders if counters.senders > 1 else 0,
                 self._link_age(name, counters, _dropped(source), now),
             )
 

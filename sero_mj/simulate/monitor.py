@@ -91,7 +91,7 @@ class Monitor(Declaration):
         moved = np.abs(commanded - np.take_along_axis(commanded, began, axis=0))
         changed = lasted >= rows
         share = self.frozen_change * np.where(np.isfinite(limits), limits, 0.0)
-        seconds = lasted * log.timestep * (changed & (moved > share))
+        seconds: Array = np.where(changed & (moved > share), lasted * log.timestep, 0.0)
         return seconds, np.full(torques.shape[1], self.frozen_after - 0.5 * log.timestep)
 
 
