@@ -28,6 +28,7 @@ bench: .venv/.installed
 	$(BIN)/python benchmarks/controllers.py
 	$(BIN)/python benchmarks/plant.py
 	$(BIN)/python benchmarks/simulate.py
+	$(BIN)/python benchmarks/many.py
 
 wheel: .venv/.installed
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .

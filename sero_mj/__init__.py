@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .drive.mirror import load_scene as load_scene
     from .drive.place import Placer as Placer
     from .drive.record_sources import record_sources as record_sources
+    from .environment.make import make_environment as make_environment
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
     from .errors import SimulationError as SimulationError
@@ -80,6 +81,7 @@ _HOME = {
     "load_scene": "drive.mirror",
     "Placer": "drive.place",
     "record_sources": "drive.record_sources",
+    "make_environment": "environment.make",
     "DeclarationError": "errors",
     "SeroError": "errors",
     "FriReceiver": "receive.fri",

@@ -14,7 +14,18 @@ import sero_mj
 
 PACKAGE = Path(sero_mj.__file__).parent
 # The folders of DESIGN.md, top to bottom; what is in the first place is above all folders.
-ORDER = ("", "assemble", "receive", "drive", "simulate", "decor", "show", "cli", "__main__")
+ORDER = (
+    "",
+    "assemble",
+    "receive",
+    "drive",
+    "simulate",
+    "decor",
+    "show",
+    "environment",
+    "cli",
+    "__main__",
+)
 ABOVE_ALL = ("errors", "paths")
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = ("assemble.dh", "assemble.frames", "assemble.shapes", "receive")

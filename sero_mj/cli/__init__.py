@@ -25,6 +25,7 @@ from . import (
     simulate,
     status,
     structure,
+    sweep,
 )
 from .arguments import OneLineParser, join_negative_values
 
@@ -86,6 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         render,
         send,
         simulate,
+        sweep,
         status,
         structure,
         record,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .compiler import Compiler
 from .controllers import make_controller
 from .joint_control import GravityCompensation
 from .observer import MomentumObserver
 from .plan import Plan
 from .plant import Plant
-from .robot_model import RobotModel
 from .scenario import Scenario
 from .state import Sensed, Target
 
@@ -28,6 +28,7 @@ class Arm:
         plan: where it is to be.
         plant: that holds it.
         joints: which joints of the plant are its own.
+        compiler: of the models that controller and observer have.
 
     Attributes:
         name: as given.
@@ -44,14 +45,20 @@ class Arm:
     """
 
     def __init__(
-        self, name: str, scenario: Scenario, plan: Plan, plant: Plant, joints: slice
+        self,
+        name: str,
+        scenario: Scenario,
+        plan: Plan,
+        plant: Plant,
+        joints: slice,
+        compiler: Compiler,
     ) -> None:
         robot, timestep = scenario.scene.robots[name], scenario.run.timestep
         self.name, self.joints, self.plan = name, joints, plan
         self._plant = plant
         declared = scenario.controllers.get(name, GravityCompensation())
         self.controller = make_controller(
-            declared, RobotModel.of(robot), timestep, robot.torque_limits
+            declared, compiler.robot_model(robot), timestep, robot.torque_limits
         )
         self.controller.check(np.asarray(robot.home, np.float64))
         # Of one robot alone what the plant measures is seen in place.
@@ -63,7 +70,7 @@ class Arm:
         self.target.posture[:] = robot.home
         self.observed_every = max(round(OBSERVED_EVERY / timestep), 1)
         self.observer = MomentumObserver(
-            RobotModel.of(robot), scenario.run.observer_gain, timestep * self.observed_every
+            compiler.robot_model(robot), scenario.run.observer_gain, timestep * self.observed_every
         )
 
     @property

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ..assemble.robot import SerialRobot
 from .cartesian_control import CartesianImpedance
 from .cartesian_laws import CartesianLaw, CartesianMotion
+from .compiler import Compiler
 from .gains import ControllerDeclaration
 from .joint_control import GravityCompensation, Torque
 from .law import Law, Motion
 from .laws import Constant
 from .reach import follow_poses
-from .robot_model import RobotModel
 from .state import Target
 from .torque_limits import Controller
 
@@ -58,6 +58,7 @@ def make_plan(
     law: Law | CartesianLaw | None,
     controller: ControllerDeclaration | Controller,
     times: Array,
+    compiler: Compiler,
 ) -> Plan:
     """The target of a robot over a run.
 
@@ -69,6 +70,7 @@ def make_plan(
         law: of the motion; None stays where it starts, or has no target where there is no spring.
         controller: that is to follow it.
         times: (T,), s.
+        compiler: of the model with which a flange's way is followed.
 
     Raises:
         DeclarationError: the motion leaves the robot's limits or reach.
@@ -80,7 +82,7 @@ def make_plan(
     if isinstance(law, CartesianLaw):
         first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)
         flange = law.sample(times, first)
-        angles = follow_poses(flange, RobotModel.of(robot), robot, start)
+        angles = follow_poses(flange, compiler.robot_model(robot), robot, start)
         joints = _motion(times, angles)
         return Plan(joints, flange, moves=bool(np.ptp(flange.poses, axis=0).max() > 0))
     joints = (law or Constant()).sample(times, robot, start)

@@ -121,13 +121,18 @@ class RobotModel:
         self._is_moving = self._is_swapped = self._has_mass = False
 
     @classmethod
-    def of(cls, robot: SerialRobot) -> RobotModel:
+    def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
         """The model of a declared robot, with its own masses and nothing else in the world.
+
+        Args:
+            robot: its declaration.
+            world: a dynamic one with this robot alone, where it has been compiled already.
 
         Raises:
             DeclarationError: MuJoCo cannot compile the robot.
         """
-        world = World(Scene(robots=[robot], floor=False), dynamic=True)
+        if world is None:
+            world = World(Scene(robots=[robot], floor=False), dynamic=True)
         part = world.robots[robot.name]
         joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
         return cls(world.model, joints, body=part.flange_body, name=robot.name)

@@ -197,6 +197,13 @@ class Scenario:
 
     def has_target(self, robot: str) -> bool:
         """Whether a robot is to be somewhere: by its law, or where a spring holds it."""
+        sections = (f"controllers.{robot}", f"targets.{robot}")
+        if any(
+            f"{problem.key}.".startswith(f"{each}.")
+            for problem in self.problems
+            for each in sections
+        ):
+            return True  # what is declared wrongly is told; that nothing is declared would be wrong
         controller = self.controllers.get(robot, GravityCompensation())
         return robot in self.targets or not isinstance(controller, GravityCompensation | Torque)
 

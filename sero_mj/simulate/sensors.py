@@ -70,6 +70,7 @@ class Sensors:
 
     Attributes:
         measured: (3, n), what was read last; the same array all the time.
+        seed: of the noise from the next `reset` on.
 
     Raises:
         ValueError: an error has neither one number nor n.
@@ -85,7 +86,7 @@ class Sensors:
     ) -> None:
         self.n = n
         self.measured = np.zeros((3, n))
-        self._seed = seed
+        self.seed = seed
         self._declared = [errors or SensorErrors() for errors in (angles, velocities, torques)]
         self._noise, self._offsets = np.zeros((2, _BLOCK, 3, n))  # noise alone, and all in all
         self._drawn = False
@@ -120,7 +121,7 @@ class Sensors:
         Args:
             actual: (3, n), the true values now.
         """
-        self._rng = np.random.default_rng(self._seed)
+        self._rng = np.random.default_rng(self.seed)
         self._drawn = False
         self._k = 0
         for _ in range(max(self._delays) + 1):

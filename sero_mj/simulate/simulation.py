@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
-from ..assemble.world import World
 from ..errors import DeclarationError, Problem
 from .arm import Arm
+from .compiler import Compiler
 from .contacts import Contacts
 from .disturbances import Payload
 from .expect import Outcome
@@ -33,9 +33,11 @@ class Simulation:
     Args:
         scenario: what to run.
         seed: of the noise; the scenario's when None.
+        compiler: that remembers what it has compiled, for those who run many; a new one when None.
 
     Attributes:
         scenario: as given.
+        compiler: as given.
         plant: the simulated robots.
         layout: of the log's rows.
         rows: (steps + 1, width), the log; rows behind `step` hold targets only.
@@ -46,8 +48,11 @@ class Simulation:
             gains, unreachable targets, limits of zero.
     """
 
-    def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, seed: int | None = None, compiler: Compiler | None = None
+    ) -> None:
         run = scenario.run
+        self.compiler = compiler or Compiler()
         self.scenario = scenario
         self.step = 0
         scene = scenario.scene
@@ -69,7 +74,7 @@ class Simulation:
             name=scene.name,
             file=scene.file,
         )
-        self.plant = Plant(World(stripped, dynamic=True), sensors, run.timestep)
+        self.plant = Plant(self.compiler.world(stripped), sensors, run.timestep)
         times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         plans = self._plans(times)
         self._happenings = Happenings(scenario, self.plant, run.steps)
@@ -107,7 +112,8 @@ class Simulation:
         for name, robot in self.scenario.scene.robots.items():
             controller = self.scenario.controllers.get(name, GravityCompensation())
             try:
-                plans[name] = make_plan(robot, self.scenario.targets.get(name), controller, times)
+                law = self.scenario.targets.get(name)
+                plans[name] = make_plan(robot, law, controller, times, self.compiler)
             except DeclarationError as error:
                 problems += [problem.inside(f"targets.{name}") for problem in error.problems]
         if problems:
@@ -121,7 +127,7 @@ class Simulation:
             joints = slice(first, first + n)
             first += n
             try:
-                arms.append(Arm(name, self.scenario, plan, self.plant, joints))
+                arms.append(Arm(name, self.scenario, plan, self.plant, joints, self.compiler))
             except DeclarationError as error:
                 problems += [problem.inside(f"controllers.{name}") for problem in error.problems]
         if problems:

@@ -1,0 +1,1 @@
+"""Simulated robots as `dm_env` environments, for reinforcement learning."""

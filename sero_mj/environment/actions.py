@@ -1,0 +1,195 @@
+"""What an agent commands: joint torques, or where the springs of an impedance are drawn to."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from dm_env import specs
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from ..errors import DeclarationError, Problem, SimulationError
+from ..simulate.gains import ControllerDeclaration
+from ..simulate.joint_control import JointImpedance, Torque
+from ..simulate.state import Target
+
+Array = NDArray[np.float64]
+Kind = Literal["torque", "impedance"]
+
+_USUAL_SPEED = {"revolute": 1.0, "prismatic": 0.25}  # rad/s, m/s; where a robot has no limits
+
+
+class TorqueAction:
+    """Joint torques on top of gravity compensation, held for a control step.
+
+    As on the robot: its controller adds gravity to what it is asked for, and the drives cut off
+    what is beyond their limits.
+
+    Args:
+        robot: with its torque limits.
+
+    Attributes:
+        spec: (n,), Nm or N, within the torque limits.
+        controller: that carries it out.
+
+    Raises:
+        DeclarationError: the robot has no torque limits.
+    """
+
+    unit = "Nm"
+
+    def __init__(self, robot: SerialRobot) -> None:
+        limits = robot.torque_limits
+        if limits is None:
+            message = "is required for torques as actions; expected one per joint, Nm"
+            raise DeclarationError([Problem(f"robots.{robot.name}.torque_limits", message)])
+        high = np.array(limits, np.float64)
+        self.controller: ControllerDeclaration = Torque()
+        self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
+
+    def begin(self, target: Target, angles: Array) -> None:
+        """Begins an episode.
+
+        Args:
+            target: of the controller, which is written here from now on.
+            angles: (n,), where the robot stands.
+        """
+        self._target = target
+        target.torques[:] = 0.0
+
+    def take(self, action: Array) -> None:
+        """Begins a control step; the action is within its bounds."""
+        self._target.torques[:] = action
+
+    def advance(self) -> None:
+        """Begins a step of the simulation."""
+
+    def observation(self) -> dict[str, Array]:
+        """What an agent has to know of it."""
+        return {}
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Shapes and bounds of that."""
+        return {}
+
+
+class ImpedanceAction:
+    """By how much the target angles of a joint impedance move in a control step.
+
+    They move at constant speed over the step, within the position limits; as labs drive real LWRs,
+    whose springs, dampers and gravity compensation run in the robot's own controller.
+
+    Args:
+        robot: with its position and velocity limits.
+        control_timestep: s between two actions.
+        timestep: s between two steps of the simulation.
+        stiffness: Nm/rad, one for all joints or (n,).
+        damping: ratio, likewise.
+
+    Attributes:
+        spec: (n,), rad or m, within what the velocity limits allow in a control step; robots
+            without are taken to have 1 rad/s and 0.25 m/s.
+        controller: that carries it out.
+
+    Raises:
+        DeclarationError: gains that no joint impedance has.
+    """
+
+    unit = "rad"
+
+    def __init__(
+        self,
+        robot: SerialRobot,
+        control_timestep: float,
+        timestep: float,
+        stiffness: Any,
+        damping: Any,
+    ) -> None:
+        speeds = robot.velocity_limits
+        if speeds is None:
+            speeds = np.array([_USUAL_SPEED[kind] for kind in robot.types])
+        self._substeps = max(round(control_timestep / timestep), 1)
+        self._duration = self._substeps * timestep
+        most = np.asarray(speeds, np.float64) * self._duration
+        limits = robot.position_limits
+        far = np.full(robot.n, np.inf)
+        self._low: Array = -far if limits is None else limits[:, 0]
+        self._high: Array = far if limits is None else limits[:, 1]
+        self._step: Array = np.zeros(robot.n)
+        self._goal: Array = np.zeros(robot.n)
+        self._left = 0
+        self.controller: ControllerDeclaration = JointImpedance(
+            stiffness=stiffness, damping=damping
+        )
+        self.spec = specs.BoundedArray((robot.n,), np.float64, -most, most, name="target_offsets")
+
+    def begin(self, target: Target, angles: Array) -> None:
+        """Begins an episode: the target is where the robot stands."""
+        self._target = target
+        target.angles[:] = self._goal[:] = angles
+        target.velocities[:] = 0.0
+        self._left = 0
+
+    def take(self, action: Array) -> None:
+        """Begins a control step; the action is within its bounds."""
+        target = self._target
+        np.clip(target.angles + action, self._low, self._high, self._goal)
+        np.subtract(self._goal, target.angles, self._step)
+        np.divide(self._step, self._duration, target.velocities)
+        np.divide(self._step, self._substeps, self._step)
+        self._left = self._substeps
+
+    def advance(self) -> None:
+        """Begins a step of the simulation."""
+        if self._left > 0:
+            self._left -= 1
+            self._target.angles += self._step
+            if self._left == 0:
+                self._target.angles[:] = self._goal  # no error adds up
+
+    def observation(self) -> dict[str, Array]:
+        """Where the springs are drawn to, without which the robot's motion cannot be foretold."""
+        return {"commanded_angles": self._goal.copy()}
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Shapes and bounds of that."""
+        name = "commanded_angles"
+        shape = self._goal.shape
+        return {name: specs.BoundedArray(shape, np.float64, self._low, self._high, name=name)}
+
+
+AnyAction = TorqueAction | ImpedanceAction
+
+
+def checked_action(
+    action: Any, spec: specs.BoundedArray, robot: SerialRobot, unit: str, time: float
+) -> Array:
+    """Returns an action as (n,) numbers within the bounds; what is beyond is cut off.
+
+    Args:
+        action: what an agent gave.
+        spec: of it.
+        robot: for its joints' names.
+        unit: for messages.
+        time: s, for messages.
+
+    Raises:
+        ValueError: it is not n numbers.
+        SimulationError: one of them is NaN or infinite; names the joint.
+    """
+    try:
+        values = np.asarray(action, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"action: found {action!r}; expected {spec.shape[0]} numbers") from None
+    if values.shape != spec.shape:
+        found = "x".join(map(str, values.shape)) or "one number"
+        message = f"action: found {found}; expected {spec.shape[0]} numbers, one per joint"
+        raise ValueError(message)
+    bad = ~np.isfinite(values)
+    if bad.any():
+        joint = int(np.argmax(bad))
+        low, high = spec.minimum[joint], spec.maximum[joint]
+        reason = f"found an action of {values[joint]:g}; expected {low:g} to {high:g} {unit}"
+        raise SimulationError(time, f"{robot.name}/{robot.names[joint]}", reason)
+    return np.clip(values, spec.minimum, spec.maximum)

@@ -1,0 +1,100 @@
+"""`hold`: stay in a pose while somebody pushes the flange about."""
+
+from __future__ import annotations
+
+import numpy as np
+from dm_env import specs
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ..assemble.cartesian import SmartArrow
+from .arm import Arm
+from .rewards import closeness
+from .task import Task, TaskAtWork
+
+Array = NDArray[np.float64]
+
+
+class Hold(Task):
+    """Holds the pose of the start under random pushes at the flange.
+
+    Pushes come in all directions, begin at random times and may overlap. They cannot be seen, but
+    the torque sensors feel them. The reward is c(e, 0.005, 0.3) with the largest error e of any
+    joint, rad or m; c is 1 within the first number and 0.1 the second beyond it.
+
+    Attributes:
+        most_force: N, of a push; its size is anything from 0 up to it.
+        every: s, mean time from one push to the next.
+        shortest: s, that a push lasts at least.
+        longest: s, at most.
+        within: rad or m, error that is as good as none.
+        margin: rad or m beyond, at which the reward has fallen to 0.1.
+    """
+
+    most_force: float = Field(40.0, ge=0, le=1e4)
+    every: float = Field(1.0, ge=0.01)
+    shortest: float = Field(0.1, gt=0)
+    longest: float = Field(0.5, gt=0)
+    within: float = Field(0.005, ge=0)
+    margin: float = Field(0.3, gt=0)
+
+    def make(self, arm: Arm) -> TaskAtWork:
+        """The task at work on a robot."""
+        return HoldAtWork(self, arm)
+
+    def arrows(self, robot: str) -> list[SmartArrow]:
+        """The push."""
+        return [SmartArrow(name="push", kind="force", at=f"{robot}/flange", expressed_in="world")]
+
+
+class HoldAtWork:
+    """`Hold` from episode to episode."""
+
+    def __init__(self, task: Hold, arm: Arm) -> None:
+        self._task, self._arm = task, arm
+        self._pose: Array = np.zeros(arm.robot.n)
+        self._times: Array = np.zeros((0, 2))
+        self._forces: Array = np.zeros((0, 3))
+        self._force: Array = np.zeros(3)
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Draws all pushes of the episode."""
+        task, arm = self._task, self._arm
+        self._pose = arm.truth[0].copy()
+        many = rng.poisson(arm.settings.time_limit / task.every)
+        begins = rng.uniform(0.0, arm.settings.time_limit, many)
+        lasting = rng.uniform(task.shortest, max(task.longest, task.shortest), many)
+        self._times = np.stack([begins, begins + lasting], axis=1)
+        directions = rng.standard_normal((many, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        self._forces = directions * rng.uniform(0.0, task.most_force, (many, 1))
+        self._force = np.zeros(3)
+        self._push = arm.plant.push(f"{arm.robot.name}/flange")
+
+    def advance(self) -> None:
+        """Pushes as hard as it is time for."""
+        now = self._arm.time
+        acting = (self._times[:, 0] <= now) & (now < self._times[:, 1])
+        self._force = self._forces[acting].sum(axis=0)
+        self._push.force[:] = self._force
+
+    def reward(self) -> float:
+        """0 to 1, for the state now."""
+        error = float(np.abs(self._arm.truth[0] - self._pose).max())
+        return closeness(error, self._task.within, self._task.margin)
+
+    def observation(self) -> dict[str, Array]:
+        """The pose to be held, (n,)."""
+        return {"hold_angles": self._pose.copy()}
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Shapes and bounds of that."""
+        return {"hold_angles": specs.Array(self._pose.shape, np.float64, name="hold_angles")}
+
+    def goal(self) -> Array:
+        """Joint angles, (n,), at which a transparent double stands."""
+        return self._pose
+
+    def arrows(self) -> dict[str, Array]:
+        """The push, (3,), N."""
+        return {"push": self._force}

@@ -1,0 +1,99 @@
+"""What is compiled once and used again is as good as new."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.simulate.compiler import Compiler, fingerprint
+from sero_mj.simulate.scenario import Scenario
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
+
+
+def scenario(**changes: object) -> Scenario:
+    robot = SerialRobot.from_model("lwr", joint_angles=[0.0, 0.5, 0.0, -1.2, 0.0, 0.9, 0.0])
+    return Scenario(
+        Scene(robots=[robot]),
+        controllers={"lwr": {"kind": "joint_impedance", "stiffness": 800.0}},
+        disturbances={
+            "load": {"kind": "payload", "robot": "lwr", "mass": 3.0, "begin": 0.1, "end": 0.4}
+        },
+        faults={"rust": {"kind": "friction", "robot": "lwr", "begin": 0.2, "coulomb": 2.0}},
+        duration=0.3,
+        **changes,
+    )
+
+
+def rows(compiler: Compiler, **changes: object) -> bytes:
+    simulation = Simulation(scenario(**changes), compiler=compiler)
+    simulation.advance(simulation.steps)
+    return simulation.rows.tobytes()
+
+
+def test_a_run_with_a_used_compiler_is_bit_for_bit_one_with_a_new_one() -> None:
+    compiler = Compiler()
+    # Each leaves a payload on the flange and other friction in the joints.
+    first, second = rows(compiler), rows(compiler)
+    assert first == second == rows(Compiler())
+    assert rows(compiler, timestep=0.002) == rows(Compiler(), timestep=0.002)
+    elastic = rows(compiler, elastic=True)
+    assert elastic == rows(Compiler(), elastic=True) != first
+    assert rows(compiler) == first
+
+
+def test_worlds_of_one_compiler_have_models_of_their_own() -> None:
+    compiler = Compiler()
+    robot = SerialRobot.from_model("lwr")
+    one, other = compiler.world(Scene(robots=[robot])), compiler.world(Scene(robots=[robot]))
+    one.model.dof_damping[:] = 99.0
+    assert (other.model.dof_damping < 99.0).all()
+    assert (compiler.world(Scene(robots=[robot])).model.dof_damping < 99.0).all()
+
+
+def test_what_is_declared_otherwise_is_compiled_anew() -> None:
+    compiler = Compiler()
+    light = SerialRobot.from_model("lwr")
+    masses = 2.0 * np.asarray(light.dynamics.masses)
+    heavy = SerialRobot.from_model("lwr", dynamics={"masses": masses.tolist()})
+    a, b = (compiler.world(Scene(robots=[robot])).model for robot in (light, heavy))
+    assert b.body_mass.sum() > 1.5 * a.body_mass.sum()
+    for robot in (light, heavy):
+        model = compiler.robot_model(robot)
+        model.update(np.full(7, 0.5), np.zeros(7))
+        assert np.abs(model.gravity()).max() > 5.0
+
+
+def test_many_worlds_are_forgotten_again() -> None:
+    compiler = Compiler()
+    robots = [
+        SerialRobot(name="rod", dh_convention="craig", dh_params=[[0, 0, 0, 0.1 * k]],
+                    torque_limits=[20.0])
+        for k in range(1, 12)
+    ]  # fmt: skip
+    for robot in robots:
+        compiler.world(Scene(robots=[robot]))
+    assert len(compiler._worlds) == 8
+
+
+def test_a_fingerprint_tells_declarations_apart() -> None:
+    one, other = SerialRobot.from_model("lwr"), SerialRobot.from_model("lwr")
+    assert fingerprint(one) == fingerprint(other)
+    assert hash(fingerprint(one)) == hash(fingerprint(other))
+    moved = SerialRobot.from_model("lwr", base_frame={"xyz": [0.1, 0.0, 0.0]})
+    assert fingerprint(moved) != fingerprint(one)
+
+
+@pytest.mark.parametrize("name", ["impedance_push", "singularity_pass", "haptic_position"])
+def test_a_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = Compiler()
+    Simulation(read_scenario(name), compiler=compiler)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a world is compiled again")
+
+    monkeypatch.setattr("sero_mj.simulate.compiler.World", refuse)
+    monkeypatch.setattr("sero_mj.simulate.robot_model.World", refuse)
+    Simulation(read_scenario(name), compiler=compiler)
