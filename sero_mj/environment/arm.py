@@ -113,7 +113,6 @@ class Arm:
             raise DeclarationError([Problem("sensors", str(error))]) from None
         world = World(Scene(robots=[robot]), dynamic=True)
         self.plant = Plant(world, sensors, settings.timestep)
-        self.truth: Array = self.plant.actual
         self._part = world.robots[robot.name]
         self._model = RobotModel.of(robot)
         self._motors = np.zeros(2 * n) if robot.elastic_joints else None
@@ -122,6 +121,11 @@ class Arm:
         self._start = self._make_start()
         self._slack = np.array([BEYOND[kind] for kind in robot.types])
         self._make_controller().check(np.asarray(robot.home, np.float64))
+
+    @property
+    def truth(self) -> Array:
+        """True angles, velocities and torques, (3, n); see `Plant.actual`."""
+        return self.plant.actual
 
     def _make_controller(self) -> Any:
         """A new one for every episode: nothing that it remembers may get into the next."""

@@ -58,7 +58,7 @@ class CartesianImpedance(ControllerDeclaration):
     axes: Literal["world", "flange"] = "world"
     nullspace_stiffness: Annotated[PerJoint, within(0.0, 5000.0, "Nm/rad")] = np.array([10.0])
     nullspace_damping: Ratio = DEFAULT_RATIO
-    damping_every: float = Field(0.04, gt=0, le=1)
+    damping_every: float = Field(0.1, gt=0, le=1)
 
     def make(self, model: RobotModel, timestep: float) -> CartesianImpedanceController:
         """The controller at work."""

@@ -60,13 +60,16 @@ class Happenings:
 
     @property
     def next_step(self) -> int:
-        """The step before which something happens; beyond the end when nothing does any more."""
-        if self._growing:
-            return 0
+        """The last step that nothing new happens before; beyond the end when nothing will."""
         return self._due[self._next][0] if self._next < len(self._due) else self.steps + 1
 
+    @property
+    def is_growing(self) -> bool:
+        """Whether a push changes from step to step: then `before` is to be called for each."""
+        return bool(self._growing)
+
     def before(self, k: int) -> None:
-        """Does what is due before step k."""
+        """Does what is due at row k, before the step that leads on from it."""
         while self._next < len(self._due) and self._due[self._next][0] <= k:
             self._due[self._next][1]()
             self._next += 1
@@ -157,6 +160,7 @@ class Happenings:
 
     def _flange(self, robot: str) -> Array:
         """T_world_flange now, as the plant has it."""
+        self.plant.joints.look()
         body = self.plant.world.robots[robot].flange_body
         frame = np.eye(4)
         frame[:3, :3] = self.plant.data.xmat[body].reshape(3, 3)

@@ -67,7 +67,7 @@ class JointImpedance(ControllerDeclaration):
     ]
     damping: Ratio = DEFAULT_RATIO
     feed_forward: bool = False
-    damping_every: float = Field(0.04, gt=0, le=1)
+    damping_every: float = Field(0.1, gt=0, le=1)
 
     def make(self, model: RobotModel, timestep: float) -> JointImpedanceController:
         """The controller at work."""

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from mujoco import mj_step1, mj_step2
+from mujoco import mj_step, mj_step1, mj_step2
 from numpy import add, copyto, multiply, subtract
 from numpy.typing import NDArray
 
@@ -57,6 +57,9 @@ class JointModel:
     Attributes:
         n: number of joints of all robots together.
         elastic: whether any of them is.
+        looks_ahead: whether a step ends with what follows from the state that it leads to
+            (kinematics, bias torques); else the next one begins with it, which is faster.
+        is_ahead: whether that has been computed.
         motor_dofs: index of every motor in `qvel`, (n,).
         motor_positions: likewise in `qpos`.
         motor_angles: (n,), rad, as `read` or MuJoCo left them.
@@ -86,6 +89,7 @@ class JointModel:
                 sensor.append(int(of.dofadr[0]))
                 spring_q.append(int(of.qposadr[0]))
         self.n = len(motor)
+        self.looks_ahead = self.is_ahead = True
         self.elastic = bool(spring_q)
         self.motor_dofs = as_slice(np.array(motor, np.intp))
         self.sensor_dofs = as_slice(np.array(sensor, np.intp))
@@ -168,12 +172,12 @@ class JointModel:
             self._pull(held)
         if pushes is not None:
             add(motor_torques, pushes, motor_torques)
-        mj_step2(model, data)
+        (mj_step2 if self.is_ahead else mj_step)(model, data)
         multiply(qvel, after, change)
         subtract(held, change, torque)
         if self._rubs:
-            # Coulomb friction is there until `mj_step1`; its rows stand behind those of equality
-            # constraints, and before all others.
+            # Coulomb friction is there until the next `mj_step1`; its rows stand behind those of
+            # equality constraints, and before all others.
             forces = data.efc_force
             if len(forces) != self._rubs:
                 forces = forces[data.ne : data.ne + self._rubs]
@@ -181,7 +185,15 @@ class JointModel:
                 add(self._rubbed, forces, self._rubbed)
             else:
                 torque[self._rubbing] += forces
-        mj_step1(model, data)
+        if self.looks_ahead:
+            mj_step1(model, data)
+        self.is_ahead = self.looks_ahead
+
+    def look(self) -> None:
+        """Computes what follows from the state that `data` is in, if that has not been done."""
+        if not self.is_ahead:
+            mj_step1(self._model, self._data)
+            self.is_ahead = True
 
     def _pull(self, torque: Array) -> None:
         """Adds what the springs do at the start of a step to torques (nv,)."""

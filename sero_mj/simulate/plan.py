@@ -38,16 +38,16 @@ class Plan:
     moves: bool
 
     @cached_property
-    def _states(self) -> Array:
-        """Angles and velocities side by side, (T, 2n)."""
-        assert self.joints is not None
-        return np.hstack([self.joints.angles, self.joints.velocities])
+    def _motions(self) -> Array:
+        """Angles, velocities and accelerations side by side, (T, 3n)."""
+        joints = self.joints
+        assert joints is not None
+        return np.hstack([joints.angles, joints.velocities, joints.accelerations])
 
     def load(self, target: Target, k: int) -> None:
         """Writes what is asked for at a step into a controller's target."""
         if self.joints is not None:
-            target.state[:] = self._states[k]
-            target.accelerations[:] = self.joints.accelerations[k]
+            target.motion[:] = self._motions[k]
         if self.flange is not None:
             target.pose[:] = self.flange.poses[k]
             target.twist[:] = self.flange.twists[k]

@@ -69,6 +69,7 @@ class Sensors:
         seed: of the noise; the same seed gives the same values.
 
     Attributes:
+        is_perfect: whether they read the truth, at once.
         measured: (3, n), what was read last; the same array all the time.
         seed: of the noise from the next `reset` on.
 
@@ -201,6 +202,10 @@ class Sensors:
             for row, steps in enumerate(self._delays)
             if steps
         ]
+
+        self.is_perfect = not (
+            self._scaled or self._shifted or self._grids or self._faulty or self._late
+        )
 
     def _offset_all(self) -> None:
         """Noise and bias together for a block of steps: one addition in every step."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, SimulationError
 from .arm import Arm
 from .compiler import Compiler
 from .contacts import Contacts
@@ -75,6 +75,7 @@ class Simulation:
             file=scene.file,
         )
         self.plant = Plant(self.compiler.world(stripped), sensors, run.timestep)
+        self.plant.looks_ahead = False  # controllers have models of their own
         times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         plans = self._plans(times)
         self._happenings = Happenings(scenario, self.plant, run.steps)
@@ -186,61 +187,92 @@ class Simulation:
             return
         for arm in self._arms:
             arm.plan.load(arm.target, first - 1)
+        happenings, k = self._happenings, first
         try:
-            if len(self._arms) == 1:
-                self._advance_alone(self._arms[0], first, stop)
-            else:
-                self._advance_all(first, stop)
+            while k <= stop:
+                happenings.before(k - 1)
+                last = min(stop, happenings.next_step)
+                if len(self._arms) == 1:
+                    self._advance_alone(self._arms[0], k, last)
+                else:
+                    self._advance_all(k, last)
+                k = last + 1
         finally:
             self._observe(first)
 
-    def _advance_alone(self, arm: Arm, first: int, stop: int) -> None:
-        """The loop for one robot, with nothing looked up twice: it runs at up to 100 kHz."""
-        happenings, step = self._happenings, self.plant.step
-        torques, saturated = arm.controller.torques, arm.controller.saturated
-        sensed, target, commanded = arm.sensed, arm.target, self._commanded
-        measured, actual = self.plant.measured.reshape(-1), self.plant.actual.reshape(-1)
+    def _advance_alone(self, arm: Arm, first: int, last: int) -> None:
+        """The loop for one robot while nothing happens, with nothing looked up twice."""
+        happenings, plant, controller = self._happenings, self.plant, arm.controller
+        step, torques, sensed, target = plant.step, controller.torques, arm.sensed, arm.target
         moves, looks, load = arm.plan.moves, arm.has_to_look, arm.plan.load
-        n, data = self.plant.n, self.plant.data
-        part = slice(first, stop + 1)
+        grows, is_tampered = happenings.is_growing, happenings.is_tampered
+        surrounded = self._contacts is not None or happenings.carries
+        n, data = plant.n, plant.data
+        part = slice(first, last + 1)
+        # What perfect sensors read is what is, and is copied when all is over.
+        is_perfect = plant.sensors.is_perfect
+        measured = plant.measured.reshape(-1)
+        actual = measured if is_perfect else plant.actual.reshape(-1)
+        measured_rows = self._measured_log[part]
+        asked = np.empty((last + 1 - first, n))
         rows = zip(
-            range(first, stop + 1),
-            self.rows[first - 1 : stop, 0].tolist(),
-            self._measured_log[part],
+            range(first, last + 1),
+            self.rows[first - 1 : last, 0].tolist(),
+            measured_rows,
             self._actual_log[part],
             self._driven_log[part, :n],
-            self._driven_log[part, n:],
+            asked,
             strict=True,
         )
-        due = happenings.next_step
-        for k, time, measured_row, actual_row, commanded_row, saturated_row in rows:
-            if due < k:
-                happenings.before(k - 1)
-                due = happenings.next_step
-            sensed.time = time
-            if looks:
-                arm.sense()
-            if moves:
-                load(target, k - 1)
-            torques(sensed, target, commanded)
-            if happenings.is_tampered:
-                step(np.multiply(commanded, happenings.gains, self._driven))
-            else:
-                step(commanded)
-            measured_row[:] = measured
-            actual_row[:] = actual
-            commanded_row[:] = commanded
-            saturated_row[:] = saturated
-            self.step = k
-            if data.ncon or happenings.carries:
-                self._note_surroundings(k)
+        try:
+            for k, time, measured_row, actual_row, commanded_row, asked_row in rows:
+                if grows:
+                    happenings.before(k - 1)
+                sensed.time = time
+                if looks:
+                    arm.sense()
+                if moves:
+                    load(target, k - 1)
+                controller.asked = asked_row
+                torques(sensed, target, commanded_row)
+                if is_tampered:
+                    step(np.multiply(commanded_row, happenings.gains, self._driven))
+                else:
+                    step(commanded_row)
+                if not is_perfect:
+                    measured_row[:] = measured
+                actual_row[:] = actual
+                self.step = k
+                if surrounded and (data.ncon or happenings.carries):
+                    self._note_surroundings(k)
+        except SimulationError:
+            if not np.isfinite(controller.asked).all():
+                raise controller.not_finite(sensed) from None
+            raise
+        finally:
+            done = self.step + 1 - first
+            if is_perfect:
+                measured_rows[:done] = self._actual_log[first : self.step + 1]
+            driven = self._driven_log[first : self.step + 1]
+            driven[:, n:] = asked[:done] != driven[:, :n]
+        self._refuse_infinite(arm, asked, first)
 
-    def _advance_all(self, first: int, stop: int) -> None:
+    def _refuse_infinite(self, arm: Arm, asked: Array, first: int) -> None:
+        """Goes back to before a torque was infinite: cut to the limit, the plant did not see it."""
+        infinite = np.isinf(asked).any(axis=1)
+        if infinite.any():
+            row = int(np.argmax(infinite))
+            self.step = first + row - 1
+            arm.sensed.time = self.time
+            arm.controller.asked = asked[row]
+            raise arm.controller.not_finite(arm.sensed)
+
+    def _advance_all(self, first: int, last: int) -> None:
         """The same for several robots."""
         happenings, plant = self._happenings, self.plant
         n = plant.n
-        for k in range(first, stop + 1):
-            if happenings.next_step < k:
+        for k in range(first, last + 1):
+            if happenings.is_growing:
                 happenings.before(k - 1)
             for arm in self._arms:
                 arm.sense()
@@ -248,6 +280,8 @@ class Simulation:
                 if arm.plan.moves:
                     arm.plan.load(arm.target, k - 1)
                 arm.controller.torques(arm.sensed, arm.target, self._commanded[arm.joints])
+                if not np.isfinite(arm.controller.asked).all():
+                    raise arm.controller.not_finite(arm.sensed)
                 self._saturated[arm.joints] = arm.controller.saturated
             plant.step(np.multiply(self._commanded, happenings.gains, self._driven))
             self._measured_log[k] = plant.measured.reshape(-1)

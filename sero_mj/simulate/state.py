@@ -74,7 +74,8 @@ class Target:
         n: number of joints.
 
     Attributes:
-        state: (2n,), angles, then velocities, like that of `Sensed`.
+        motion: (3n,), angles, velocities and accelerations, so that one copy sets all.
+        state: (2n,), its first two thirds, like that of `Sensed`.
         angles: (n,), rad or m; the first half of `state`.
         velocities: (n,), per second; the second half of `state`.
         accelerations: (n,), per second squared.
@@ -88,6 +89,7 @@ class Target:
     __slots__ = (
         "accelerations",
         "angles",
+        "motion",
         "pose",
         "posture",
         "state",
@@ -98,10 +100,11 @@ class Target:
     )
 
     def __init__(self, n: int) -> None:
-        self.state: Array = np.zeros(2 * n)
+        self.motion: Array = np.zeros(3 * n)
+        self.state: Array = self.motion[: 2 * n]
         self.angles: Array = self.state[:n]
         self.velocities: Array = self.state[n:]
-        self.accelerations: Array = np.zeros(n)
+        self.accelerations: Array = self.motion[2 * n :]
         self.torques: Array = np.zeros(n)
         self.pose: Array = np.eye(4)
         self.twist: Array = np.zeros(6)

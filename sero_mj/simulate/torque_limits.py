@@ -53,8 +53,9 @@ class LimitedController:
 
     Attributes:
         controller: what is limited.
-        asked: (n,), what the controller asked for in this step.
-        saturated: (n,), which joints got something else in this step.
+        asked: (n,), what the controller asked for in the last step; may be replaced by another
+            array, a row of a log say, between two steps.
+        checks: whether NaN and infinity are looked for; false for who looks by himself.
 
     Raises:
         DeclarationError: a limit is not positive, or there is not one for every joint.
@@ -78,7 +79,8 @@ class LimitedController:
             raise DeclarationError(problems)
         self.controller = controller
         self.asked: Array = np.zeros(n)
-        self.saturated: NDArray[np.bool_] = np.zeros(n, bool)
+        self.checks = True
+        self._given: Array = self.asked
         self._robot, self._names = robot, list(joint_names)
         self._high: Array = np.array(limits, float)
         self._low: Array = -self._high
@@ -88,7 +90,7 @@ class LimitedController:
         self._to: Array = np.zeros(n)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes what the drives get, (n,), and which joints are `saturated`.
+        """Writes what the drives get, (n,).
 
         Raises:
             SimulationError: a torque is NaN or infinite.
@@ -98,8 +100,9 @@ class LimitedController:
             self.controller.torques(sensed, target, asked)
         except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
             asked[:] = math.nan
-        if not asked.dot(asked) < math.inf:  # one number tells of NaN and inf in any joint
-            raise self._not_finite(sensed)
+        # One number tells of NaN and inf in any joint.
+        if self.checks and not asked.dot(asked) < math.inf:
+            raise self.not_finite(sensed)
         _clip(asked, self._low, self._high, out)
         if self._step is not None:
             if self._last is None:
@@ -108,7 +111,12 @@ class LimitedController:
             np.add(self._last, self._step, self._to)
             _clip(out, self._from, self._to, out)
             self._last[:] = out
-        np.not_equal(out, asked, self.saturated)
+        self._given = out
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Which joints got something else than they asked for in the last step, (n,)."""
+        return np.not_equal(self._given, self.asked)
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long, where the controller can tell.
@@ -127,7 +135,7 @@ class LimitedController:
         """Forgets the last torques, as after a reset."""
         self._last = None
 
-    def _not_finite(self, sensed: Sensed) -> SimulationError:
+    def not_finite(self, sensed: Sensed) -> SimulationError:
         """Names the joint whose sensor is to blame, else the one whose torque is."""
         for values, what in zip(sensed.values, ("angle", "velocity", "torque"), strict=True):
             if not np.isfinite(values).all():
