@@ -28,7 +28,7 @@ from sero_mj import Scenario, Scene, SerialRobot, Simulation
 from sero_mj.simulate.run_recorder import RunRecorder
 
 HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
-SECONDS, ROUNDS = 4.0, 9
+SECONDS, ROUNDS = 8.0, 7
 SWING = {"kind": "sine", "amplitude_deg": 5.0, "frequency": 0.5}
 GAINS = {"joint_impedance": {"stiffness": 800.0}}
 NOISE = {"torques": {"noise": 0.05, "resolution": 0.01}, "velocities": {"noise": 1e-3}}

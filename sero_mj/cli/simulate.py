@@ -39,8 +39,8 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("scenario", metavar="SCENARIO", help="a file, or a shipped scenario's name")
     parser.add_argument("--record", type=Path, metavar="OUT.mcap", help="keep every step")
     parser.add_argument(
-        "--signals-rate", type=not_negative, default=10.0, metavar="HZ",
-        help="of values as JSON in the recording, for other programs (default 10; 0 none)",
+        "--signals-rate", type=not_negative, default=5.0, metavar="HZ",
+        help="of values as JSON in the recording, for other programs (default 5; 0 none)",
     )  # fmt: skip
     parser.add_argument("--csv", type=Path, metavar="OUT.csv", help="the same as a table")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="torques of every joint")

@@ -73,7 +73,7 @@ class ChunkBuilder:
     """
 
     def __init__(self) -> None:
-        self._compressor = zstandard.ZstdCompressor(level=1)
+        self._compressor = zstandard.ZstdCompressor(level=-3)  # twice as fast as 1, 6 % larger
         self.clear()
 
     def clear(self) -> None:

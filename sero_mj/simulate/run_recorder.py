@@ -18,7 +18,7 @@ from .scenario import Scenario
 from .simulation import Simulation
 from .staging import SOURCE
 
-SIGNALS_RATE = 10.0  # decoded rows per simulated second, for programs that plot; 0 for none
+SIGNALS_RATE = 5.0  # decoded rows per simulated second, for programs that plot; 0 for none
 
 
 class RunRecorder:
