@@ -6,7 +6,7 @@ import socket
 from typing import Any
 
 import pytest
-from decor_tools import GEOM, labels, of_kind, rectangle, view_at
+from decor_tools import GEOM, belonging, labels, of_kind, rectangle, view_at
 from polling import until
 from source_slots import set_source
 
@@ -14,7 +14,8 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.status import Status
+from sero_mj.decor.pen import Kind
+from sero_mj.decor.status import FAULT_RGBA, Status
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
 from sero_mj.receive.structure import Structure
@@ -77,6 +78,39 @@ def test_faults_of_a_source_stand_in_the_corner(counts: dict[str, float], said: 
         low, high = rectangle(view, row)
         assert low[0] >= 0 and high[1] <= view.height
         assert high[0] < view.width / 2 and low[1] > view.height / 2
+
+
+FAULTS = {"received": 99, "age": 0.1, "size": 56, "malformed": 9, "wrong_size": 3, "not_frames": 2,
+          "wrong_constant": 1, "last_size": 5, "fault_age": 1, "lost": 3, "late": 7,
+          "duplicates": 2, "restarts": 4, "link_age": 0.5, "senders": 3}  # fmt: skip
+
+
+@pytest.mark.parametrize("counts", [FAULTS, {**FAULTS, "malformed": 0}])
+@pytest.mark.parametrize("size", [(640, 480), (800, 600), (1280, 800)])
+@pytest.mark.parametrize("distance", [1.2, 2.0, 3.5])
+@pytest.mark.parametrize("azimuth", [0.7, 2.9])
+def test_faults_cover_no_billboard(
+    counts: dict[str, float], size: tuple[int, int], distance: float, azimuth: float
+) -> None:
+    scene = udp_scene()
+    lwr = SerialRobot.from_model(
+        "lwr", show_arrows=True, show_billboards=True,
+        billboard_lines=["torques", "joint_angles", "torque_error"],
+    )  # fmt: skip
+    scene.robots["lwr"] = lwr
+    world = World(scene)
+    data = world.make_data()
+    set_source(data, world, "udp", **counts)
+    view = view_at(azimuth, distance, *size)
+    pen = Decor(world).draw(data, Toggles(world), view)
+    rows = pen.rows[: pen.count]
+    panels = [rectangle(view, row) for row in belonging(pen, Kind.BILLBOARD)]
+    boxes = of_kind(rows, GEOM.mjGEOM_BOX)
+    faults = [row for row in boxes if tuple(row["rgba"]) == pytest.approx(FAULT_RGBA)]
+    assert len(panels) >= 5 and len(faults) == 1
+    low, high = rectangle(view, faults[0])
+    for panel_low, panel_high in panels:
+        assert (panel_low >= high - 1e-3).any() or (panel_high <= low + 1e-3).any()
 
 
 def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
