@@ -15,6 +15,7 @@ import pytest
 from polling import until
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
+from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
 from sero_mj.drive.mirror import load_scene
 from sero_mj.drive.record_sources import record_sources
@@ -87,9 +88,11 @@ def test_it_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list[tup
         HeadlessRenderer(mirror.world, 320, 240) as renderer,
     ):
         assert not mirror.is_live
-        slot = mirror.world.slots["sources.udp"]
-        times = [slot.start + 3, slot.start + 7]  # ages: the same but for the time of looking
-        others = np.setdiff1d(np.arange(len(mirror.data.userdata)), times)
+        start = mirror.world.slots["sources.udp"].start
+        # Ages are the same but for the time of looking; who sent is not recorded.
+        times = [start + SOURCE_FIELDS.index(key) for key in ("age", "fault_age", "link_age")]
+        senders = start + SOURCE_FIELDS.index("senders")
+        others = np.setdiff1d(np.arange(len(mirror.data.userdata)), [*times, senders])
         for at, userdata, qpos, pixels in shown:
             mirror.advance(at)
             assert mirror.data.qpos.tolist() == qpos.tolist()
@@ -135,7 +138,7 @@ def test_speed_seeking_and_standing_still(
         replay.resume(50.0)
         mirror.advance(50.0 + (shown[3][0] - shown[1][0]) / 4)
         assert mirror.data.qpos.tolist() == shown[3][2].tolist()
-        mirror.advance(100.0)  # at the end it stays, and what it shows is not stale
+        mirror.advance(50.0 + (replay.duration - shown[1][0]) / 4)  # at the end it stays
         assert replay.position == pytest.approx(replay.duration)
         assert replay.receiving
 
