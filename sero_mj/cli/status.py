@@ -22,6 +22,7 @@ examples:
   sero-mj status lwr_udp --duration 5 --json
 
 Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
+Recordings play meanwhile.
 Every cause for which packets are not applied is counted. Exits with 1 when a source is silent.
 """
 
@@ -72,14 +73,23 @@ def _watch(sources: list[Receiver], duration: float | None, *, live: bool) -> No
 
     from ..receive.report import report
 
-    end = time.monotonic() + (float("inf") if duration is None else duration)
+    begin = time.monotonic()
+    end = begin + (float("inf") if duration is None else duration)
+
+    def go_on() -> bool:
+        """Sleeps a little and plays recordings up to now; says whether there is time left."""
+        left = end - time.monotonic()
+        time.sleep(min(max(left, 0.0), _EVERY))
+        for source in sources:
+            source.advance_to(time.monotonic() - begin)
+        return left > 0
+
     if not (live and sys.stdout.isatty()):
-        while (left := end - time.monotonic()) > 0:
-            time.sleep(min(left, _EVERY))
+        while go_on():
+            pass
         return
     with Live(refresh_per_second=1 / _EVERY) as screen:
-        while (left := end - time.monotonic()) > 0:
-            time.sleep(min(left, _EVERY))
+        while go_on():
             screen.update(_table([report(source) for source in sources]))
 
 
