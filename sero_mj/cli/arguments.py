@@ -19,6 +19,7 @@ from ..errors import UnknownName, UsageError, did_you_mean
 if TYPE_CHECKING:
     from ..assemble.robot import SerialRobot
     from ..assemble.scene import Scene
+    from ..receive.recording import Recording
 
 # Subparsers have no public type.
 Commands = Any
@@ -194,12 +195,13 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
 
     Raises:
         RecordingError: it cannot be read.
-        UsageError: it has none of the scene's sources.
+        UsageError: it has none of the scene's sources, or ends before `start`.
     """
     from ..receive.recording import Recording
 
     with Recording(file) as recording:
         recorded = list(recording.sources)
+        check_span(recording, start)
     both = [name for name in scene.sources if name in recorded]
     if not both:
         found = ", ".join(recorded) or "no source"
@@ -209,6 +211,23 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         scene.sources[name] = {"kind": "replay", "file": str(file), "source": name}
         if start is not None:
             scene.sources[name]["start"] = start
+
+
+def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
+    """Refuses times of `--start` and `--stop` between which a recording has nothing.
+
+    Raises:
+        UsageError: it ends before the start, or the stop is not after the start.
+    """
+    from ..receive.replay import check_start
+
+    if start is not None:
+        try:
+            check_start(start, recording)
+        except ValueError as error:
+            raise UsageError(f"--start: {error}") from None
+    if start is not None and stop is not None and stop <= start:
+        raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
 
 
 def read_model(name: str, settings: dict[str, Any] | None = None) -> SerialRobot:

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from ..errors import UsageError, did_you_mean
-from .arguments import Commands, add_command, not_negative
+from .arguments import Commands, add_command, check_span, not_negative
 
 _EPILOG = """\
 examples:
@@ -44,6 +44,7 @@ def run(options: argparse.Namespace) -> int:
         if name not in names:
             near = did_you_mean(name, names)
             raise UsageError(f"--source: no source '{name}' in {options.recording}{near}")
+        check_span(recording, options.start, options.stop)
         decode = Replay(file=options.recording, source=name).decode
         start = -math.inf if options.start is None else options.start
         written = export_csv(
