@@ -30,7 +30,7 @@ def add_to(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Writes; returns 0."""
+    """Writes; returns 0, or 1 where the recording is damaged and nothing could be read."""
     from ..drive.export_csv import export_csv
     from ..receive.recording import Recording
     from ..receive.replay import Replay
@@ -51,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
             recording, name, options.output, decode, start=start, stop=options.stop
         )
         for fault in recording.faults:
-            print(f"note: {fault}")
+            print(f"note: {options.recording}: {fault}")
+        damaged = bool(recording.faults)
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
     print(f"{options.output}: {written.rows} rows{left_out}")
-    return 0
+    return 1 if damaged and not written.rows else 0

@@ -31,6 +31,7 @@ class Playback:
         duration: from the first to the last, s.
         skipped: how many could not be sent so far: malformed ones, and such whose numbers the
             structure cannot hold.
+        notes: what is to be known about it, a sentence each: damage of a recording, found so far.
     """
 
     structure: Structure
@@ -38,6 +39,7 @@ class Playback:
     count: int
     duration: float
     skipped: int = field(default=0, init=False)
+    notes: list[str] = field(default_factory=list, init=False)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes."""
@@ -75,7 +77,7 @@ class RecordedPackets(Playback):
         only_whole: bool = False,
     ) -> None:
         self.file, self._only_whole = file, only_whole
-        name = _choose(file, source)
+        name, faults = _choose(file, source)
         self._replay = Replay(file=file, source=name)
         recorded = self._replay.recorded
         if not recorded.count:
@@ -87,6 +89,7 @@ class RecordedPackets(Playback):
         how = "bit for bit" if self.is_raw else f"its {', '.join(self._events)}"
         about = f"{file}, source {name}, {how}"
         super().__init__(layout, about, recorded.count, recorded.last - recorded.first)
+        self._note(faults)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
@@ -98,6 +101,11 @@ class RecordedPackets(Playback):
                     self.skipped += 1
                 elif sent is not None:
                     yield arrival - recorded.first, sent
+            self._note(recording.faults)
+
+    def _note(self, faults: list[str]) -> None:
+        found = [f"{self.file}: {fault}" for fault in faults]
+        self.notes += [note for note in found if note not in self.notes]
 
     def _again(self, packet: bytes) -> bytes | None:
         values = self._replay.decode(packet)
@@ -191,17 +199,18 @@ def _of_event(
     return np.stack(numbers, axis=1).reshape(count, *shape)
 
 
-def _choose(file: Path, source: str) -> str:
+def _choose(file: Path, source: str) -> tuple[str, list[str]]:
+    """The source of a recording that is meant, and what is wrong with the recording."""
     with Recording(file) as recording:
         names = list(recording.sources)
-    if source:
-        if source not in names:
+        if source and source not in names:
             raise UsageError(f"no source '{source}' in {file}{did_you_mean(source, names)}")
-        return source
-    if len(names) != 1:
-        has = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
-        raise UsageError(f"{file} {has}")
-    return names[0]
+        if not source and len(names) != 1:
+            has = f"has several sources: {', '.join(names)}; choose one"
+            raise UsageError(f"{file} {has if names else 'has no source'}")
+        name = source or names[0]
+        recording.check_readable(name)
+        return name, recording.faults
 
 
 def _is_same(one: Structure, other: Structure) -> bool:

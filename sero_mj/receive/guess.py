@@ -200,7 +200,7 @@ def _header_in(rows: Rows, order: str) -> tuple[str, int]:
     return " ".join(parts), at
 
 
-def _second(numbers: NDArray[np.unsignedinteger], order: str) -> NDArray[np.unsignedinteger]:
+def _second(numbers: NDArray[np.integer], order: str) -> NDArray[np.integer]:
     """The last two of four bytes."""
     return numbers >> 16 if order == "<" else numbers & 0xFFFF
 

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_
 from ..errors import RecordingError, SourceError, did_you_mean
 from .intake import Intake
 from .live import LIVE
-from .receiver import Receiver
+from .receiver import Receiver, log
 from .recording import RecordedSource, Recording
 from .source import Packets
 from .structure import Structure
@@ -64,6 +64,7 @@ class Replay(Receiver):
     _beyond: float = PrivateAttr(0.0)  # s since it ended
     _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # the clock's time, and the position
     _paused: bool = PrivateAttr(False)
+    _told: int = PrivateAttr(0)  # faults of the recording
     _lock: Any = PrivateAttr(default_factory=threading.RLock)
 
     @field_validator("structure")
@@ -202,10 +203,13 @@ class Replay(Receiver):
         self.close()
         try:
             self._recording = Recording(self.file)
+            self._recording.check_readable(self.source)
         except RecordingError as error:
+            self.close()
             raise SourceError(self.name, str(error)) from error
         self._start_afresh()
         self._paused = False
+        self._told = 0
         self._anchor = (0.0, self._begin)
         self._go_to(self._begin)
 
@@ -281,6 +285,7 @@ class Replay(Receiver):
         self._number = number  # goes on: whoever takes packets must see that these are new
         if before is not None:
             self._hand_in([before])
+        self._tell_faults()
 
     def _play_until(self, position: float) -> None:
         self._position = position
@@ -297,6 +302,15 @@ class Replay(Receiver):
                 batch = []
         if batch:
             self._hand_in(batch)
+        self._tell_faults()
+
+    def _tell_faults(self) -> None:
+        """Logs what is wrong with the recording, as it is found."""
+        assert self._recording is not None
+        faults = self._recording.faults
+        for fault in faults[self._told :] if self.debug_level else []:
+            log.warning("%s: %s", self.file, fault)
+        self._told = len(faults)
 
     def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
         size = self.layout.size
