@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -47,10 +47,21 @@ class Playback:
 
     def _encode(self, values: Mapping[str, ArrayLike]) -> bytes | None:
         try:
-            return self.structure.encode(values)
+            return self.structure.encode({**_identities(self.structure), **values})
         except ValueError:  # a number that its type cannot hold
             self.skipped += 1
             return None
+
+    def _note_absent(self, events: Collection[str]) -> None:
+        """Says what is sent for those events of the structure that are not among these."""
+        blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
+        absent = [event for event in blank if event not in events and not blank[event].any()]
+        frames = [event for event in absent if event in self.structure.matrices]
+        numbers = [event for event in absent if event not in frames]
+        said = [f"{', '.join(numbers)} as zeros"] * bool(numbers)
+        said += [f"{', '.join(frames)} as identity"] * bool(frames)
+        if said:
+            self.notes.append(f"what is not there is sent all the same: {', '.join(said)}")
 
 
 class RecordedPackets(Playback):
@@ -60,7 +71,7 @@ class RecordedPackets(Playback):
         file: the recording.
         source: which of its sources; may be empty where it has one only.
         structure: to send in; events keep their names, and those that the recording has not are
-            zero. None for what was recorded.
+            zero, frames the identity. None for what was recorded.
         only_whole: leaves out recorded packets that are not as long as the structure says.
 
     Raises:
@@ -90,6 +101,8 @@ class RecordedPackets(Playback):
         about = f"{file}, source {name}, {how}"
         super().__init__(layout, about, recorded.count, recorded.last - recorded.first)
         self._note(faults)
+        if not self.is_raw:
+            self._note_absent(self._events)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
@@ -119,7 +132,8 @@ class TablePackets(Playback):
     """The rows of a table of comma-separated values.
 
     Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
-    table without names, or with others, has all numbers of the packet, in order.
+    table without names, or with others, has all numbers of the packet, in order. Events may be left
+    out as a whole.
 
     Args:
         file: the table.
@@ -149,9 +163,11 @@ class TablePackets(Playback):
             for event, shape in structure.events.items()
             if any(name in columns for name in column_names({event: shape}))
         }
+        self._check_complete(file, columns, structure)
         about = f"{file}, {', '.join(self._columns)}"
         duration = float(self._times[-1] - self._times[0])
         super().__init__(structure, about, len(self._times), duration)
+        self._note_absent(self._columns)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each row is due, s after the first, and its packet."""
@@ -159,6 +175,21 @@ class TablePackets(Playback):
             packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
             if packet is not None:
                 yield time, packet
+
+    def _check_complete(
+        self, file: Path, columns: Mapping[str, Array], structure: Structure
+    ) -> None:
+        """Refuses an event of which only some numbers are there: the others would be made up."""
+        for event in self._columns:
+            wanted = column_names({event: structure.events[event]})
+            missing = [name for name in wanted if name not in columns]
+            if missing:
+                names = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
+                reason = (
+                    f"has {len(wanted) - len(missing)} of the {len(wanted)} numbers of {event}; "
+                    f"no column is called {names}"
+                )
+                raise CsvError(file, reason)
 
 
 def timed(
@@ -193,10 +224,16 @@ def timed(
 def _of_event(
     columns: Mapping[str, Array], event: str, shape: tuple[int, ...], count: int
 ) -> Array:
-    """An event's numbers of all rows, (count, ...); zeros where the table has none."""
-    none = np.zeros(count)
+    """An event's numbers of all rows, (count, ...); NaN where the table has none."""
+    none = np.full(count, np.nan)
     numbers = [columns.get(name, none) for name in column_names({event: shape})]
     return np.stack(numbers, axis=1).reshape(count, *shape)
+
+
+def _identities(structure: Structure) -> dict[str, Array]:
+    """Frames for all matrices of a structure: zeros would be none."""
+    shapes = {event: structure.events[event] for event in structure.matrices}
+    return {event: np.broadcast_to(np.eye(4), shape) for event, shape in shapes.items()}
 
 
 def _choose(file: Path, source: str) -> tuple[str, list[str]]:
