@@ -105,6 +105,21 @@ def test_so_are_those_of_the_command_line(
     assert not list(tmp_path.glob("x.*"))
 
 
+def test_a_table_that_is_there_is_kept(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "t.csv"
+    table.write_text("mine")
+    refused("export-csv", recording, table)
+    said = f"sero-mj: {table}: exists already; choose another name, or --overwrite\n"
+    assert capsys.readouterr().err == said
+    assert table.read_text() == "mine"
+    with pytest.raises(SystemExit) as caught:
+        main(["export-csv", str(recording), str(table), "--overwrite"])
+    assert caught.value.code == 0
+    assert len(table.read_text().splitlines()) == 12
+
+
 def test_no_packet_is_seen_twice_where_it_begins(recording: Path) -> None:
     whole = Replay(file=recording, start=0.0)
     for start in (0.0, 0.35, whole.recorded.last, whole.recorded.first):

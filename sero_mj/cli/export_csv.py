@@ -27,6 +27,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--source", metavar="NAME", help="which source (default: the only one)")
     parser.add_argument("--start", type=not_negative, metavar="S", help="from this time on")
     parser.add_argument("--stop", type=not_negative, metavar="S", help="until before this time")
+    parser.add_argument("--overwrite", action="store_true", help="write over a file that exists")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -35,6 +36,8 @@ def run(options: argparse.Namespace) -> int:
     from ..receive.recording import Recording
     from ..receive.replay import Replay
 
+    if options.output.exists() and not options.overwrite:
+        raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")
     with Recording(options.recording) as recording:
         names = list(recording.sources)
         if options.source is None and len(names) != 1:
