@@ -43,7 +43,7 @@ class Receiver(Declaration):
         is_double: `F`, `V`, `M` and `T` are float64, else float32 (`double` in files).
         column_major: matrices come column by column, else row by row.
         alignment: items begin at multiples of so many bytes: 1, 2, 4 or 8.
-        scale: every floating-point number is multiplied by it; of matrices only the position.
+        scale: times every floating-point number, of matrices the position; not `sequence`, `time`.
         only_latest_packet: the newest packet wins; when false every packet is handed on in order.
         sequence: event (a named field, say) that numbers the packets; it tells loss.
         time: event that says when a packet was sent; it tells jitter and delay.
