@@ -51,12 +51,18 @@ def udp_scene(**udp: Any) -> Scene:
              "  another kind of packet: a constant is wrong"],
         ),
         ({"received": 12, "malformed": 3, "wrong_size": 3, "fault_age": 6.0}, []),  # long ago
-        ({"received": 12, "lost": 3, "link_age": 0.5}, ["udp: packets 3 lost"]),
+        ({"received": 12, "lost": 3, "link_age": 0.5}, ["udp: 3 packets lost"]),
         (
             {"received": 12, "lost": 3, "late": 1, "duplicates": 2, "dropped": 5, "link_age": 0.5},
-            ["udp: packets 3 lost, 1 late, 2 twice, 5 thrown away here"],
+            ["udp: 3 packets lost, 1 came late", "  2 packets came twice, 5 thrown away here"],
         ),
         ({"received": 12, "lost": 3, "late": 1, "link_age": 5.5}, []),
+        (  # they may be the same ones
+            {"received": 12, "malformed": 3, "wrong_size": 3, "last_size": 5, "fault_age": 1,
+             "lost": 3, "link_age": 1},
+            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
+             "udp: 3 packets lost or not applied"],
+        ),
         ({"received": 12, "restarts": 1, "link_age": 1}, ["udp: the sender began anew"]),
         ({"received": 12, "restarts": 4, "link_age": 1}, ["udp: the sender began anew 4 times"]),
         (
@@ -145,7 +151,7 @@ def test_what_a_link_loses_and_mixes_up_is_written() -> None:
         send(5000, 5001, 5002)
         assert corner(mirror) == []
         send(5005, 5004, 5005)
-        assert corner(mirror) == ["udp: packets 1 lost, 1 late, 1 twice"]
+        assert corner(mirror) == ["udp: 1 packet lost, 1 came late", "  1 packet came twice"]
         send(1, 2, 3, 4)
         assert corner(mirror)[-1] == "udp: the sender began anew"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:

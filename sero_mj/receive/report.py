@@ -66,7 +66,10 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
     else:
         rows.append(("state", "quiet", f"no good packet for {found['age']:.1f} s"))
     rows.append(("received", str(found["received"]), f"{found['good']} of them applied"))
-    rows += [(name, str(found[name]), why) for name, why in MEANINGS.items() if found[name]]
+    meanings = dict(MEANINGS)
+    if found["wrong_size"] or found["wrong_constant"]:
+        meanings["lost"] += ", or that of a packet below could not be read"
+    rows += [(name, str(found[name]), why) for name, why in meanings.items() if found[name]]
     if found["senders"] > 1:
         rows.append(("senders", str(found["senders"]), "at once; sender = ... chooses one"))
     if found["last_fault"]:
