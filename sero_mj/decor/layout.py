@@ -120,11 +120,12 @@ def columns(
 
 
 def _limits(corners: Array, height: int) -> tuple[float, float]:
-    """Between which heights corners leave room; each takes half of the picture at most."""
+    """Between which heights corners leave room, a third of the picture at least."""
     at_bottom = corners[:, 1] + corners[:, 3] < height
     below = float(corners[at_bottom, 3].max(initial=0.0))
     above = float(corners[~at_bottom, 1].min(initial=height))
-    return min(below, height / 2), max(above, height / 2)
+    above = max(above, height / 3)
+    return min(below, above - height / 3), above
 
 
 def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: int) -> Array:
