@@ -355,3 +355,20 @@ def test_what_is_set_wrongly_is_said_of_the_setting(
     if scene == "lwr":  # there is one robot only
         message = message.replace(" to set this for", "")
     assert capsys.readouterr().err.startswith(f"sero-mj: --set {message}")
+
+
+def test_check_names_what_no_route_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        '[robots.lwr]\nmodel = "lwr"\n\n'
+        '[sources.udp]\nkind = "udp"\nstructure = "n:1I t:1F 7F7F mode:1H"\nsequence = "n"\n'
+        'time = "t"\n\n[sources.other]\nkind = "udp"\nstructure = "3F"\n\n'
+        '[routes]\n"lwr.joint_angles" = "udp.values0 * deg"\n'
+    )
+    _, out, _ = run(capsys, "check", str(file))
+    assert "            not used: values1, mode\n" in out
+    assert out.count("no route leads from it") == 1
+    assert "not used" not in run(capsys, "check", "lwr_fri")[1]
+    assert "not used" not in run(capsys, "check", "lwr_udp")[1]
