@@ -6,11 +6,12 @@ import argparse
 import json
 import sys
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
 from .arguments import Commands, add_command, positive, read_scene_or_model
+from .ending import until_ended
 
 if TYPE_CHECKING:
     from ..receive.receiver import Receiver
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         for source in sources:
             stack.enter_context(source)
-        with suppress(KeyboardInterrupt):
+        with until_ended():
             _watch(sources, options.duration, live=not options.json)
         found = [report(source) for source in sources]
     if options.json:
