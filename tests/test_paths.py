@@ -21,6 +21,7 @@ from sero_mj import paths
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene_file import read_scene
 from sero_mj.assemble.world import World
+from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 
 MINIMAL = 'dh_convention = "craig"\n'
@@ -342,3 +343,27 @@ def test_unknown_public_name_is_an_attribute_error():
 def test_version_is_that_of_the_project_file():
     project = Path(__file__).parents[1] / "pyproject.toml"
     assert tomllib.loads(project.read_text())["project"]["version"] == sero_mj.__version__
+
+
+def test_robots_beside_a_scene_are_named_as_well(tmp_path: Path) -> None:
+    (tmp_path / "kestrel").mkdir()
+    (tmp_path / "kestrel" / "robot.toml").write_text("")
+    with pytest.raises(UnknownName, match=r"no robot model 'kestrl'; did you mean 'kestrel'\?"):
+        paths.find_model("kestrl", tmp_path)
+    with pytest.raises(UnknownName) as caught:
+        paths.find_model("nothing_like_it", tmp_path)
+    assert {"kestrel", "lwr"} <= set(caught.value.available)
+
+
+def test_a_file_that_is_named_without_its_ending_is_pointed_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "gripper6.toml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    said = "'gripper6'; a file is named with its ending: gripper6.toml"
+    with pytest.raises(UnknownName, match=f"no scene {said}"):
+        paths.find_scene("gripper6")
+    with pytest.raises(SystemExit) as caught:
+        main(["check", "gripper6"])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err == f"sero-mj: no scene or robot {said}\n"

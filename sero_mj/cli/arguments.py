@@ -173,9 +173,10 @@ def _read(name: str, given: dict[str, Any]) -> Scene:
             return _read_staged(name, given)
         try:
             paths.find_model(name)
-        except UnknownName:
-            available = [*paths.list_scenes(), *paths.list_scenarios(), *paths.list_models()]
-            raise UnknownName("scene or robot", name, available) from error
+        except UnknownName as no_model:
+            available = [*paths.list_scenes(), *paths.list_scenarios(), *no_model.available]
+            hint = paths.file_hint(name)
+            raise UnknownName("scene or robot", name, available, hint) from error
         return Scene(robots=[read_model(name, given)], name=name)
     if _is_robot_file(path):
         return Scene(robots=[read_model(str(path), given)], name=path.parent.name)
