@@ -120,6 +120,12 @@ def test_a_table_that_is_there_is_kept(
     assert len(table.read_text().splitlines()) == 12
 
 
+def test_nothing_is_sent_to_it(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused("send", scene_file(recording), "--duration", 0.1)
+    said = "source 'arm' of the scene is a recording, to which nothing can be sent; give --port"
+    assert capsys.readouterr().err.startswith(f"sero-mj: {said}")
+
+
 def test_no_packet_is_seen_twice_where_it_begins(recording: Path) -> None:
     whole = Replay(file=recording, start=0.0)
     for start in (0.0, 0.35, whole.recorded.last, whole.recorded.first):
