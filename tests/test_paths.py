@@ -20,6 +20,7 @@ import sero_mj
 from sero_mj import paths
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.toml_file import key_lines
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
@@ -367,3 +368,17 @@ def test_a_file_that_is_named_without_its_ending_is_pointed_to(
         main(["check", "gripper6"])
     assert caught.value.code == 2
     assert capsys.readouterr().err == f"sero-mj: no scene or robot {said}\n"
+
+
+def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    file.write_text(
+        '[robots.arm]\nlines = [\n  { value = "a", unit = "deg" },\n  # no ], and no entry\n'
+        '  "b", "c",\n  [1,\n   2],\n]\na.b = [[1, 2],\n  [3, 4]]\nc = """[\n1"""\n'
+    )
+    lines = key_lines(file)
+    under = {key.removeprefix("robots.arm."): line for key, line in lines.items()}
+    assert under["lines"] == 2
+    assert [under[f"lines.{i}"] for i in range(4)] == [3, 5, 5, 6]
+    assert (under["lines.0.unit"], under["lines.3.1"]) == (3, 6)
+    assert (under["a.b.0"], under["a.b.1"], under["a.b.1.1"], under["c"]) == (9, 10, 10, 11)
