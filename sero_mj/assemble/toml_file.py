@@ -107,7 +107,8 @@ def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str,
     rows = statement.rstrip("\n").split("\n")
     if not key or not 1 < len(rows) <= _MOST_ROWS:
         return 0, {}
-    found, known, begin = {}, 0, 0
+    found: dict[str, int] = {}
+    known = begin = 0
     for count in range(1, len(rows) + 1):
         text = "\n".join(rows[:count])
         try:
