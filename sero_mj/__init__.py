@@ -9,8 +9,9 @@ Conventions, everywhere in this package:
   turn about the fixed x, y and z axes, as in URDF. The world's z points up.
 - A robot has n joints, numbered from 1 at the base in names and from 0 in arrays; per-joint
   arrays are (n,). Joint values are rad for revolute and m for prismatic joints, efforts Nm and N.
-- Pixels are counted from the lower left corner; pictures are (height, width, 3), uint8, top row
-  first.
+- Pictures are (height, width, 3), uint8, top row first, and pixels of clicks (`--click`,
+  `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y down. Within
+  `decor`, where panels are laid out, they are counted from the lower left one, y up.
 - The data moves one way: assemble, receive, drive, decor, show. A file imports only from folders
   above its own in that list.
 

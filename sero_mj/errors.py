@@ -88,14 +88,14 @@ class UnknownName(SeroError, KeyError):
     Attributes:
         kind: what was looked for, e.g. `camera`.
         name: the name that was given.
-        available: the names that exist.
+        available: the names that exist; `hint` stands instead of them where one is known.
     """
 
-    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
         self.kind = kind
         self.name = name
-        self.available = sorted(available)
-        super().__init__(f"no {kind} '{name}'{did_you_mean(name, self.available)}")
+        self.available = sorted(set(available))
+        super().__init__(f"no {kind} '{name}'{hint or did_you_mean(name, self.available)}")
 
     def __str__(self) -> str:
         return str(self.args[0])  # KeyError would print the repr

@@ -51,14 +51,22 @@ def find_model(name: str, beside: Path | None = None) -> Path:
         beside: folder that relative paths start from; the working directory when None.
 
     Raises:
-        UnknownName: nothing of that name exists; lists the shipped robots.
+        UnknownName: nothing of that name exists; lists the robots beside it and the shipped ones.
     """
     local = (beside or Path.cwd()) / name
     for candidate in (local / "robot.toml", local, models_dir() / name / "robot.toml"):
         if candidate.suffix == ".toml" and _is_file(candidate):
             return candidate
     _refuse_path(name, beside)
-    raise UnknownName("robot model", name, list_models())
+    raise UnknownName("robot model", name, [*_models_in(beside or Path.cwd()), *list_models()])
+
+
+def _models_in(folder: Path) -> list[str]:
+    """Names of the folders beside a scene that hold a robot."""
+    try:
+        return sorted({path.parent.name for path in folder.glob("*/robot.toml")})
+    except OSError:
+        return []
 
 
 def _refuse_path(name: str, beside: Path | None = None) -> None:
@@ -78,6 +86,13 @@ def _is_folder(path: Path) -> bool:
         return path.is_dir()
     except (OSError, ValueError):
         return False
+
+
+def file_hint(name: str) -> str:
+    """Points to NAME.toml in the working directory, where only NAME was given; else empty."""
+    if "\0" in name or not _is_file(Path(f"{name}.toml")):
+        return ""
+    return f"; a file is named with its ending: {name}.toml"
 
 
 def scenarios_dir() -> Path:
@@ -114,4 +129,4 @@ def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) 
         if _is_file(candidate):
             return candidate
     _refuse_path(name)
-    raise UnknownName(kind, name, shipped())
+    raise UnknownName(kind, name, shipped(), file_hint(name))

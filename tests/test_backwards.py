@@ -100,7 +100,7 @@ def test_one_event_of_many_parts_carries_everything() -> None:
         "goal.joint_angles": "udp.values0[9:12] - 1",
         "push.vector": "udp.values0[12:15]",
         "lwr.show_arrows": "not udp.values0[15]",
-        "target.frame": "udp.matrices0[1]",
+        "target.frame": "udp.matrices0[1] * mm",
     }
     scene = scene_of("16F2M", routes)
     world, data = received(scene)

@@ -333,3 +333,42 @@ def test_a_closed_pipe_ends_quietly() -> None:
     command = f"{sys.executable} -m sero_mj list --fields | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("lwr.show_arrow=true", "lwr.show_arrow: unknown key; did you mean 'show_arrows'?"),
+        ("lwr.joint_angles=1,2", "lwr.joint_angles: found 2 entries; expected 7, one per row of"),
+        ('lwr.billboard_lines=[{value="torques", decimal=1}]',
+         "lwr.billboard_lines.0.decimal: unknown key; did you mean 'decimals'?"),
+        ("lrw.show_axes=true", "lrw.show_axes: no robot 'lrw' to set this for; did you mean"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("scene", ["lwr_udp", "lwr"])
+def test_what_is_set_wrongly_is_said_of_the_setting(
+    scene: str, setting: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["render", scene, "-o", str(tmp_path / "x.png"), "--set", setting])
+    assert caught.value.code == 2
+    if scene == "lwr":  # there is one robot only
+        message = message.replace(" to set this for", "")
+    assert capsys.readouterr().err.startswith(f"sero-mj: --set {message}")
+
+
+def test_check_names_what_no_route_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        '[robots.lwr]\nmodel = "lwr"\n\n'
+        '[sources.udp]\nkind = "udp"\nstructure = "n:1I t:1F 7F7F mode:1H"\nsequence = "n"\n'
+        'time = "t"\n\n[sources.other]\nkind = "udp"\nstructure = "3F"\n\n'
+        '[routes]\n"lwr.joint_angles" = "udp.values0 * deg"\n'
+    )
+    _, out, _ = run(capsys, "check", str(file))
+    assert "            not used: values1, mode\n" in out
+    assert out.count("no route leads from it") == 1
+    assert "not used" not in run(capsys, "check", "lwr_fri")[1]
+    assert "not used" not in run(capsys, "check", "lwr_udp")[1]

@@ -191,6 +191,19 @@ def test_little_endian_float64_is_not_copied_and_the_rest_is() -> None:
         structure.decode(bytes(packet))["values0"][0] = 1.0
 
 
+@pytest.mark.parametrize(
+    ("text", "sent", "order"),
+    [("1H=0x2006 1F", ">H", ">"), (">1I=0xCAFE0006 1F", "<I", "<"), ("1q=-2 1F", ">q", ">")],
+)
+def test_a_constant_in_the_other_byte_order_is_recognised(text: str, sent: str, order: str) -> None:
+    structure = Structure(text)
+    constant = {"H": 0x2006, "I": 0xCAFE0006, "q": -2}[sent[1]]
+    packet = struct.pack(sent, constant).ljust(structure.size, b"\0")
+    told = structure.tell_wrong_constant(rows_of(packet))
+    assert told.endswith(f"; these are its bytes turned round: '{order}'?")
+    assert "turned" not in structure.tell_wrong_constant(rows_of(bytes(structure.size)))
+
+
 def test_checks_are_written_and_found_and_told() -> None:
     structure = Structure("1H=0x2006 size:1H=size 2b=-3 1F mode:1f=0.1 1Q=0xffffffffffffffff")
     packet = structure.encode({"values0": [1.5]})

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from polling import until
 from route_scenes import arm, scene_of
@@ -85,6 +86,22 @@ def test_one_of_several_matrices_places_a_base() -> None:
     T = frame_from({"xyz": [0.1, 0.2, 0.3], "rpy": [0.3, -0.2, 1.0]}, np.asarray)
     fed.feed("udp", matrices0=[np.eye(4), T])
     np.testing.assert_allclose(fed.world.frame(fed.data, "lwr/base"), T, atol=1e-12)
+
+
+@pytest.mark.parametrize("times", ["* mm", "* 0.001", "/ 1000", "* 2 * mm / 2"])
+def test_the_position_of_a_matrix_has_another_unit(times: str) -> None:
+    fed = Fed({
+        "lwr.base_frame": f"udp.matrices0[1] {times}",
+        "lwr.flange_check": f"udp.matrices0[0] {times}",
+        "leader.base_frame": "0.001 * udp.matrices0[1]",
+    })  # fmt: skip
+    T = frame_from({"xyz": [0.1, 0.2, 0.3], "rpy": [0.3, -0.2, 1.0]}, np.asarray)
+    in_mm = T.copy()
+    in_mm[:3, 3] *= 1000.0
+    fed.feed("udp", matrices0=[in_mm, in_mm])
+    np.testing.assert_allclose(fed.world.frame(fed.data, "lwr/base"), T, atol=1e-12)
+    np.testing.assert_allclose(fed.world.frame(fed.data, "leader/base"), T, atol=1e-12)
+    np.testing.assert_allclose(fed["lwr.flange_check"], T.ravel(), atol=1e-12)
 
 
 def test_two_sources_are_computed_with_when_both_have_sent() -> None:

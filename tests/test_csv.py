@@ -128,8 +128,8 @@ def test_a_table_with_times_or_a_rate(tmp_path: Path) -> None:
     [
         ("", "has no row of numbers"),
         ("time,a\n", "has no row of numbers"),
-        ("a,b\n1,2\n", "found the columns a, b; expected one called time, in s, or a rate"),
-        ("1,2\n3,4\n", "found the columns 1, 2; expected one called time, in s, or a rate"),
+        ("a,b\n1,2\n", "found the columns a, b; expected one called time, in s, or --rate"),
+        ("1,2\n3,4\n", "found the columns 1, 2; expected one called time, in s, or --rate"),
         ("time,a\n0,1\n1\n", "3: found 1 values; expected 2, one for each column"),
         ("time,a\n0,1\n\n1,x\n", "4: a: found 'x'; expected a number, or nan"),
         ("time,a\n0, \n", "2: a: found nothing; expected a number, or nan"),

@@ -252,7 +252,19 @@ def test_infinity_minus_infinity_is_quiet() -> None:
         ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected one unit on both sides; "
          "there are an angle (rad) and a length (m)"),
         ("[1 * deg, 2 * mm] - [1 * deg, 2 * N]", "there are a length (m) and a force (N)"),
-        ("udp.matrices0 * 2", "character 15: found '*', expected no frames beside it: these only"),
+        ("udp.matrices0 + 2", "character 15: found '+', expected nothing but a number or a length "
+         "beside frames, as in frames * mm"),
+        ("udp.matrices0 * [1, 2]", "found '*', expected nothing but a number or a length beside"),
+        ("2 / udp.matrices0", "found '/', expected nothing but a number or a length beside"),
+        ("udp.matrices0 * udp.matrices0", "expected nothing but a number or a length beside"),
+        ("udp.values0 * udp.matrices0", "expected nothing but a number or a length beside"),
+        ("udp.matrices0 * deg", "character 15: found '*', expected a length beside frames; found "
+         "an angle (rad)"),
+        ("udp.matrices0 * mm * mm", "character 20: found '*', expected a length beside frames"),
+        ("udp.matrices0 / mm", "character 15: found '/', expected a length beside frames"),
+        ("-1 * udp.matrices0", "character 4: found '*', expected a number above 0 beside it; "
+         "found -1"),
+        ("udp.matrices0 * 0", "expected a number above 0 beside it; found 0"),
         ("-udp.matrices0", "character 1: found '-', expected no frames beside it"),
         ("[udp.matrices0]", "character 1: found '[', expected no frames beside it"),
         ("udp.matrices0[0][1]", "character 17: found '[', expected none: udp.matrices0[0] is a "

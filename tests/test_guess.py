@@ -48,6 +48,13 @@ def counted(letter: str, first: int = 250) -> np.ndarray:
         # Of one packet no counter can be told, but that something stands before the numbers.
         (as_rows(counted("u4", 10**9), JOINTS)[:1], "1I 7F7F", True, True),
         (as_rows(counted("u4", 10**9), JOINTS.astype(">f8"))[:1], "1I >7F7F", True, True),
+        (as_rows(counted("u2").astype(">u2"), JOINTS[:, :12].astype(">f8")),
+         ">number:1H 6F6F", True, True),
+        (as_rows(counted("u2", 65_533).astype(">u2"), np.full((6, 1), 60, ">u2"),
+                 JOINTS.astype(">f4")), ">number:1H 1H=size 7F7F", False, True),
+        (as_rows(counted("u4", 60_000).astype(">u4"), JOINTS), ">number:1I <7F7F", True, True),
+        (as_rows(counted("u8").astype(">u8"), np.zeros((6, 14), ">f8")),
+         ">number:1Q 7F7F", True, True),
         # Nothing speaks against zeros, and few digits are no reason to think of float32.
         (np.zeros((3, 112), np.uint8), "7F7F", True, True),
         (as_rows(np.tile([0.5, 1.0, -2.0, 0.25], (4, 1))), "2F2F", True, True),

@@ -20,7 +20,9 @@ import sero_mj
 from sero_mj import paths
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.toml_file import key_lines
 from sero_mj.assemble.world import World
+from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 
 MINIMAL = 'dh_convention = "craig"\n'
@@ -342,3 +344,41 @@ def test_unknown_public_name_is_an_attribute_error():
 def test_version_is_that_of_the_project_file():
     project = Path(__file__).parents[1] / "pyproject.toml"
     assert tomllib.loads(project.read_text())["project"]["version"] == sero_mj.__version__
+
+
+def test_robots_beside_a_scene_are_named_as_well(tmp_path: Path) -> None:
+    (tmp_path / "kestrel").mkdir()
+    (tmp_path / "kestrel" / "robot.toml").write_text("")
+    with pytest.raises(UnknownName, match=r"no robot model 'kestrl'; did you mean 'kestrel'\?"):
+        paths.find_model("kestrl", tmp_path)
+    with pytest.raises(UnknownName) as caught:
+        paths.find_model("nothing_like_it", tmp_path)
+    assert {"kestrel", "lwr"} <= set(caught.value.available)
+
+
+def test_a_file_that_is_named_without_its_ending_is_pointed_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "gripper6.toml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    said = "'gripper6'; a file is named with its ending: gripper6.toml"
+    with pytest.raises(UnknownName, match=f"no scene {said}"):
+        paths.find_scene("gripper6")
+    with pytest.raises(SystemExit) as caught:
+        main(["check", "gripper6"])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err == f"sero-mj: no scene or robot {said}\n"
+
+
+def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    file.write_text(
+        '[robots.arm]\nlines = [\n  { value = "a", unit = "deg" },\n  # no ], and no entry\n'
+        '  "b", "c",\n  [1,\n   2],\n]\na.b = [[1, 2],\n  [3, 4]]\nc = """[\n1"""\n'
+    )
+    lines = key_lines(file)
+    under = {key.removeprefix("robots.arm."): line for key, line in lines.items()}
+    assert under["lines"] == 2
+    assert [under[f"lines.{i}"] for i in range(4)] == [3, 5, 5, 6]
+    assert (under["lines.0.unit"], under["lines.3.1"]) == (3, 6)
+    assert (under["a.b.0"], under["a.b.1"], under["a.b.1.1"], under["c"]) == (9, 10, 10, 11)

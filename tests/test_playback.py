@@ -145,12 +145,12 @@ def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
 
 def test_columns_are_called_like_the_numbers_of_a_packet(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
-    path.write_text("values0[1],time,vectors0[0][2]\n1,5.0,2\n3,5.25,4\n")
-    found = TablePackets(path, Structure("2F1V"))
+    path.write_text("values0[1],time,values0[0],values1[0]\n1,5.0,0,2\n3,5.25,0,4\n")
+    found = TablePackets(path, Structure("2F1F2F"))
     (first, one), (second, two) = found.packets()
     assert (first, second, found.duration) == (0.0, 0.25, 0.25)
-    assert struct.unpack("<5d", one) == (0, 1, 0, 0, 2)
-    assert struct.unpack("<5d", two) == (0, 3, 0, 0, 4)
+    assert struct.unpack("<5d", one) == (0, 1, 2, 0, 0)
+    assert struct.unpack("<5d", two) == (0, 3, 4, 0, 0)
 
 
 @pytest.mark.parametrize("head", ["", "left,right,force\n"])
@@ -178,6 +178,35 @@ def test_columns_that_do_not_fit_are_told(tmp_path: Path, text: str, message: st
     with pytest.raises(CsvError) as caught:
         TablePackets(path, Structure("3F"), rate=1)
     assert message in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_an_event_of_which_numbers_are_missing_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("values0[0],values0[2],values1[0]\n1,2,3\n")
+    with pytest.raises(CsvError) as caught:
+        TablePackets(path, Structure("7F1F"), rate=1)
+    assert str(caught.value) == (
+        f"{path}: has 2 of the 7 numbers of values0; no column is called values0[1], values0[3], "
+        "values0[4], values0[5], ..."
+    )
+
+
+def test_events_that_are_not_there_are_told_and_frames_are_frames(
+    tmp_path: Path, recording: Path
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("values0[0],values0[1]\n1,2\n")
+    structure = Structure("2F1M1V1H=7 1F")
+    note = (
+        "what is not there is sent all the same: vectors0, values1 as zeros, matrices0 as identity"
+    )
+    found = TablePackets(path, structure, rate=1)
+    assert found.notes == [note]
+    ((_, packet),) = found.packets()
+    assert structure.decode(packet)["matrices0"][0].tolist() == np.eye(4).tolist()
+    assert TablePackets(path, Structure("2F1H=7"), rate=1).notes == []
+    again = RecordedPackets(recording, structure=Structure("2F1M1F"))
+    assert again.notes == ["what is not there is sent all the same: values1 as zeros"]
 
 
 # ---- times

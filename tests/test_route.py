@@ -330,6 +330,14 @@ def test_a_route_without_quotes_is_told_with_its_line(tmp_path: Path) -> None:
     assert problem.startswith("scene.toml:9: routes.arm")
 
 
+def test_a_mistyped_section_is_one_mistake(tmp_path: Path) -> None:
+    routes = '[routes]\n"arm.joint_angles" = "udp.values0"\n"arm.torques" = "udp.values1"\n'
+    for section in ("sources", "robots"):
+        text = (ROBOT + SOURCE + routes).replace(f"[{section}.", f"[{section[:-1]}.")
+        (problem,) = problems_in(written(tmp_path, text))
+        assert f"{section[:-1]}: unknown section; did you mean '{section}'?" in problem
+
+
 def test_an_input_that_is_set_is_no_longer_routed_to(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\n"arm.torques" = "udp.values1"\n'
     file = written(tmp_path, ROBOT + SOURCE + routes)

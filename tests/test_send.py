@@ -238,6 +238,12 @@ OTHER_UDP = {**UDP, "port": 4712}
         ),
         (
             {"udp": UDP},
+            {"structure": "q:6Q 2V"},
+            "structure 'q:6Q 2V' has q, vectors0; the routes from 'udp' take values0, values1, "
+            "values2: there is nothing to send",
+        ),
+        (
+            {"udp": UDP},
             {"structure": "3F"},
             "structure '3F': values0 has 3 values; arm.joint_angles takes 2, one per joint",
         ),

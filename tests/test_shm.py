@@ -17,6 +17,7 @@ from shm_tools import block, make, needs_posix, remove
 
 from sero_mj.drive.shm_writer import ShmWriter
 from sero_mj.receive import shm_block
+from sero_mj.receive.report import describe, report
 from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import Block
 from sero_mj.receive.structure import Structure
@@ -93,7 +94,7 @@ def test_a_block_that_is_not_there_is_told_and_taken_up_when_it_appears(
         made = Block(block, writable=True, create=True)
         assert until(lambda: reader.trouble == f"shared memory {block} has 0 bytes; expected 24")
         made.resize(24)
-        assert until(lambda: "nothing has been written" in reader.trouble)
+        assert until(lambda: "(24 bytes), nothing is written yet" in reader.trouble)
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
         assert shown(reader) == [5, 6]
@@ -191,7 +192,9 @@ def test_what_nobody_has_written_is_not_applied(block: str) -> None:
     made = make(block, bytes(24))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: reader.trouble)
-        assert reader.trouble == f"nothing has been written to shared memory {block} yet"
+        assert (
+            reader.trouble == f"shared memory {block} is there (24 bytes), nothing is written yet"
+        )
         made.write(locked(0, 1, 2))
         message = f"nothing has been written to shared memory {block}: 'lock' is 0"
         assert until(lambda: reader.trouble == message)
@@ -309,3 +312,22 @@ def test_a_reader_that_ends_takes_no_block_with_it(block: str) -> None:
     assert done.returncode == 0, done.stderr
     Block(block).close()
     remove(made)
+
+
+def test_status_says_why_nothing_comes(block: str) -> None:
+    def told(reader: ShmReader) -> str:
+        return describe(report(reader))[0][2]
+
+    with ShmReader(block=block, **LOCKED) as reader:
+        assert told(reader) == f"no good packet yet: no shared memory {block} yet"
+        made = make(block, bytes(16))
+        about = f"no good packet yet: shared memory {block}"
+        assert until(lambda: told(reader) == f"{about} has 16 bytes; expected 24")
+        made.resize(24)
+        assert until(lambda: told(reader) == f"{about} is there (24 bytes), nothing is written yet")
+        made.write(locked(2, 5, 6))
+        assert reader.wait(5.0)
+        assert "jitter" in told(reader)
+        remove(made)
+        gone = f": shared memory {block} is gone"
+        assert until(lambda: "for" in told(reader) and told(reader).endswith(gone))

@@ -6,7 +6,7 @@ import socket
 from typing import Any
 
 import pytest
-from decor_tools import GEOM, labels, of_kind, rectangle, view_at
+from decor_tools import GEOM, belonging, labels, of_kind, rectangle, view_at
 from polling import until
 from source_slots import set_source
 
@@ -14,7 +14,8 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.status import Status
+from sero_mj.decor.pen import Kind
+from sero_mj.decor.status import FAULT_RGBA, Status
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
 from sero_mj.receive.structure import Structure
@@ -50,12 +51,18 @@ def udp_scene(**udp: Any) -> Scene:
              "  another kind of packet: a constant is wrong"],
         ),
         ({"received": 12, "malformed": 3, "wrong_size": 3, "fault_age": 6.0}, []),  # long ago
-        ({"received": 12, "lost": 3, "link_age": 0.5}, ["udp: packets 3 lost"]),
+        ({"received": 12, "lost": 3, "link_age": 0.5}, ["udp: 3 packets lost"]),
         (
             {"received": 12, "lost": 3, "late": 1, "duplicates": 2, "dropped": 5, "link_age": 0.5},
-            ["udp: packets 3 lost, 1 late, 2 twice, 5 thrown away here"],
+            ["udp: 3 packets lost, 1 came late", "  2 packets came twice, 5 thrown away here"],
         ),
         ({"received": 12, "lost": 3, "late": 1, "link_age": 5.5}, []),
+        (  # they may be the same ones
+            {"received": 12, "malformed": 3, "wrong_size": 3, "last_size": 5, "fault_age": 1,
+             "lost": 3, "link_age": 1},
+            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
+             "udp: 3 packets lost or not applied"],
+        ),
         ({"received": 12, "restarts": 1, "link_age": 1}, ["udp: the sender began anew"]),
         ({"received": 12, "restarts": 4, "link_age": 1}, ["udp: the sender began anew 4 times"]),
         (
@@ -77,6 +84,39 @@ def test_faults_of_a_source_stand_in_the_corner(counts: dict[str, float], said: 
         low, high = rectangle(view, row)
         assert low[0] >= 0 and high[1] <= view.height
         assert high[0] < view.width / 2 and low[1] > view.height / 2
+
+
+FAULTS = {"received": 99, "age": 0.1, "size": 56, "malformed": 9, "wrong_size": 3, "not_frames": 2,
+          "wrong_constant": 1, "last_size": 5, "fault_age": 1, "lost": 3, "late": 7,
+          "duplicates": 2, "restarts": 4, "link_age": 0.5, "senders": 3}  # fmt: skip
+
+
+@pytest.mark.parametrize("counts", [FAULTS, {**FAULTS, "malformed": 0}])
+@pytest.mark.parametrize("size", [(640, 480), (800, 600), (1280, 800)])
+@pytest.mark.parametrize("distance", [1.2, 2.0, 3.5])
+@pytest.mark.parametrize("azimuth", [0.7, 2.9])
+def test_faults_cover_no_billboard(
+    counts: dict[str, float], size: tuple[int, int], distance: float, azimuth: float
+) -> None:
+    scene = udp_scene()
+    lwr = SerialRobot.from_model(
+        "lwr", show_arrows=True, show_billboards=True,
+        billboard_lines=["torques", "joint_angles", "torque_error"],
+    )  # fmt: skip
+    scene.robots["lwr"] = lwr
+    world = World(scene)
+    data = world.make_data()
+    set_source(data, world, "udp", **counts)
+    view = view_at(azimuth, distance, *size)
+    pen = Decor(world).draw(data, Toggles(world), view)
+    rows = pen.rows[: pen.count]
+    panels = [rectangle(view, row) for row in belonging(pen, Kind.BILLBOARD)]
+    boxes = of_kind(rows, GEOM.mjGEOM_BOX)
+    faults = [row for row in boxes if tuple(row["rgba"]) == pytest.approx(FAULT_RGBA)]
+    assert len(panels) >= 5 and len(faults) == 1
+    low, high = rectangle(view, faults[0])
+    for panel_low, panel_high in panels:
+        assert (panel_low >= high - 1e-3).any() or (panel_high <= low + 1e-3).any()
 
 
 def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
@@ -111,11 +151,12 @@ def test_what_a_link_loses_and_mixes_up_is_written() -> None:
         send(5000, 5001, 5002)
         assert corner(mirror) == []
         send(5005, 5004, 5005)
-        assert corner(mirror) == ["udp: packets 1 lost, 1 late, 1 twice"]
+        assert corner(mirror) == ["udp: 1 packet lost, 1 came late", "  1 packet came twice"]
         send(1, 2, 3, 4)
         assert corner(mirror)[-1] == "udp: the sender began anew"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.sendto(layout.encode({"number": [9]}), ("127.0.0.1", source.port))
             come += 1
             assert until(lambda: source.counters.received == come)
+            send(5)  # who sends beside it has not taken its place
         assert corner(mirror)[-1] == "udp: 2 senders at once; sender = ... chooses one"

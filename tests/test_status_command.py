@@ -105,6 +105,16 @@ def test_every_cause_is_told_with_its_number(scene: Callable[[], tuple[Path, int
     assert abs(int(told["lost"][0]) - 3 * rounds) <= 6
 
 
+def test_what_may_be_lost_or_unread_is_said_so() -> None:
+    found = report(UdpReceiver(structure="n:1I", sequence="n"))
+    for more, why in (
+        ({}, "numbers that never came"),
+        ({"wrong_size": 2}, "numbers that never came, or that of a packet below could not be read"),
+    ):
+        told = {row[0]: row[2] for row in describe({**found, "lost": 2, **more})}
+        assert told["lost"] == why
+
+
 def test_json_has_the_same(scene: Callable[[], tuple[Path, int]]) -> None:
     file, port = scene()
     status, text = while_sending(port, lambda: watch(file, "--json"))

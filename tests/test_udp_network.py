@@ -11,9 +11,11 @@ from contextlib import ExitStack
 import pytest
 from polling import until
 
+from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, SourceError
 from sero_mj.receive import datagrams
 from sero_mj.receive.datagrams import Datagrams, pack_address, unpack_address
+from sero_mj.receive.sniffer import Sniffer
 from sero_mj.receive.udp import UdpReceiver
 
 GROUP, GROUP6 = "239.255.73.1", "ff02::7357"
@@ -179,3 +181,19 @@ def test_more_than_a_batch_comes_in_several() -> None:
             lengths.append(len(batch))
         assert sum(lengths) == datagrams.BATCH + 3
         assert max(lengths) <= datagrams.BATCH
+
+
+def test_a_group_can_be_sniffed_on_an_interface(capsys: pytest.CaptureFixture[str]) -> None:
+    with Sniffer(GROUP, 0, "127.0.0.1") as sniffer:
+        with socket.socket(type=socket.SOCK_DGRAM) as sock:
+            loopback = socket.inet_aton("127.0.0.1")
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+            sock.sendto(packet(2.5), (GROUP, sniffer.port))
+        assert until(lambda: (sniffer.receive(0.1, 1), sniffer.received == 1)[1])
+    with pytest.raises(SystemExit) as caught:
+        main(["structure", "--sniff", "32177", "--host", GROUP, "--interface", "eth77"])
+    assert caught.value.code == 2
+    assert "no network interface 'eth77'; available: " in capsys.readouterr().err
+    with pytest.raises(SystemExit) as caught:
+        main(["structure", "7F", "--interface", "lo"])
+    assert "--interface is for --sniff PORT" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from .. import paths
-from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
+from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 from .cartesian import ReceivedFrame, SmartArrow
 from .declaration import is_name
 from .double import Double
@@ -86,6 +86,8 @@ class _Reader:
         for key in self.tables:
             if key not in sections:
                 self.wrong(key, f"unknown section{did_you_mean(key, [*sections, *self.known])}")
+                if (meant := nearest(key, sections)) is not None:
+                    self.broken.append(meant)  # what refers to its entries is not wrong as well
         read = {}
         for key, reader in sections.items():
             if key in self.tables:

@@ -11,6 +11,8 @@ from typing import Any
 
 from ..errors import DeclarationError, Problem
 
+_MOST_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parses a TOML file.
@@ -42,8 +44,8 @@ def key_lines(path: Path) -> dict[str, int]:
     """Returns the line number of each dotted key and table header.
 
     The file is cut into its statements, and each is parsed by itself, so that quotes, dots,
-    inline tables and values over several lines mean what they mean in TOML. A key inside a value
-    has the line where the value's statement begins.
+    inline tables and values over several lines mean what they mean in TOML. An entry of an array
+    has the line where it begins; any other key inside a value has that of its statement.
     """
     lines: dict[str, int] = {}
     try:
@@ -69,8 +71,11 @@ def key_lines(path: Path) -> dict[str, int]:
                     table = f"{array}.{count - 1}{table.removeprefix(array)}"
             lines.setdefault(table, number)
         else:
+            depth, within = _entry_lines(statement, parsed)
             for key in _keys(parsed):
-                lines.setdefault(f"{table}.{key}" if table else key, number)
+                entry = ".".join(key.split(".")[:depth])
+                line = number + within.get(entry, 0)
+                lines.setdefault(f"{table}.{key}" if table else key, line)
     return lines
 
 
@@ -88,6 +93,43 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
             continue  # goes on in the next line
         yield start, pending
         pending = ""
+
+
+def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
+    """How many lines below its statement's first one each entry of an array begins.
+
+    What stands up to the end of a line is an array as well, once it is closed there.
+
+    Returns:
+        how many parts the dotted key of an entry has, and the lines by that key.
+    """
+    key = _array_in(parsed)
+    rows = statement.rstrip("\n").split("\n")
+    if not key or not 1 < len(rows) <= _MOST_ROWS:
+        return 0, {}
+    found: dict[str, int] = {}
+    known = begin = 0
+    for count in range(1, len(rows) + 1):
+        text = "\n".join(rows[:count])
+        try:
+            value: Any = tomllib.loads(text if count == len(rows) else f"{text}\n]")
+        except (ValueError, RecursionError):
+            continue  # it ends in the middle of an entry
+        for part in key.split("."):
+            value = value[part]
+        found |= {f"{key}.{index}": begin for index in range(known, len(value))}
+        known, begin = len(value), count
+    return key.count(".") + 2, found
+
+
+def _array_in(parsed: dict[str, Any]) -> str:
+    """The dotted key of the array that a statement declares; empty where it declares none."""
+    keys: list[str] = []
+    value: Any = parsed
+    while isinstance(value, dict) and len(value) == 1:
+        ((key, value),) = value.items()
+        keys.append(key)
+    return ".".join(keys) if isinstance(value, list) and not any("." in k for k in keys) else ""
 
 
 def _keys(value: Any, prefix: str = "") -> Iterator[str]:

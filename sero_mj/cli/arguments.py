@@ -6,7 +6,7 @@ import argparse
 import math
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import paths
-from ..errors import UnknownName, UsageError, did_you_mean
+from ..errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from ..assemble.robot import SerialRobot
     from ..assemble.scene import Scene
+    from ..receive.recording import Recording
 
 # Subparsers have no public type.
 Commands = Any
@@ -140,8 +141,27 @@ def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
 
     Raises:
         UnknownName: neither a scene nor a robot.
-        SeroError: what is wrong in the file.
+        SeroError: what is wrong in the file, or in what is set.
     """
+    given = overrides(settings or [])
+    try:
+        return _read(name, given)
+    except DeclarationError as error:
+        raise DeclarationError([_as_set(problem, given) for problem in error.problems]) from None
+
+
+def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
+    """The problem as one of `--set`, where that is what brought it."""
+    for target in given:
+        field = target.partition(".")[2]
+        # As keys stand in a scene, in a robot's own file, and where there is nothing to set.
+        for key in (rf"\w+\.{re.escape(target)}", re.escape(field), re.escape(target)):
+            if found := re.fullmatch(rf"{key}(\..+)?", problem.key):
+                return Problem(f"--set {target}{found[1] or ''}", problem.message)
+    return problem
+
+
+def _read(name: str, given: dict[str, Any]) -> Scene:
     from ..assemble.scene import Scene
     from ..drive.mirror import load_scene
     from ..simulate.scenario_file import is_scenario
@@ -150,23 +170,22 @@ def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
         path = paths.find_scene(name)
     except UnknownName as error:
         if name in paths.list_scenarios():
-            return read_staged(name, settings)
+            return _read_staged(name, given)
         try:
             paths.find_model(name)
-        except UnknownName:
-            available = [*paths.list_scenes(), *paths.list_scenarios(), *paths.list_models()]
-            raise UnknownName("scene or robot", name, available) from error
-        return Scene(robots=[read_model(name, overrides(settings or []))], name=name)
+        except UnknownName as no_model:
+            available = [*paths.list_scenes(), *paths.list_scenarios(), *no_model.available]
+            hint = paths.file_hint(name)
+            raise UnknownName("scene or robot", name, available, hint) from error
+        return Scene(robots=[read_model(name, given)], name=name)
     if _is_robot_file(path):
-        return Scene(
-            robots=[read_model(str(path), overrides(settings or []))], name=path.parent.name
-        )
+        return Scene(robots=[read_model(str(path), given)], name=path.parent.name)
     if is_scenario(path):
-        return read_staged(str(path), settings)
-    return load_scene(path, overrides(settings or []))
+        return _read_staged(str(path), given)
+    return load_scene(path, given)
 
 
-def read_staged(name: str, settings: list[str] | None = None) -> Scene:
+def _read_staged(name: str, given: dict[str, Any]) -> Scene:
     """Returns the scene of a scenario, which is simulated while it is shown.
 
     Raises:
@@ -177,7 +196,7 @@ def read_staged(name: str, settings: list[str] | None = None) -> Scene:
     from ..simulate.simulation import Simulation
     from ..simulate.staging import add_paths, stage
 
-    simulation = Simulation(read_scenario(name, overrides(settings or [])))
+    simulation = Simulation(read_scenario(name, given))
     scene = stage(simulation.scenario, simulation.layout, SimulatedSource(simulation=simulation))
     if simulation.scenario.run.show_paths:
         add_paths(scene, simulation.scenario, simulation.layout, simulation.rows)
@@ -194,12 +213,13 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
 
     Raises:
         RecordingError: it cannot be read.
-        UsageError: it has none of the scene's sources.
+        UsageError: it has none of the scene's sources, or ends before `start`.
     """
     from ..receive.recording import Recording
 
     with Recording(file) as recording:
         recorded = list(recording.sources)
+        check_span(recording, start)
     both = [name for name in scene.sources if name in recorded]
     if not both:
         found = ", ".join(recorded) or "no source"
@@ -209,6 +229,23 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         scene.sources[name] = {"kind": "replay", "file": str(file), "source": name}
         if start is not None:
             scene.sources[name]["start"] = start
+
+
+def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
+    """Refuses times of `--start` and `--stop` between which a recording has nothing.
+
+    Raises:
+        UsageError: it ends before the start, or the stop is not after the start.
+    """
+    from ..receive.replay import check_start
+
+    if start is not None:
+        try:
+            check_start(start, recording)
+        except ValueError as error:
+            raise UsageError(f"--start: {error}") from None
+    if start is not None and stop is not None and stop <= start:
+        raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
 
 
 def read_model(name: str, settings: dict[str, Any] | None = None) -> SerialRobot:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Set
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 from .arguments import Commands, add_command, read_scene_or_model
+
+if TYPE_CHECKING:
+    from ..receive.source import Source
 
 _TIED = "\0"  # a space at which no line is broken
 _EPILOG = """\
@@ -39,7 +44,9 @@ def run(options: argparse.Namespace) -> int:
         estimated = robot_dynamics(robot).estimated
         about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
         print(f"          dynamics: {about}")
-    for name, source in wire(scene).sources.items():
+    wiring = wire(scene)
+    taken = {(o.name, o.key) for route in wiring.routes for o in route.value.origins if o.is_event}
+    for name, source in wiring.sources.items():
         events = ", ".join(
             f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)
             for event, shape in source.events.items()
@@ -48,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
         text = f"{name}: {about}, {source.size} bytes: {events}"
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_TIED, " "))
+        print(_unused(name, source, taken), end="")
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():
@@ -64,3 +72,19 @@ def run(options: argparse.Namespace) -> int:
     model = world.model
     print(f"  model   {model.nbody} bodies, {model.ngeom} geoms, {model.nmeshface} mesh triangles")
     return 0
+
+
+def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
+    """A line about what no route takes of a source; it is received all the same."""
+    from ..receive.fri import FriReceiver
+
+    if not any(of == name for of, _ in taken):
+        return "            no route leads from it\n"
+    if not getattr(source, "structure", "") or isinstance(source, FriReceiver):
+        return ""  # nobody has asked for all that is in these packets
+    known = {getattr(source, key, "") for key in ("sequence", "time", "lock")}
+    unused = [e for e in source.events if (name, e) not in taken and e not in known]
+    text = f"not used: {', '.join(unused)}"
+    return f"{fill(text, 100, initial_indent=' ' * 12, subsequent_indent=' ' * 12)}\n" * bool(
+        unused
+    )

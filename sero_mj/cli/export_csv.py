@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from ..errors import UsageError, did_you_mean
-from .arguments import Commands, add_command, not_negative
+from .arguments import Commands, add_command, check_span, not_negative
 
 _EPILOG = """\
 examples:
@@ -27,14 +27,17 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--source", metavar="NAME", help="which source (default: the only one)")
     parser.add_argument("--start", type=not_negative, metavar="S", help="from this time on")
     parser.add_argument("--stop", type=not_negative, metavar="S", help="until before this time")
+    parser.add_argument("--overwrite", action="store_true", help="write over a file that exists")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Writes; returns 0."""
+    """Writes; returns 0, or 1 where the recording is damaged and nothing could be read."""
     from ..drive.export_csv import export_csv
     from ..receive.recording import Recording
     from ..receive.replay import Replay
 
+    if options.output.exists() and not options.overwrite:
+        raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")
     with Recording(options.recording) as recording:
         names = list(recording.sources)
         if options.source is None and len(names) != 1:
@@ -44,13 +47,15 @@ def run(options: argparse.Namespace) -> int:
         if name not in names:
             near = did_you_mean(name, names)
             raise UsageError(f"--source: no source '{name}' in {options.recording}{near}")
+        check_span(recording, options.start, options.stop)
         decode = Replay(file=options.recording, source=name).decode
         start = -math.inf if options.start is None else options.start
         written = export_csv(
             recording, name, options.output, decode, start=start, stop=options.stop
         )
         for fault in recording.faults:
-            print(f"note: {fault}")
+            print(f"note: {options.recording}: {fault}")
+        damaged = bool(recording.faults)
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
     print(f"{options.output}: {written.rows} rows{left_out}")
-    return 0
+    return 1 if damaged and not written.rows else 0

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
 from .arguments import Commands, add_command, not_negative, positive, read_scene_or_model
+from .ending import until_ended
 
 if TYPE_CHECKING:
     from ..drive.record import Recorder
@@ -76,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
                 signals_rate=options.signals_rate,
             )
         )
-        with suppress(KeyboardInterrupt):
+        with until_ended():
             _watch(recorder, options.duration, quiet=options.quiet)
     found = recorder.statistics
     lost = sum(found.not_recorded.values())

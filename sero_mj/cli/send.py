@@ -152,6 +152,9 @@ def make_sink(
         lock = source.lock if source.lock in structure.events else ""
         return ShmWriter(options.shm or source.block, structure, lock, source.offset)
     port = options.port or (source.udpport if isinstance(source, UdpReceiver) else 0)
+    if not port and not source.is_live:
+        reason = "is a recording, to which nothing can be sent; give --port, and --host"
+        raise UsageError(f"source '{source.name}' of the scene {reason}")
     if not port:
         raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
     return UdpSink(options.host or "127.0.0.1", port)

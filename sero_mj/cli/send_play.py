@@ -74,6 +74,7 @@ def send_file(
     structure = structure_for(source, options.structure)
     to_shm = options.shm is not None or (isinstance(source, ShmReader) and options.port is None)
     playback = _open(options, source, structure, to_shm)
+    told = _tell(playback.notes)
     with sink(options, source, structure) as to:
         print(
             f"sending {playback.about}: {playback.count} packets, {playback.duration:.2f} s, "
@@ -88,9 +89,16 @@ def send_file(
         )
         report = send(packets, to)
     print(report)
+    _tell(playback.notes[told:])
     if playback.skipped:
         print(f"{playback.skipped} could not be sent in '{structure.text}'")
     return 0
+
+
+def _tell(notes: list[str]) -> int:
+    for note in notes:
+        print(f"note: {note}", flush=True)
+    return len(notes)
 
 
 def _open(

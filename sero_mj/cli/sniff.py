@@ -31,8 +31,9 @@ def sniff(options: argparse.Namespace, layout: Structure | None) -> int:
     """Listens until the time is over, the packets have come, or Ctrl-C; returns 0."""
     from ..receive.sniffer import Sniffer
 
-    with Sniffer(options.host or "127.0.0.1", options.sniff) as sniffer:
-        place = f"UDP {options.host or '127.0.0.1'}:{sniffer.port}"
+    host, interface = options.host or "127.0.0.1", options.interface or ""
+    with Sniffer(host, options.sniff, interface) as sniffer:
+        place = f"UDP {host}:{sniffer.port}"
         begin = time.monotonic()
         with (
             contextlib.suppress(KeyboardInterrupt),

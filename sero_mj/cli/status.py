@@ -6,11 +6,12 @@ import argparse
 import json
 import sys
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
 from .arguments import Commands, add_command, positive, read_scene_or_model
+from .ending import until_ended
 
 if TYPE_CHECKING:
     from ..receive.receiver import Receiver
@@ -22,6 +23,7 @@ examples:
   sero-mj status lwr_udp --duration 5 --json
 
 Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
+Recordings play meanwhile.
 Every cause for which packets are not applied is counted. Exits with 1 when a source is silent.
 """
 
@@ -56,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         for source in sources:
             stack.enter_context(source)
-        with suppress(KeyboardInterrupt):
+        with until_ended():
             _watch(sources, options.duration, live=not options.json)
         found = [report(source) for source in sources]
     if options.json:
@@ -72,14 +74,23 @@ def _watch(sources: list[Receiver], duration: float | None, *, live: bool) -> No
 
     from ..receive.report import report
 
-    end = time.monotonic() + (float("inf") if duration is None else duration)
+    begin = time.monotonic()
+    end = begin + (float("inf") if duration is None else duration)
+
+    def go_on() -> bool:
+        """Sleeps a little and plays recordings up to now; says whether there is time left."""
+        left = end - time.monotonic()
+        time.sleep(min(max(left, 0.0), _EVERY))
+        for source in sources:
+            source.advance_to(time.monotonic() - begin)
+        return left > 0
+
     if not (live and sys.stdout.isatty()):
-        while (left := end - time.monotonic()) > 0:
-            time.sleep(min(left, _EVERY))
+        while go_on():
+            pass
         return
     with Live(refresh_per_second=1 / _EVERY) as screen:
-        while (left := end - time.monotonic()) > 0:
-            time.sleep(min(left, _EVERY))
+        while go_on():
             screen.update(_table([report(source) for source in sources]))
 
 

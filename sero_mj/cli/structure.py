@@ -50,6 +50,9 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--host", help="address to listen on (default 127.0.0.1); 0.0.0.0 for all interfaces"
     )
+    parser.add_argument(
+        "--interface", metavar="NAME", help="network interface on which a multicast group is joined"
+    )
     parser.add_argument("--duration", type=positive, metavar="S", help="sniff for so long")
     parser.add_argument("--count", type=_count, metavar="N", help="sniff so many packets")
     parser.add_argument("--language", action="store_true", help="print the page about the language")
@@ -83,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _refuse_nonsense(options: argparse.Namespace) -> None:
     if not options.sniff:
-        for name in ("host", "duration", "count"):
+        for name in ("host", "interface", "duration", "count"):
             if getattr(options, name) is not None:
                 raise UsageError(f"--{name} is for --sniff PORT")
     elif options.scene:

@@ -50,8 +50,7 @@ def lay_out(
     view: View,
     groups: list[Cards],
     points: Array,
-    legend: Panels | None,
-    corner: Panels | None,
+    corners: list[Panels],
 ) -> list[Panels]:
     """Gives every card its place, draws the leaders and returns the panels for `draw_panels`.
 
@@ -60,8 +59,7 @@ def lay_out(
         view: of the picture.
         groups: cards of every kind.
         points: of the robots and doubles that are shown, (m, 3), m; cards stand beside them.
-        legend: in the lower left corner, to be kept clear of.
-        corner: in the upper right one, likewise.
+        corners: what stands in the corners of the picture, to be kept clear of.
     """
     groups = [group for group in groups if group.texts]
     if not groups:
@@ -73,11 +71,12 @@ def lay_out(
     gap = view.font.height * 0.3
     beside = min(max(3 * gap, *(group.clear for group in groups)), view.width / 6)
     centres = np.empty((len(anchors), 2))
-    below = 0.0 if legend is None else float((legend.centres + legend.sizes / 2)[:, 1].max())
-    lowest = view.height if corner is None else (corner.centres - corner.sizes / 2)[:, 1].min()
+    kept_free = np.array(
+        [np.concatenate([low, high]) for low, high in map(_bounds, corners)]
+    ).reshape(-1, 4)
     centres[order] = columns(
         anchors[order], sizes[order], side[order], gap, beside, view.width, view.height,
-        span=_span(view, points, anchors), below=below, above=view.height - float(lowest),
+        span=_span(view, points, anchors), kept_free=kept_free,
     )  # fmt: skip
     edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
     starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
@@ -91,6 +90,12 @@ def lay_out(
         )
         first += len(group.texts)
     return panels
+
+
+def _bounds(panels: Panels) -> tuple[Array, Array]:
+    """Lower left and upper right pixel of all panels of a corner."""
+    half = panels.sizes / 2
+    return (panels.centres - half).min(axis=0), (panels.centres + half).max(axis=0)
 
 
 def _span(view: View, points: Array, anchors: Array) -> tuple[float, float]:

@@ -77,19 +77,15 @@ class Decor:
             cards.append(off)
         groups = [group for group in cards if group is not None]
         legend = self._legend.panels(toggles, view, limit)
+        faults = self._status.panels(data, toggles, view)
+        corners = [panels for panels in (right, legend, faults) if panels is not None]
+        points = data.site_xpos[world.joints.centre_site[shown.joints]]
         panels = [
             right,
             legend,
-            *lay_out(
-                pen,
-                view,
-                groups,
-                data.site_xpos[self._world.joints.centre_site[shown.joints]],
-                legend,
-                right,
-            ),
+            *lay_out(pen, view, groups, points, corners),
             name_panels(world, data, shown.frame_names, view),
-            self._status.panels(data, toggles, view),
+            faults,
             self._staleness.panels(pen, data, view, stale),
             hover_panel(toggles, view),
         ]

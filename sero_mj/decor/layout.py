@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 LEFT, RIGHT = 0, 1
+_RAMP = 6  # gaps over which a column that comes near a corner makes way for it
 
 
 def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
@@ -58,8 +59,7 @@ def columns(
     height: int,
     *,
     span: tuple[float, float] | None = None,
-    below: float = 0.0,
-    above: float = 0.0,
+    kept_free: Array | None = None,
 ) -> Array:
     """Lays out all panels of a picture.
 
@@ -74,8 +74,8 @@ def columns(
         height: of the picture, pixels.
         span: first and last column of pixels that the robots take, to be left free; None for
             those of the anchors.
-        below: what is kept free at the bottom on the left, for the legend, pixels.
-        above: what is kept free at the top on the right, pixels.
+        kept_free: rectangles in the corners of the picture (legend, faults, flange check) that no
+            panel covers: left, bottom, right, top, (c, 4), pixels.
 
     Returns:
         centres of the panels, (k, 2), pixels from the lower left corner.
@@ -83,11 +83,15 @@ def columns(
     centres = np.empty((len(anchors), 2))
     if not len(anchors):
         return centres
-    limits = ((min(below, height / 2), height), (0.0, height - min(above, height / 2)))
-    groups = [
-        _chunks((side == which).nonzero()[0], sizes, gap, limits[which][1] - limits[which][0])
-        for which in (LEFT, RIGHT)
-    ]
+    corners = np.zeros((0, 4)) if kept_free is None else kept_free
+    on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
+    sides = (corners[on_left], corners[~on_left])
+    groups = []
+    for which in (LEFT, RIGHT):
+        # A corner that reaches over the middle leaves less room to the other side as well.
+        wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
+        low, high = _limits(corners[wide | (on_left == (which == LEFT))], height)
+        groups.append(_chunks((side == which).nonzero()[0], sizes, gap, high - low))
     widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
     left, right = (sum(group) for group in widths)
     # Both sides move inward, over the robot if need be, before anything leaves the picture or
@@ -104,12 +108,39 @@ def columns(
             half = sizes[column, 0] / 2
             x = edge + outward * half
             centres[column, 0] = np.maximum(np.minimum(x, width - half), half)
-            low, high = limits[which]
+            inner = outward * float((outward * centres[column, 0] - half).min())
+            near = _as_near(sides[1 - which], inner, outward, _RAMP * gap, height)
+            low, high = _limits(np.concatenate([sides[which], near]), height)
+            high = max(high, low + 2 * gap + float(sizes[column, 1].max()))
             centres[column, 1] = spread(
                 anchors[column, 1], sizes[column, 1], gap, low + gap, high - gap
             )
             edge += outward * column_width
     return centres
+
+
+def _limits(corners: Array, height: int) -> tuple[float, float]:
+    """Between which heights corners leave room, a third of the picture at least."""
+    at_bottom = corners[:, 1] + corners[:, 3] < height
+    below = float(corners[at_bottom, 3].max(initial=0.0))
+    above = float(corners[~at_bottom, 1].min(initial=height))
+    above = max(above, height / 3)
+    return min(below, above - height / 3), above
+
+
+def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: int) -> Array:
+    """Corners of the other side, as high as they matter to a column that begins at `inner`.
+
+    One that reaches the column matters as a whole, one that is `ramp` pixels away not at all, and
+    between that in part, so that nothing jumps when the robot moves.
+    """
+    away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
+    share = np.clip(1.0 - away / ramp, 0.0, 1.0)
+    at_bottom = corners[:, 1] + corners[:, 3] < height
+    near = corners.copy()
+    near[:, 3] = np.where(at_bottom, share * corners[:, 3], height)
+    near[:, 1] = np.where(at_bottom, 0.0, height - share * (height - corners[:, 1]))
+    return near
 
 
 def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:

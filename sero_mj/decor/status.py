@@ -22,13 +22,6 @@ _MARGIN = 0.5  # of a line's height
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
 _SHOWN_FOR = 5.0  # s after a malformed packet, or one that was lost
-# Counts of the link and the words for them.
-_LINK = {
-    "lost": "lost",
-    "late": "late",
-    "duplicates": "twice",
-    "dropped": "thrown away here",
-}
 
 
 def _complaints(name: str, state: Any) -> list[str]:
@@ -51,16 +44,27 @@ def _link_complaints(name: str, state: Any) -> list[str]:
     """What went wrong between a source and who sends to it."""
     lines = []
     if 0 <= state.link_age < _SHOWN_FOR:
-        counts = [f"{getattr(state, key):.0f} {word}" for key, word in _LINK.items()]
-        counts = [text for text in counts if not text.startswith("0 ")]
-        if counts:
-            lines.append(f"{name}: packets {', '.join(counts)}")
+        # One of another size, or kind, has no number that could be read: it may be one of these.
+        unread = " or not applied" if state.wrong_size or state.wrong_constant else ""
+        counts = {
+            f"{_packets(state.lost)} lost{unread}": state.lost,
+            f"{state.late:.0f} came late": state.late,
+            f"{_packets(state.duplicates)} came twice": state.duplicates,
+            f"{state.dropped:.0f} thrown away here": state.dropped,
+        }
+        said = [text for text, count in counts.items() if count]
+        lines += [f"{name}: {', '.join(said[:2])}"] * bool(said)
+        lines += [f"  {', '.join(said[2:])}"] * bool(said[2:])  # the panel stays narrow
         if state.restarts:
             times = f" {state.restarts:.0f} times" if state.restarts > 1 else ""
             lines.append(f"{name}: the sender began anew{times}")
     if state.senders > 1:
         lines.append(f"{name}: {state.senders:.0f} senders at once; sender = ... chooses one")
     return lines
+
+
+def _packets(count: float) -> str:
+    return f"{count:.0f} packet{'' if count == 1 else 's'}"
 
 
 def _controller_complaints(name: str, state: Any, answers: bool) -> list[str]:

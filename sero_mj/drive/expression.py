@@ -6,7 +6,8 @@ computed once, when a scene is read; `Value.compile` makes of it what runs with 
 - Entries are picked along the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
 - Operands have one shape, or one of them is a number or can be repeated as in numpy.
 - A list puts the numbers of its entries one after the other.
-- Matrices only go whole: one of several can be picked, nothing can be computed with them.
+- Matrices go whole: one of several can be picked. All that can be computed with them is another
+  unit of length: `udp.matrices0 * mm` and `0.001 * udp.matrices0` scale their positions.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from ..errors import RouteError
 from .affine import Affine, Array, Ints, Origin, make_affine
 from .syntax import Chain, Join, Minus, Name, Node, Number, Pick
-from .units import Exponents, describe
+from .units import LENGTH, Exponents, describe
 
 Part = tuple[Origin, Ints, Array]
 
@@ -127,7 +128,9 @@ class _Evaluator:
         value = self.evaluate(node.first)
         for sign, at, following in node.rest:
             other = self.evaluate(following)
-            self._not_frames(at, sign, value, other)
+            if value.is_frames or other.is_frames:
+                value = self._scaled_frames(at, sign, value, other)
+                continue
             try:
                 shape = np.broadcast_shapes(value.shape, other.shape)
             except ValueError:
@@ -173,6 +176,26 @@ class _Evaluator:
             left, right = right, left
         scaled = _scaled(left, right.offset)
         return replace(scaled, dimensions=left.dimensions + right.dimensions)
+
+    def _scaled_frames(self, at: int, sign: str, left: Value, right: Value) -> Value:
+        """Frames whose positions are times a number: another unit of length."""
+        frames, factor = (right, left) if right.is_frames and sign == "*" else (left, right)
+        if sign in "+-" or not factor.is_constant or factor.shape or factor.is_frames:
+            reason = "expected nothing but a number or a length beside frames, as in frames * mm"
+            raise RouteError(self._text, at, reason)
+        size = float(factor.offset)
+        if not size > 0.0:
+            raise RouteError(self._text, at, f"expected a number above 0 beside it; found {size:g}")
+        unit = factor.dimensions if sign == "*" else -factor.dimensions
+        positions = frames.dimensions[..., :3, 3, :]
+        if unit.any() and (positions.any() or tuple(unit) != LENGTH):
+            reason = f"expected a length beside frames; found {describe(unit)}"
+            raise RouteError(self._text, at, reason)
+        factors = np.ones(frames.shape)
+        factors[..., :3, 3] = size if sign == "*" else 1.0 / size
+        dimensions = frames.dimensions.copy()
+        dimensions[..., :3, 3, :] = positions + unit
+        return replace(_scaled(frames, factors), dimensions=dimensions)
 
     def _join(self, node: Join) -> Value:
         values = [self.evaluate(item) for item in node.items]

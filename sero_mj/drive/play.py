@@ -93,7 +93,7 @@ class MotionPackets:
         self.structure = structure_for(self.source, structure)
         routes = _connected(wiring.routes, self.source.name, self.structure.events)
         if not routes:
-            raise UsageError(f"no route leads from '{self.source.name}': there is nothing to send")
+            raise UsageError(_nothing_to_send(wiring.routes, self.source.name, self.structure))
         for route in routes:
             self._check_size(route)
         self._scene = scene
@@ -248,6 +248,19 @@ def _connected(routes: Sequence[Route], source: str, events: Collection[str]) ->
         if more == names:
             return found
         names = more
+
+
+def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure) -> str:
+    """Why: no route leads from the source, or none takes what the structure has."""
+    taken = {
+        o.key: None for r in routes for o in r.value.origins if o.is_event and o.name == source
+    }
+    if not taken:
+        return f"no route leads from '{source}': there is nothing to send"
+    return (
+        f"structure '{structure.text}' has {', '.join(structure.events)}; the routes from "
+        f"'{source}' take {', '.join(taken)}: there is nothing to send"
+    )
 
 
 def _importance(scene: Scene, item: Input) -> int:

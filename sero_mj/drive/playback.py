@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +31,7 @@ class Playback:
         duration: from the first to the last, s.
         skipped: how many could not be sent so far: malformed ones, and such whose numbers the
             structure cannot hold.
+        notes: what is to be known about it, a sentence each: damage of a recording, found so far.
     """
 
     structure: Structure
@@ -38,6 +39,7 @@ class Playback:
     count: int
     duration: float
     skipped: int = field(default=0, init=False)
+    notes: list[str] = field(default_factory=list, init=False)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes."""
@@ -45,10 +47,21 @@ class Playback:
 
     def _encode(self, values: Mapping[str, ArrayLike]) -> bytes | None:
         try:
-            return self.structure.encode(values)
+            return self.structure.encode({**_identities(self.structure), **values})
         except ValueError:  # a number that its type cannot hold
             self.skipped += 1
             return None
+
+    def _note_absent(self, events: Collection[str]) -> None:
+        """Says what is sent for those events of the structure that are not among these."""
+        blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
+        absent = [event for event in blank if event not in events and not blank[event].any()]
+        frames = [event for event in absent if event in self.structure.matrices]
+        numbers = [event for event in absent if event not in frames]
+        said = [f"{', '.join(numbers)} as zeros"] * bool(numbers)
+        said += [f"{', '.join(frames)} as identity"] * bool(frames)
+        if said:
+            self.notes.append(f"what is not there is sent all the same: {', '.join(said)}")
 
 
 class RecordedPackets(Playback):
@@ -58,7 +71,7 @@ class RecordedPackets(Playback):
         file: the recording.
         source: which of its sources; may be empty where it has one only.
         structure: to send in; events keep their names, and those that the recording has not are
-            zero. None for what was recorded.
+            zero, frames the identity. None for what was recorded.
         only_whole: leaves out recorded packets that are not as long as the structure says.
 
     Raises:
@@ -75,7 +88,7 @@ class RecordedPackets(Playback):
         only_whole: bool = False,
     ) -> None:
         self.file, self._only_whole = file, only_whole
-        name = _choose(file, source)
+        name, faults = _choose(file, source)
         self._replay = Replay(file=file, source=name)
         recorded = self._replay.recorded
         if not recorded.count:
@@ -87,6 +100,9 @@ class RecordedPackets(Playback):
         how = "bit for bit" if self.is_raw else f"its {', '.join(self._events)}"
         about = f"{file}, source {name}, {how}"
         super().__init__(layout, about, recorded.count, recorded.last - recorded.first)
+        self._note(faults)
+        if not self.is_raw:
+            self._note_absent(self._events)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
@@ -98,6 +114,11 @@ class RecordedPackets(Playback):
                     self.skipped += 1
                 elif sent is not None:
                     yield arrival - recorded.first, sent
+            self._note(recording.faults)
+
+    def _note(self, faults: list[str]) -> None:
+        found = [f"{self.file}: {fault}" for fault in faults]
+        self.notes += [note for note in found if note not in self.notes]
 
     def _again(self, packet: bytes) -> bytes | None:
         values = self._replay.decode(packet)
@@ -111,7 +132,8 @@ class TablePackets(Playback):
     """The rows of a table of comma-separated values.
 
     Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
-    table without names, or with others, has all numbers of the packet, in order.
+    table without names, or with others, has all numbers of the packet, in order. Events may be left
+    out as a whole.
 
     Args:
         file: the table.
@@ -141,9 +163,11 @@ class TablePackets(Playback):
             for event, shape in structure.events.items()
             if any(name in columns for name in column_names({event: shape}))
         }
+        self._check_complete(file, columns, structure)
         about = f"{file}, {', '.join(self._columns)}"
         duration = float(self._times[-1] - self._times[0])
         super().__init__(structure, about, len(self._times), duration)
+        self._note_absent(self._columns)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each row is due, s after the first, and its packet."""
@@ -151,6 +175,21 @@ class TablePackets(Playback):
             packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
             if packet is not None:
                 yield time, packet
+
+    def _check_complete(
+        self, file: Path, columns: Mapping[str, Array], structure: Structure
+    ) -> None:
+        """Refuses an event of which only some numbers are there: the others would be made up."""
+        for event in self._columns:
+            wanted = column_names({event: structure.events[event]})
+            missing = [name for name in wanted if name not in columns]
+            if missing:
+                names = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
+                reason = (
+                    f"has {len(wanted) - len(missing)} of the {len(wanted)} numbers of {event}; "
+                    f"no column is called {names}"
+                )
+                raise CsvError(file, reason)
 
 
 def timed(
@@ -185,23 +224,30 @@ def timed(
 def _of_event(
     columns: Mapping[str, Array], event: str, shape: tuple[int, ...], count: int
 ) -> Array:
-    """An event's numbers of all rows, (count, ...); zeros where the table has none."""
-    none = np.zeros(count)
+    """An event's numbers of all rows, (count, ...); NaN where the table has none."""
+    none = np.full(count, np.nan)
     numbers = [columns.get(name, none) for name in column_names({event: shape})]
     return np.stack(numbers, axis=1).reshape(count, *shape)
 
 
-def _choose(file: Path, source: str) -> str:
+def _identities(structure: Structure) -> dict[str, Array]:
+    """Frames for all matrices of a structure: zeros would be none."""
+    shapes = {event: structure.events[event] for event in structure.matrices}
+    return {event: np.broadcast_to(np.eye(4), shape) for event, shape in shapes.items()}
+
+
+def _choose(file: Path, source: str) -> tuple[str, list[str]]:
+    """The source of a recording that is meant, and what is wrong with the recording."""
     with Recording(file) as recording:
         names = list(recording.sources)
-    if source:
-        if source not in names:
+        if source and source not in names:
             raise UsageError(f"no source '{source}' in {file}{did_you_mean(source, names)}")
-        return source
-    if len(names) != 1:
-        has = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
-        raise UsageError(f"{file} {has}")
-    return names[0]
+        if not source and len(names) != 1:
+            has = f"has several sources: {', '.join(names)}; choose one"
+            raise UsageError(f"{file} {has if names else 'has no source'}")
+        name = source or names[0]
+        recording.check_readable(name)
+        return name, recording.faults
 
 
 def _is_same(one: Structure, other: Structure) -> bool:

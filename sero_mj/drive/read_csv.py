@@ -51,7 +51,7 @@ def read_csv(path: Path | str, *, rate: float | None = None) -> tuple[Array, dic
         return np.arange(len(numbers)) / rate, columns
     if times is None:
         shown = ", ".join(names[:20])
-        reason = f"found the columns {shown}; expected one called {TIME}, in s, or a rate"
+        reason = f"found the columns {shown}; expected one called {TIME}, in s, or --rate"
         raise CsvError(path, reason)
     return times, columns
 

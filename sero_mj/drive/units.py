@@ -17,7 +17,7 @@ Exponents = NDArray[np.int64]
 Dimension = tuple[int, int, int, int]
 
 NONE: Dimension = (0, 0, 0, 0)
-_LENGTH: Dimension = (1, 0, 0, 0)
+LENGTH: Dimension = (1, 0, 0, 0)
 _MASS: Dimension = (0, 1, 0, 0)
 _TIME: Dimension = (0, 0, 1, 0)
 _ANGLE: Dimension = (0, 0, 0, 1)
@@ -32,9 +32,9 @@ UNITS: dict[str, tuple[float, Dimension]] = {
     "mrad": (1e-3, _ANGLE),
     "deg": (np.pi / 180.0, _ANGLE),
     "rpm": (np.pi / 30.0, _TURN),
-    "m": (1.0, _LENGTH),
-    "cm": (1e-2, _LENGTH),
-    "mm": (1e-3, _LENGTH),
+    "m": (1.0, LENGTH),
+    "cm": (1e-2, LENGTH),
+    "mm": (1e-3, LENGTH),
     "N": (1.0, _FORCE),
     "kN": (1e3, _FORCE),
     "mN": (1e-3, _FORCE),
@@ -50,7 +50,7 @@ UNITS: dict[str, tuple[float, Dimension]] = {
 }
 _NAMES: dict[Dimension, str] = {
     NONE: "a plain number",
-    _LENGTH: "a length (m)",
+    LENGTH: "a length (m)",
     _MASS: "a mass (kg)",
     _TIME: "a time (s)",
     _ANGLE: "an angle (rad)",
@@ -69,7 +69,7 @@ _ARROWS: dict[str, Dimension] = {
 }
 # Of a per-joint input, where the joint turns and where it slides.
 _JOINTS: dict[str, tuple[Dimension, Dimension]] = {
-    "joint_angles": (_ANGLE, _LENGTH),
+    "joint_angles": (_ANGLE, LENGTH),
     "torques": (_TORQUE, _FORCE),
     "commanded_torques": (_TORQUE, _FORCE),
     "joint_accelerations": ((0, 0, -2, 1), (1, 0, -2, 0)),

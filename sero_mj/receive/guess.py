@@ -61,6 +61,7 @@ def guess_layouts(rows: Rows, most: int = 4) -> list[Guess]:
     """
     size = rows.shape[1]
     header, begin = find_header(rows)
+    first = ">" if header.startswith(">") else "<"  # the order that is taken where either would do
     fits = {}
     for start, letters in {begin: header, **({} if header else _HEADERS)}.items():
         for type_, word in _TYPES.items():
@@ -72,7 +73,9 @@ def guess_layouts(rows: Rows, most: int = 4) -> list[Guess]:
         for (start, type_), ranked_guess in fits.items()
         # A header that nothing tells of, and the other byte order, only where they say more.
         if (start == begin or ranked_guess[1].plausible > best + 0.2)
-        and (type_[0] == "<" or ranked_guess[1].plausible > _of(fits[start, f"<{type_[1:]}"]))
+        and (
+            type_[0] == first or ranked_guess[1].plausible > _of(fits[start, f"{first}{type_[1:]}"])
+        )
     ]
     guesses = [guess for _, guess in sorted(ranked, key=lambda pair: pair[0], reverse=True)]
     if size in KNOWN:
@@ -95,7 +98,8 @@ def _with_body(
     plausible, seen = plausibility(numbers)
     body, column_major, words = _body(numbers)
     about = f"{word}: {words}{f', behind a header of {start} bytes' if start else ''}"
-    order = ">" if type_[0] == ">" else ""
+    before = ">" if header.startswith(">") else "<"  # an order holds from where it stands
+    order = type_[0] if type_[0] != before else ""
     structure = f"{header} {order}{body}" if header else order + body
     guess = Guess(structure, type_[-1] == "8", column_major, about, plausible)
     # Doubles of few digits look like float32 as well, but then half of these are zero.
@@ -164,17 +168,24 @@ def find_header(rows: Rows) -> tuple[str, int]:
     Args:
         rows: packets one after the other, (n, size); at least four of them tell a counter.
     """
+    little, big = (_header_in(rows, order) for order in "<>")
+    return (f">{big[0]}", big[1]) if big[1] > little[1] else little
+
+
+def _header_in(rows: Rows, order: str) -> tuple[str, int]:
+    """The header in one byte order."""
     size, at, parts, is_counted = rows.shape[1], 0, [], False
     while at < 16:
         for letter, each in (("Q", 8), ("I", 4), ("H", 2)):
             if at + each >= size:
                 continue
-            numbers = rows[:, at : at + each].view(f"<u{each}")[:, 0]
+            numbers = rows[:, at : at + each].view(f"{order}u{each}")[:, 0]
+            numbers = numbers.astype(f"u{each}")  # so that differences wrap in any order
             # Eight bytes only where they keep doubles behind them in place.
             if letter == "Q" and ((size - at) % 8 or (numbers >= 2**32).any()):
                 continue
-            if letter == "I" and (numbers >> 16 == size).all():  # a counter of two bytes, the size
-                continue
+            if letter == "I" and (_second(numbers, order) == size).all():
+                continue  # a counter of two bytes, then the size
             steps = np.diff(numbers)  # they wrap as the counter does
             if len(rows) >= 4 and (steps == 1).all():
                 parts.append(f"1{letter}" if is_counted else f"number:1{letter}")
@@ -187,6 +198,11 @@ def find_header(rows: Rows) -> tuple[str, int]:
             break
         at += each
     return " ".join(parts), at
+
+
+def _second(numbers: NDArray[np.integer], order: str) -> NDArray[np.integer]:
+    """The last two of four bytes."""
+    return numbers >> 16 if order == "<" else numbers & 0xFFFF
 
 
 def is_text(packet: bytes) -> bool:

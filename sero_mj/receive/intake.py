@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .checks import are_frames, blank_not_finite, find_not_finite, find_not_frame
 from .order import Place, SequenceTracker, StampTracker
+from .senders import MOST, Senders
 from .source import Counters
 from .structure import Structure
 from .timing import Timing
@@ -17,17 +18,15 @@ from .timing import Timing
 Array = NDArray[np.float64]
 Rows = NDArray[np.uint8]
 Ints = NDArray[np.intp]
-Senders = NDArray[np.uint8]
+Addresses = NDArray[np.uint8]
 Places = NDArray[np.int8]
 
-_MOST_SENDERS = 64  # whose numbers are followed; more at once is a flood
 # In the order in which they change; who waits for a malformed packet finds the others done.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
 _DUPLICATE, _LATE, _RESTARTED = (
     place.value for place in (Place.DUPLICATE, Place.LATE, Place.RESTARTED)
 )
-_SENDER_SEEN = 2.0  # s for which a sender counts after its last packet
 
 
 class Intake:
@@ -68,7 +67,7 @@ class Intake:
         self.on_fault = on_fault
         self._trackers: OrderedDict[bytes, SequenceTracker | StampTracker] = OrderedDict()
         self._lost_by_forgotten = 0
-        self._senders: dict[bytes, float] = {}
+        self._senders = Senders()
         # What the batch in work adds; it counts only when the good packets have been handed on.
         self._tally = Counters()
         self._modulus = 0
@@ -77,7 +76,7 @@ class Intake:
             self._modulus = 2 ** (8 * dtype.itemsize) if dtype.kind in "iu" else 0
 
     def take(
-        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Senders | None = None
+        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Addresses | None = None
     ) -> tuple[Rows, Array]:
         """Sorts packets, and returns those to apply; `count` then counts them all.
 
@@ -107,7 +106,7 @@ class Intake:
             senders = None if senders is None else senders[~bad]
         if not len(rows):
             return rows, arrivals
-        self._count_senders(senders, float(arrivals[-1]))
+        begins = None if senders is None else self._who(senders, arrivals)
         stamps = self._stamps(rows) if self._time else None
         places = self._follow(rows, arrivals, stamps, senders)
         good = ~layout.find_not_finite(rows, self.nan_allowed)
@@ -120,7 +119,7 @@ class Intake:
             self._fault(fault, arrivals[last])
         if layout.matrices:
             good &= self._are_frames(rows, arrivals, good)
-        self._time_good(good, arrivals, stamps, places)
+        self._time_good(good, arrivals, stamps, places, begins)
         # What is malformed has been counted, and is not counted again as late, say.
         duplicate, late = good & (places == _DUPLICATE), good & (places == _LATE)
         counters.duplicates += int(duplicate.sum())
@@ -149,7 +148,7 @@ class Intake:
         counters.lost = self._lost_by_forgotten + sum(
             tracker.lost for tracker in self._trackers.values()
         )
-        counters.senders = len(self._senders)
+        counters.senders = self._senders.at_once
         if tally.malformed:
             counters.last_size = tally.last_size or counters.last_size
             counters.last_fault_time = tally.last_fault_time
@@ -174,15 +173,20 @@ class Intake:
             return numbers.astype(np.float64) * self._time_scale
 
     def _time_good(
-        self, good: NDArray[np.bool_], arrivals: Array, stamps: Array | None, places: Places
+        self,
+        good: NDArray[np.bool_],
+        arrivals: Array,
+        stamps: Array | None,
+        places: Places,
+        begins: int | None,
     ) -> None:
         """Measures the packets that are not malformed, from the last restart on."""
         timed = good.copy()
         restarts = np.flatnonzero(places == _RESTARTED)
-        if len(restarts):
-            self._tally.restarts += len(restarts)
+        self._tally.restarts += len(restarts)
+        if len(restarts) or begins is not None:
             self.timing.restart()
-            timed[: restarts[-1]] = False
+            timed[: max([begins or 0, *restarts[-1:]])] = False
         if stamps is not None:
             timed &= np.isfinite(stamps)  # where NaN is allowed, it tells no time
         if timed.any():
@@ -211,7 +215,7 @@ class Intake:
         return good
 
     def _follow(
-        self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Senders | None
+        self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Addresses | None
     ) -> Places:
         """What the packets' numbers or time stamps say, as `Place`'s numbers, (n,)."""
         places = np.zeros(len(rows), np.int8)
@@ -244,21 +248,17 @@ class Intake:
         if tracker is None:
             tracker = SequenceTracker(self._modulus) if self._sequence else StampTracker()
             self._trackers[sender] = tracker
-            if len(self._trackers) > _MOST_SENDERS:
+            if len(self._trackers) > MOST:
                 self._lost_by_forgotten += self._trackers.popitem(last=False)[1].lost
         else:  # who sends is the last to be forgotten
             self._trackers.move_to_end(sender)
         return tracker
 
-    def _count_senders(self, senders: Senders | None, now: float) -> None:
-        """Notes who sent lately; several at once may be a mistake."""
-        if senders is None:
-            return
-        if (senders == senders[0]).all():
-            self._senders[senders[0].tobytes()] = now
-        else:
-            for sender in np.unique(senders, axis=0):
-                self._senders[sender.tobytes()] = now
-        if len(self._senders) > 1:
-            recent = {key: at for key, at in self._senders.items() if now - at < _SENDER_SEEN}
-            self._senders = dict(list(recent.items())[-_MOST_SENDERS:])
+    def _who(self, senders: Addresses, arrivals: Array) -> int | None:
+        """Notes who sent; returns the row from which on another one does, with another clock."""
+        self._senders.note(senders, arrivals)
+        for gone in self._senders.gone:  # its successor is it, begun anew
+            self._tally.restarts += 1
+            if (tracker := self._trackers.pop(gone, None)) is not None:
+                self._lost_by_forgotten += tracker.lost
+        return self._senders.begins

@@ -46,6 +46,11 @@ BROKEN = (
 )
 
 
+def reason_of(error: BaseException) -> str:
+    """What one of BROKEN says; those of the mcap library often say nothing."""
+    return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
+
+
 @dataclass(frozen=True)
 class SealedChunk:
     """A chunk as it goes into the file.

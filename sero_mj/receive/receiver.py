@@ -43,9 +43,9 @@ class Receiver(Declaration):
         is_double: `F`, `V`, `M` and `T` are float64, else float32 (`double` in files).
         column_major: matrices come column by column, else row by row.
         alignment: items begin at multiples of so many bytes: 1, 2, 4 or 8.
-        scale: every floating-point number is multiplied by it; of matrices only the position.
+        scale: times every floating-point number, of matrices the position; not `sequence`, `time`.
         only_latest_packet: the newest packet wins; when false every packet is handed on in order.
-        sequence: event (a named field, say) that numbers the packets; it tells loss.
+        sequence: event that numbers the packets, of any type (1d is fine); it tells loss.
         time: event that says when a packet was sent; it tells jitter and delay.
         time_scale: s per unit of `time`.
         debug_level: what is logged: 0 nothing, 1 faults, 2 restarts and loss too, 3 every batch.

@@ -17,7 +17,7 @@ from mcap.records import Attachment
 from mcap.writer import MCAP0_MAGIC
 
 from ..errors import RecordingError, UnknownName
-from .mcap_chunk import BROKEN, unpack_messages
+from .mcap_chunk import BROKEN, reason_of, unpack_messages
 from .recording_format import (
     ABOUT,
     CLOCK,
@@ -46,6 +46,11 @@ class RecordedSource(SourceDeclaration):
     count: int
     first: float
     last: float
+
+    @property
+    def is_unreadable(self) -> bool:
+        """Whether it has packets, and none of them can be read."""
+        return self.count > 0 and math.isnan(self.first)
 
 
 class Recording:
@@ -247,9 +252,20 @@ class Recording:
                 raise ValueError("its check sum differs")
             return bytes(Attachment.read(ReadDataStream(record)).data)
         except BROKEN as error:
-            raise RecordingError(self.path, f"file '{name}' in it is damaged: {error}") from error
+            raise RecordingError(
+                self.path, f"file '{name}' in it is damaged: {reason_of(error)}"
+            ) from error
         except OSError as error:
             raise self._unreadable(error) from error
+
+    def check_readable(self, name: str) -> None:
+        """Raises RecordingError where none of a source's packets can be read."""
+        source = self.sources[name]
+        if source.is_unreadable:
+            why, *others = self.faults or ["its index is wrong"]
+            more = f" (and {len(others)} more of the kind)" if others else ""
+            reason = f"none of the {source.count} packets of '{name}' can be read: {why}{more}"
+            raise RecordingError(self.path, reason)
 
     def close(self) -> None:
         """Closes the file."""
@@ -311,10 +327,10 @@ class Recording:
             self._damaged.add(chunk.offset)
         first, last = self._seconds(chunk.first), self._seconds(chunk.last)
         self.faults.append(
-            f"the chunk at byte {chunk.offset} is damaged ({error}): "
+            f"the chunk at byte {chunk.offset} is damaged ({reason_of(error)}): "
             f"what arrived from {first:.3f} s to {last:.3f} s is left out"
         )
 
     def _unreadable(self, error: Exception) -> RecordingError:
-        reason = error.strerror if isinstance(error, OSError) else error
+        reason = error.strerror if isinstance(error, OSError) else reason_of(error)
         return RecordingError(self.path, f"cannot be read: {reason}")

@@ -27,7 +27,7 @@ from mcap.records import (
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from .mcap_chunk import BROKEN
+from .mcap_chunk import BROKEN, reason_of
 from .mcap_summary import summary_crc
 
 _HEAD = struct.Struct("<BQ")
@@ -84,7 +84,9 @@ def read_index(file: BinaryIO) -> FileIndex:
         index = _from_summary(file, size)
     except BROKEN as error:
         index = _look_through(file, size)
-        index.faults.append(f"its index is damaged ({error}), so all of it was looked through")
+        index.faults.append(
+            f"its index is damaged ({reason_of(error)}), so all of it was looked through"
+        )
         return index
     return index or _look_through(file, size)
 

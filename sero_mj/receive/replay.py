@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_
 from ..errors import RecordingError, SourceError, did_you_mean
 from .intake import Intake
 from .live import LIVE
-from .receiver import Receiver
+from .receiver import Receiver, log
 from .recording import RecordedSource, Recording
 from .source import Packets
 from .structure import Structure
@@ -42,7 +42,7 @@ class Replay(Receiver):
         file: the recording, made by `sero-mj record`.
         source: which of its sources; the one of this name, or the only one, when empty.
         speed: 1 is as it was, 2 twice as fast.
-        loop: begins anew at the end; else it stays there.
+        loop: begins anew at the end; else it stays there, and grows stale.
         start: where it begins, s since the recording began; at the first packet of any of its
             sources when None.
         stop: where it ends, likewise; at the recording's end when None.
@@ -61,8 +61,10 @@ class Replay(Receiver):
     _coming: Iterator[tuple[float, bytes]] = PrivateAttr(default_factory=lambda: iter(()))
     _held: tuple[float, bytes] | None = PrivateAttr(None)
     _position: float = PrivateAttr(0.0)
+    _beyond: float = PrivateAttr(0.0)  # s since it ended
     _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # the clock's time, and the position
     _paused: bool = PrivateAttr(False)
+    _told: int = PrivateAttr(0)  # faults of the recording
     _lock: Any = PrivateAttr(default_factory=threading.RLock)
 
     @field_validator("structure")
@@ -99,6 +101,28 @@ class Replay(Receiver):
             found = f"has {', '.join(names)}; choose one" if names else "has no source"
             raise ValueError(f"{info.data['file']} {found}")
         return names[0]
+
+    @field_validator("start")
+    @classmethod
+    def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
+        if start is not None and "file" in info.data:
+            with Recording(info.data["file"]) as recording:
+                check_start(start, recording)
+        return start
+
+    @field_validator("stop")
+    @classmethod
+    def _ends_after_it_begins(cls, stop: float | None, info: ValidationInfo) -> float | None:
+        if stop is None or "file" not in info.data or "start" not in info.data:
+            return stop
+        if info.data["start"] is not None:
+            begin, word = info.data["start"], "start"
+        else:
+            with Recording(info.data["file"]) as recording:
+                begin, word = _first_of(recording), "where its first packet came"
+        if not begin < stop < np.inf:
+            raise ValueError(f"found {stop:g}; expected more than {begin:g}, {word}, in s")
+        return stop
 
     @cached_property
     def recorded(self) -> RecordedSource:
@@ -138,12 +162,13 @@ class Replay(Receiver):
         if self.start is not None:
             return self.start
         with Recording(self.file) as recording:
-            return min((s.first for s in recording.sources.values() if s.count), default=0.0)
+            return _first_of(recording)
 
     @property
     def _end(self) -> float:
         last = self.recorded.last
-        return self.stop if self.stop is not None else max(0.0 if np.isnan(last) else last, 0.0)
+        end = self.stop if self.stop is not None else (0.0 if np.isnan(last) else last)
+        return max(end, self._begin)
 
     @property
     def position(self) -> float:
@@ -156,8 +181,8 @@ class Replay(Receiver):
         return False
 
     def now(self) -> float:
-        """The position: arrivals are counted on the recording's clock."""
-        return self._position
+        """The time on the recording's clock; where it has ended, it goes on without packets."""
+        return self._position + self._beyond
 
     def allow_nan(self, events: Collection[str]) -> None:
         """Lets NaN and infinity mean `no data` in these events; see `Receiver.allow_nan`."""
@@ -178,10 +203,13 @@ class Replay(Receiver):
         self.close()
         try:
             self._recording = Recording(self.file)
+            self._recording.check_readable(self.source)
         except RecordingError as error:
+            self.close()
             raise SourceError(self.name, str(error)) from error
         self._start_afresh()
         self._paused = False
+        self._told = 0
         self._anchor = (0.0, self._begin)
         self._go_to(self._begin)
 
@@ -212,10 +240,12 @@ class Replay(Receiver):
                 position -= rounds * self.duration
                 self._anchor = (clock, position)
                 self._go_to(self._begin)
+            beyond = max(position - self._end, 0.0)
             position = min(position, self._end)
             if position < self._position:  # the clock went back: it is a new film, say
                 self._go_to(position)
             self._play_until(position)
+            self._beyond = beyond
 
     def seek(self, position: float, clock: float = 0.0) -> None:
         """Goes to a position, s since the recording began; `clock` is the driver's time now."""
@@ -244,15 +274,18 @@ class Replay(Receiver):
         assert self._recording is not None
         number = self._number
         self._intake = self._new_intake()
-        self._position = position
+        self._position, self._beyond = position, 0.0
         name = self.recorded.name
         before = self._recording.last_before(name, position)
-        self._coming = self._recording.packets(name, np.nextafter(position, np.inf))
+        # Times are kept in ns: the next one is the first that is not the same packet again.
+        after = position if before is None else before[0] + 1e-9
+        self._coming = self._recording.packets(name, after)
         self._held = None
         self._last = None
         self._number = number  # goes on: whoever takes packets must see that these are new
         if before is not None:
             self._hand_in([before])
+        self._tell_faults()
 
     def _play_until(self, position: float) -> None:
         self._position = position
@@ -269,6 +302,15 @@ class Replay(Receiver):
                 batch = []
         if batch:
             self._hand_in(batch)
+        self._tell_faults()
+
+    def _tell_faults(self) -> None:
+        """Logs what is wrong with the recording, as it is found."""
+        assert self._recording is not None
+        faults = self._recording.faults
+        for fault in faults[self._told :] if self.debug_level else []:
+            log.warning("%s: %s", self.file, fault)
+        self._told = len(faults)
 
     def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
         size = self.layout.size
@@ -277,3 +319,14 @@ class Replay(Receiver):
         padded = b"".join(packet[: size + 1].ljust(size + 1, b"\0") for _, packet in batch)
         rows = np.frombuffer(padded, np.uint8).reshape(len(batch), size + 1)
         self._accept(rows, lengths, arrivals)
+
+
+def _first_of(recording: Recording) -> float:
+    """When the first packet of any source came, s since the recording began."""
+    return min((s.first for s in recording.sources.values() if s.count), default=0.0)
+
+
+def check_start(start: float, recording: Recording) -> None:
+    """Raises ValueError for a time, s, at which a recording is over."""
+    if not start <= recording.duration:
+        raise ValueError(f"found {start:g}; the recording ends at {recording.duration:.2f} s")

@@ -31,7 +31,8 @@ def report(source: Receiver) -> dict[str, Any]:
     Returns:
         every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s
         since the last good packet, None before the first), `jitter` and `delay` (s, None where
-        the packets have no time stamp), `good`.
+        the packets have no time stamp), `good`, `trouble` (what keeps packets from coming, where
+        that is known: shared memory that is not there, say).
     """
     counters, timing = source.counters, source.timing
     since = age(source.latest(), source.now())
@@ -44,6 +45,7 @@ def report(source: Receiver) -> dict[str, Any]:
         "age": since if since < float("inf") else None,
         "jitter": timing.jitter,
         "delay": timing.delay if source.time else None,
+        "trouble": source.trouble,
         "malformed": counters.malformed,
         **{field.name: getattr(counters, field.name) for field in fields(Counters)},
     }
@@ -56,17 +58,21 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
         found: what `report` returned.
     """
     rows = []
+    why = f": {found['trouble']}" if found["trouble"] else ""
     if found["age"] is None:
-        rows.append(("state", "silent", "no good packet yet"))
+        rows.append(("state", "silent", f"no good packet yet{why}"))
     elif found["receiving"]:
         delay = found["delay"]
         slow = f", {delay * 1e3:.2f} ms behind the fastest" if delay is not None else ""
         jitter = f"jitter {found['jitter'] * 1e3:.3f} ms{slow}"
         rows.append(("state", f"{found['rate']:.1f}/s", jitter))
     else:
-        rows.append(("state", "quiet", f"no good packet for {found['age']:.1f} s"))
+        rows.append(("state", "quiet", f"no good packet for {found['age']:.1f} s{why}"))
     rows.append(("received", str(found["received"]), f"{found['good']} of them applied"))
-    rows += [(name, str(found[name]), why) for name, why in MEANINGS.items() if found[name]]
+    meanings = dict(MEANINGS)
+    if found["wrong_size"] or found["wrong_constant"]:
+        meanings["lost"] += ", or that of a packet below could not be read"
+    rows += [(name, str(found[name]), why) for name, why in meanings.items() if found[name]]
     if found["senders"] > 1:
         rows.append(("senders", str(found["senders"]), "at once; sender = ... chooses one"))
     if found["last_fault"]:

@@ -67,6 +67,7 @@ class Sniffer:
     Args:
         host: address to listen on; `0.0.0.0` for every interface, or a multicast group.
         port: to listen on; 0 lets the system choose.
+        interface: name or address of the network interface on which a group is joined.
 
     Attributes:
         streams: by sender and size, in the order in which they were first seen.
@@ -78,9 +79,9 @@ class Sniffer:
         SourceError: the port is in use, or the address is not one of this machine.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, interface: str = "") -> None:
         try:
-            self._socket = open_socket("sniff", host, port, "", 0)
+            self._socket = open_socket("sniff", host, port, interface, 0)
         except SourceError as error:
             if getattr(error.__cause__, "errno", None) != errno.EADDRINUSE:
                 raise

@@ -75,9 +75,9 @@ class Counters:
         lost: sequence numbers that never came.
         late: came after one with a higher number; applied only when none may be lost.
         duplicates: came before with the same number; not applied.
-        restarts: how often the sender began anew.
+        restarts: how often the sender began anew: with its numbers, or from another port.
         torn: reads of shared memory given up because the writer was always in between.
-        senders: how many have sent within the last 2 s.
+        senders: how many send at once, in turns, within the last 2 s.
         blanked: good ones with NaN or infinity where these are allowed.
         superseded: good ones that a later packet replaced before they were used, as intended
             when a robot sends faster than pictures are made.

@@ -219,13 +219,16 @@ class Structure:
     def tell_wrong_constant(self, rows: Rows) -> str:
         """Says what is wrong with the first packet's constants; empty when nothing is."""
         for item, constant in self._constants:
-            wrong = _is_wrong(rows[:1], item, constant)[0]
-            if wrong.any():
+            if (wrong := _is_wrong(rows[:1], item, constant)[0]).any():
                 index = int(np.argmax(wrong))
                 found = _numbers(rows[:1], item)[0, index]
                 name = f"{item.name} " if item.name else ""
                 place = item.offset + index * item.item_bytes
-                return f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
+                said = f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
+                if item.item_bytes > 1 and found.byteswap() == constant:
+                    other = "<" if item.dtype.byteorder == ">" else ">"
+                    said += f"; these are its bytes turned round: '{other}'?"
+                return said
         return ""
 
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:

@@ -74,7 +74,7 @@ class WholePackets:
             self.trouble = f"{self._about} has {block.size} bytes; expected {self._expected}"
             return seen
         if not self._done and seen.count(0) == len(seen):
-            self.trouble = f"nothing has been written to {self._about} yet"
+            self.trouble = f"{self._about} is there ({block.size} bytes), nothing is written yet"
             return None
         if self._lock is not None:
             packet = self._find_locked(block, self._lock, seen)

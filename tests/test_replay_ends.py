@@ -1,0 +1,154 @@
+"""Where a recording begins and ends: seeking there, beyond it, and what is said about it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import record
+
+from sero_mj import Mirror, Scene, SerialRobot
+from sero_mj.assemble.inputs import SOURCE_FIELDS
+from sero_mj.cli import main
+from sero_mj.drive.mirror import load_scene
+from sero_mj.errors import DeclarationError
+from sero_mj.receive.replay import Replay
+from sero_mj.receive.structure import Structure
+
+LAYOUT = Structure("2F1V1M")  # what `recordings` declares
+PACKETS = [
+    LAYOUT.encode({"values0": [k / 10, 0], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
+    for k in range(11)
+]
+SCENE = """
+[robots.two]
+dh_convention = "craig"
+dh_params = [[0, 0.3, 0, 0], [0, 0.3, 0, 0]]
+
+[sources.arm]
+kind = "replay"
+file = "rec.mcap"
+{more}
+
+[routes]
+"two.joint_angles" = "arm.values0"
+"""
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Eleven packets in the second from 0 on, or a little later."""
+    path = tmp_path / "rec.mcap"
+    record(path, PACKETS)
+    return path
+
+
+def scene_file(recording: Path, more: str = "") -> Path:
+    path = recording.with_name("scene.toml")
+    path.write_text(SCENE.format(more=more))
+    return path
+
+
+def refused(*arguments: object) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([*map(str, arguments)])
+    assert caught.value.code == 2
+
+
+@pytest.mark.parametrize("more", ["", "speed = 2\nloop = true"])
+def test_status_plays_it(recording: Path, more: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["status", str(scene_file(recording, more)), "--duration", "1.4", "--json"])
+    (found,) = json.loads(capsys.readouterr().out)
+    assert caught.value.code == 0
+    assert found["good"] > 11 if more else found["good"] == 11
+    assert found["rate"] == pytest.approx(10.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("start = 50", "start: found 50; the recording ends at 1.00 s"),
+        ("start = 0.5\nstop = 0.5", "stop: found 0.5; expected more than 0.5, start, in s"),
+        ("stop = -1", "stop: found -1; expected more than 0, where its first packet came, in s"),
+    ],
+)
+def test_times_with_nothing_between_them_are_told(recording: Path, more: str, said: str) -> None:
+    file = scene_file(recording, more)
+    with pytest.raises(DeclarationError) as caught:
+        load_scene(file)
+    (problem,) = caught.value.problems
+    assert (
+        re.sub(r"than \d\.?\d*e-\d+", "than 0", str(problem))
+        == f"{file}:{problem.line}: sources.arm.{said}"
+    )
+    assert problem.line == 8 + len(more.splitlines())
+
+
+def test_so_are_those_of_the_command_line(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "live.toml"
+    scene.write_text(
+        SCENE.replace('"replay"\nfile = "rec.mcap"', '"udp"\nstructure = "2F1V1M"').format(more="")
+    )
+    refused("render", scene, "-o", tmp_path / "x.png", "--replay", recording, "--start", 99)
+    assert "sero-mj: --start: found 99; the recording ends at 1.00 s" in capsys.readouterr().err
+    refused("export-csv", recording, tmp_path / "x.csv", "--start", 0.5, "--stop", 0.2)
+    said = "sero-mj: --stop: found 0.2; expected more than 0.5, --start, in s"
+    assert said in capsys.readouterr().err
+    refused("export-csv", recording, tmp_path / "x.csv", "--start", 2)
+    assert "--start: found 2; the recording ends" in capsys.readouterr().err
+    assert not list(tmp_path.glob("x.*"))
+
+
+def test_a_table_that_is_there_is_kept(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "t.csv"
+    table.write_text("mine")
+    refused("export-csv", recording, table)
+    said = f"sero-mj: {table}: exists already; choose another name, or --overwrite\n"
+    assert capsys.readouterr().err == said
+    assert table.read_text() == "mine"
+    with pytest.raises(SystemExit) as caught:
+        main(["export-csv", str(recording), str(table), "--overwrite"])
+    assert caught.value.code == 0
+    assert len(table.read_text().splitlines()) == 12
+
+
+def test_nothing_is_sent_to_it(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused("send", scene_file(recording), "--duration", 0.1)
+    said = "source 'arm' of the scene is a recording, to which nothing can be sent; give --port"
+    assert capsys.readouterr().err.startswith(f"sero-mj: {said}")
+
+
+def test_no_packet_is_seen_twice_where_it_begins(recording: Path) -> None:
+    whole = Replay(file=recording, start=0.0)
+    for start in (0.0, 0.35, whole.recorded.last, whole.recorded.first):
+        with Replay(file=recording, start=start) as replay:
+            replay.advance_to(0.0)
+            before = replay.counters.received
+            replay.advance_to(5.0)
+            assert before <= 1
+            expected = 10 - int((start - whole.recorded.first + 1e-6) * 10) + 1
+            assert replay.counters.received == expected, start
+
+
+def test_it_grows_stale_when_it_is_over(recording: Path) -> None:
+    arm = SerialRobot(name="two", dh_convention="craig", dh_params=[[0, 0.3, 0, 0]] * 2)
+    replay = Replay(file=recording, name="udp")
+    scene = Scene(robots=[arm], sources={"udp": replay}, routes={"two.joint_angles": "udp.values0"})
+    with Mirror(scene) as mirror:
+        age = mirror.world.slots["sources.udp"].start + SOURCE_FIELDS.index("age")
+        for time, stale in ((0.5, 0.0), (1.0, 0.0), (1.3, 0.3), (4.0, 3.0), (0.2, 0.0)):
+            mirror.advance(time)
+            assert mirror.data.userdata[age] == pytest.approx(stale, abs=0.02)
+        assert mirror.data.qpos[0] == pytest.approx(0.2)
+        mirror.advance(3.0)
+        replay.seek(0.5, 3.0)
+        mirror.advance(3.0)
+        assert replay.receiving
