@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from typing import Any
 
+import numpy as np
 import pytest
 from decor_tools import GEOM, belonging, labels, of_kind, rectangle, view_at
 from polling import until
@@ -13,7 +14,9 @@ from source_slots import set_source
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.decor.cards import below
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.panels import Panels
 from sero_mj.decor.pen import Kind
 from sero_mj.decor.status import FAULT_RGBA, Status
 from sero_mj.decor.toggles import Toggles
@@ -117,6 +120,17 @@ def test_faults_cover_no_billboard(
     low, high = rectangle(view, faults[0])
     for panel_low, panel_high in panels:
         assert (panel_low >= high - 1e-3).any() or (panel_high <= low + 1e-3).any()
+
+
+@pytest.mark.parametrize(("width", "lowered"), [(400.0, 40.0), (200.0, 0.0)])
+def test_faults_stand_below_the_flange_check_where_they_meet(width: float, lowered: float) -> None:
+    # In a picture of 640 x 480: a line in the right corner, and faults in the left one.
+    right = Panels(np.array([[480.0, 455.0]]), np.array([[300.0, 30.0]]), [[b"off"]])
+    faults = Panels(np.array([[10 + width / 2, 430.0]]), np.array([[width, 100.0]]), [[b"lost"]])
+    moved = below(right, faults)
+    assert moved is not None
+    assert moved.centres.tolist() == [[10 + width / 2, 430.0 - lowered]]
+    assert below(None, faults) is faults and below(right, None) is None
 
 
 def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:

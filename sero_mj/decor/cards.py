@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,18 @@ def lay_out(
         )
         first += len(group.texts)
     return panels
+
+
+def below(right: Panels | None, left: Panels | None) -> Panels | None:
+    """The panels of the upper left corner, moved below those of the right one if they meet."""
+    if right is None or left is None:
+        return left
+    low, _ = _bounds(right)
+    _, high = _bounds(left)
+    down = high[1] - low[1]
+    if high[0] < low[0] or down <= 0:
+        return left
+    return replace(left, centres=left.centres - [0.0, down])
 
 
 def _bounds(panels: Panels) -> tuple[Array, Array]:

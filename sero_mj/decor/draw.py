@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..assemble.world import World
 from .axes import draw_axes
 from .billboards import Billboards
-from .cards import lay_out
+from .cards import below, lay_out
 from .flange_check import FlangeCheck
 from .frame_names import name_panels
 from .hover import hover_panel
@@ -77,7 +77,7 @@ class Decor:
             cards.append(off)
         groups = [group for group in cards if group is not None]
         legend = self._legend.panels(toggles, view, limit)
-        faults = self._status.panels(data, toggles, view)
+        faults = below(right, self._status.panels(data, toggles, view))
         corners = [panels for panels in (right, legend, faults) if panels is not None]
         points = data.site_xpos[world.joints.centre_site[shown.joints]]
         panels = [
