@@ -29,11 +29,13 @@ PAYLOAD = "payload"  # a body at the flange that weighs nothing until something 
 _ONE_HOUSING = 4.0
 # Coulomb friction that holds creeps by no more than 1e-6 rad/s (the default: 1e-4).
 _FRICTION = {"solreffriction": [0.004, 1.0], "solimpfriction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
-# Metal, plastic and wood slide on each other so; by default all is rubber, and a probe hops.
+# Friction of metal, plastic and wood on each other; MuJoCo's default is that of rubber.
 _SLIDING = [0.3, 0.005, 1e-4]
 _RUBBER = [1.0, 0.005, 1e-4]
-# Stops, floors and tables are stiffer than by default; not beyond what a step can follow.
-_STIFF = [0.005, 1.0]
+# Contacts grow stiff over 5 mm, as with skins of rubber. With MuJoCo's default, which is stiff at
+# once, a probe that slides hops: its force flips between 0 and twice the mean in every few steps.
+_SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
+_TIME_CONSTANT = [0.03, 1.0]
 # The stops of joints have rubber on them, or gears would break.
 _STOP = {"solreflimit": [0.02, 1.0], "solimplimit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
@@ -43,7 +45,7 @@ def set_up_dynamics(root: mjcf.RootElement) -> None:
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
     root.option.timestep = TIMESTEP
     root.option.integrator = "Euler"
-    root.default.geom.solref = _STIFF
+    root.option.cone = "elliptic"  # pyramids give a third too little friction when all is soft
     floor = root.find("geom", "floor")
     if floor is not None:
         # Links that are built into the floor do not feel it, see _collide.
@@ -51,9 +53,11 @@ def set_up_dynamics(root: mjcf.RootElement) -> None:
 
 
 def smooth(model: mujoco.MjModel) -> None:
-    """Gives geoms that say nothing else the friction of smooth things on each other."""
+    """Gives geoms that say nothing else the friction and the skin of smooth things."""
     unsaid = (model.geom_friction == _RUBBER).all(axis=1)
     model.geom_friction[unsaid] = _SLIDING
+    sudden = (model.geom_solimp == _SUDDEN).all(axis=1)
+    model.geom_solimp[sudden], model.geom_solref[sudden] = _SOFT, _TIME_CONSTANT
 
 
 def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDynamics) -> None:
@@ -138,7 +142,7 @@ def _add_hulls(piece: mjcf.RootElement, robot: SerialRobot, hulls: list[Array | 
     sunk = _in_the_floor(robot)
     for i in range(robot.n + 1):
         body = piece.find("body", f"link{i}") if i else piece.worldbody
-        touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1, "solref": _STIFF}
+        touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1}
         hull = hulls[i]
         if hull is not None:
             asset = piece.asset.add("mesh", name=f"hull{i}", vertex=hull.ravel(), inertia="convex")
