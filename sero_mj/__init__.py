@@ -104,6 +104,9 @@ _HOME = {
 }
 
 
+__all__ = ["__version__", *_HOME]  # noqa: PLE0604
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'sero_mj' has no attribute '{name}'")

@@ -10,7 +10,7 @@ import pytest
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
-from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.errors import DeclarationError, SimulationError, UnknownName
 from sero_mj.paths import list_scenarios
 from sero_mj.simulate.disturbances import Force
 from sero_mj.simulate.run_recorder import RunRecorder
@@ -243,3 +243,74 @@ def test_a_motion_that_is_not_there_is_told(tmp_path: Path, text: str, message: 
     with pytest.raises(DeclarationError) as caught:
         read(tmp_path, f"{BASE}[targets.lwr]\nkind='recorded'\n{text}\n")
     assert message in str(caught.value) and "mine.toml:" in str(caught.value)
+
+
+# ---- what a newcomer stumbled on
+
+
+class Returns:
+    def torques(self, sensed: Any, target: Any, out: Any) -> Any:
+        return out + 1.0
+
+
+def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
+    for text, message in (
+        ("[faults.x]\nkind='sensor'\nbegin=0\n", "faults.x: does nothing; expected one of bias"),
+        ("[faults.x]\nkind='friction'\n", "faults.x: does nothing; expected viscous, coulomb or"),
+        ("[faults.x]\nkind='dead_sensor'\nbegin=17\n", "begin: found 17 s; the run ends at 0.1 s"),
+        ("[targets.lwr]\nkind='constant'\nfile='x.csv'\n", "targets.lwr.file: unknown key"),
+        ("[targets.lwr]\nkind='recorded'\n", "targets.lwr.file: is required; expected RUN.mcap"),
+        ("[expect.e]\nfinds='any'\nbelow=1\n", "expect.e: below: is for a measure; found finds"),
+        (
+            "[expect.e]\nmeasure='torque'\nbelow=1\nabove=2\n",
+            "expect.e: above: found 2; expected less than 1",
+        ),
+    ):
+        with pytest.raises(DeclarationError) as caught:
+            read(tmp_path, BASE + text)
+        assert message in str(caught.value)
+    with pytest.raises(DeclarationError, match=r"robots.lwr.modl: unknown key; did you mean 'mod"):
+        read(tmp_path, BASE.replace("model", "modl"))
+    with pytest.raises(DeclarationError) as caught:
+        read(tmp_path, BASE, {"robots.lwr.joint_angles": [3.0, 0, 0, 0, 0, 0, 0]})
+    assert "joint A1 begins at 171.9 deg; expected -170 to 170 deg" in str(caught.value)
+
+
+def test_contact_needs_something_to_touch() -> None:
+    touch = {"expect": {"e": {"measure": "contact_force", "below": 1.0}}, "duration": 0.01}
+    assert ran(scenario(**touch)).outcomes()[0].holds  # the floor is there
+    with pytest.raises(DeclarationError, match="has nothing to touch; expected an object or"):
+        Scenario(Scene(robots=[lwr()], floor=False), **touch)
+
+
+def test_controllers_of_ones_own_have_to_write() -> None:
+    with pytest.raises(SimulationError, match=r"lwr at 0.0000 s: torques\(\) has returned som"):
+        ran(scenario(controllers={"lwr": Returns()}))
+    (found,) = problems(controllers={"lwr": Returns})
+    assert "found the class Returns; expected an object: Returns()" in found
+
+
+def test_constant_torques_come_on_top_of_gravity() -> None:
+    pushed = {"kind": "torque", "torques": [5.0, 0, 0, 0, 0, 0, 0]}
+    log = ran(scenario(controllers={"lwr": pushed}, duration=0.5)).log
+    held = log.of("lwr", "commanded_torques")[1] - log.of("lwr", "torques")[0]
+    assert held == pytest.approx([5.0, 0, 0, 0, 0, 0, 0], abs=1e-6)
+    assert log.of("lwr", "angles")[-1, 0] > 0.05
+
+
+def test_a_motion_that_is_too_fast_names_its_peak_and_its_ramp() -> None:
+    (found,) = problems(
+        targets={"lwr": {"kind": "sine", "amplitude_deg": [90, 0, 0, 0, 0, 0, 0],
+                         "frequency": 0.19}}, duration=5.0,
+    )  # fmt: skip
+    assert "joint A1 is to move at 1" in found and "expected up to 112.5 deg/s" in found
+    assert found.endswith("; it grows within 1 s: ramp = 2 is gentler")
+
+
+def test_a_run_that_ends_before_says_so() -> None:
+    late = {"late": {"measure": "torque", "below": 100.0, "after": 0.4}}
+    simulation = Simulation(scenario(expect=late, duration=0.5))
+    simulation.advance(100)
+    (outcome,) = simulation.outcomes()
+    assert not outcome.holds
+    assert outcome.text == "torque: the run ended at 0.1 s, before it counts; expected below 100"

@@ -154,3 +154,16 @@ def test_noise_that_begins_late_is_there_at_once():
     sensors.change("torques", 1, noise=0.5)
     error = run(sensors, RAMP[10:40]) - RAMP[10:40]
     assert error[:, 2, 1].all() and not error[:, :2].any() and not error[:, 2, [0, 2, 3]].any()
+
+
+def test_a_delay_may_be_of_some_joints_only():
+    sensors = Sensors(3)
+    values = [np.full((3, 3), float(k)) for k in range(10)]
+    for k in range(5):
+        sensors.measure(values[k])
+    sensors.delay("angles", 2, [1])
+    seen = [sensors.measure(value).copy() for value in values[5:]]
+    assert [row[0].tolist() for row in seen[2:]] == [[7, 5, 7], [8, 6, 8], [9, 7, 9]]
+    assert all((row[1:] == value[1:]).all() for row, value in zip(seen, values[5:], strict=True))
+    sensors.delay("angles", 0, [1])
+    assert sensors.measure(values[3])[0].tolist() == [3, 3, 3]

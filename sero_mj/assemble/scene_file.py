@@ -184,6 +184,10 @@ class _Reader:
             raise DeclarationError([Problem("name", message)])
         fields = {**table, "name": name}
         model = fields.pop("model", None)
+        known = [*SerialRobot.model_fields, "model"]
+        for key in fields:
+            if key not in known and did_you_mean(key, known).endswith("did you mean 'model'?"):
+                raise DeclarationError([Problem(key, "unknown key; did you mean 'model'?")])
         beside = self.path.parent
         if "directory" in fields and isinstance(fields["directory"], str):
             fields["directory"] = str(beside / fields["directory"])

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import argparse
 import tomllib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from .. import paths
 from .arguments import Commands, add_command
+
+if TYPE_CHECKING:
+    from ..assemble.declaration import Declaration
 
 
 def add_to(commands: Commands) -> None:
@@ -15,14 +20,15 @@ def add_to(commands: Commands) -> None:
         commands, "list", run, "list the shipped robots and scenes", "See also: sero-mj check SCENE"
     )
     parser.add_argument(
-        "--fields", action="store_true", help="list the fields of a robot and their defaults"
-    )
+        "--fields", nargs="?", const="robots", choices=("robots", "scenarios"),
+        help="list the fields of a robot and their defaults, or those of a scenario",
+    )  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
     if options.fields:
-        _print_fields()
+        (_print_fields if options.fields == "robots" else _print_scenario_fields)()
         return 0
     print("robots (models/)")
     for name in paths.list_models():
@@ -44,14 +50,58 @@ def _first_comment(scene: str) -> str:
 
 
 def _print_fields() -> None:
+    from ..assemble.robot import SerialRobot
+
+    _print_declaration(SerialRobot)
+
+
+def _print_scenario_fields() -> None:
+    """Every table of a scenario with its kinds, keys, defaults and meanings."""
+    from ..simulate.cartesian_laws import CARTESIAN_LAWS
+    from ..simulate.controllers import CONTROLLERS
+    from ..simulate.disturbances import DISTURBANCES
+    from ..simulate.expect import Expect
+    from ..simulate.faults import FAULTS
+    from ..simulate.laws import LAWS
+    from ..simulate.measures import MEASURES
+    from ..simulate.monitor import KINDS, Monitor
+    from ..simulate.scenario import Run
+    from ..simulate.sensors import SIGNALS, SensorErrors
+
+    kinds: dict[str, Mapping[str, type[Declaration]]] = {
+        "controllers.ROBOT": CONTROLLERS,
+        "targets.ROBOT": {**LAWS, **CARTESIAN_LAWS},
+        "disturbances.NAME": DISTURBANCES,
+        "faults.NAME": FAULTS,
+    }
+    print("[run]")
+    _print_declaration(Run)
+    for section, found in kinds.items():
+        for kind, declaration in found.items():
+            print(f'\n[{section}] kind = "{kind}"')
+            _print_declaration(declaration)
+    print(f"\n[sensors.ROBOT] {', '.join(f'{signal} = {{ ... }}' for signal in SIGNALS)}")
+    _print_declaration(SensorErrors)
+    print("\n[monitor]")
+    _print_declaration(Monitor)
+    print("\n[expect.NAME]")
+    _print_declaration(Expect)
+    print("\nmeasures: " + ", ".join(f"{name} ({unit})" for name, (unit, _) in MEASURES.items()))
+    print("kinds of faults that are found: " + ", ".join(KINDS))
+
+
+def _print_declaration(declaration: type[Declaration]) -> None:
+    """Prints the fields of a declaration, those of its bases included."""
     import inspect
     import re
 
-    from ..assemble.robot import SerialRobot
-
-    text = inspect.cleandoc(SerialRobot.__doc__ or "").partition("Attributes:\n")[2]
-    about = dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", text, re.MULTILINE))
-    for name, field in SerialRobot.model_fields.items():
+    about: dict[str, str] = {}
+    for kind in reversed(declaration.__mro__):
+        text = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
+        about |= dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", text, re.MULTILINE))
+    for name, field in declaration.model_fields.items():
+        if name == "kind":
+            continue
         default = (
             "required" if field.is_required() else field.get_default(call_default_factory=True)
         )

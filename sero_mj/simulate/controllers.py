@@ -65,6 +65,11 @@ def make_controller(
             limits = _lower(own.per_joint("torque_limits", n), limits, model.joint_names)
         if own.torque_rate_limits is not None:
             rates = own.per_joint("torque_rate_limits", n)
+    elif isinstance(controller, type):
+        message = (
+            f"found the class {controller.__name__}; expected an object: {controller.__name__}()"
+        )
+        raise DeclarationError([Problem("", message)])
     elif not callable(getattr(controller, "torques", None)):
         message = f"found {controller!r}; expected a method torques(sensed, target, out)"
         raise DeclarationError([Problem("", message)])

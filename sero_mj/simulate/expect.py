@@ -33,6 +33,10 @@ class Happening(Protocol):
     def duration(self) -> float:
         """Of the run, s."""
 
+    @property
+    def has_surroundings(self) -> bool:
+        """Whether there is something that robots can touch."""
+
     def has_target(self, robot: str) -> bool:
         """Whether a robot is to be somewhere."""
 
@@ -93,9 +97,17 @@ class Expect(Declaration):
         if len(asked) != 1:
             found = " and ".join(asked) or "none of them"
             raise ValueError(f"found {found}; expected one of measure, finds, finds_nothing")
+        if self.measure is None:
+            for key in ("below", "above", "of"):
+                if key in self.model_fields_set:
+                    raise ValueError(f"{key}: is for a measure; found {asked[0]}")
+        elif self.finds is None and (self.within is not None or self.cause is not None):
+            raise ValueError("within and cause are for what `finds` a fault")
+        if self.below is not None and self.above is not None and self.above >= self.below:
+            raise ValueError(f"above: found {self.above:g}; expected less than {self.below:g}")
         if self.measure is not None and self.below is None and self.above is None:
             raise ValueError("below: is required; expected below or above, a number")
-        for key, known in (("measure", list(MEASURES)), ("finds", list(KINDS))):
+        for key, known in (("measure", list(MEASURES)), ("finds", [*KINDS, "any"])):
             value = getattr(self, key)
             if value is not None and value not in known:
                 raise ValueError(f"{key}: no '{value}'{did_you_mean(value, known)}")
@@ -134,6 +146,9 @@ class Expect(Declaration):
                 for robot in self._robots(list(robots))
                 if robot in robots and not scenario.has_target(robot)
             ]
+        if self.measure == "contact_force" and not scenario.has_surroundings:
+            message = "has nothing to touch; expected an object or another robot in the scene"
+            problems.append(Problem("measure", message))
         if self.after >= scenario.duration:
             message = f"found {self.after:g} s; the run ends at {scenario.duration:g} s"
             problems.append(Problem("after", message))
@@ -163,8 +178,8 @@ class Expect(Declaration):
         ]
         if self.finds is None:
             return self._judge_nothing(name, mine)
-        found = [finding for finding in mine if finding.kind == self.finds]
-        what = self.finds.replace("_", " ")
+        found = [finding for finding in mine if self.finds in (finding.kind, "any")]
+        what = "fault" if self.finds == "any" else self.finds.replace("_", " ")
         limit = "" if self.within is None else f", expected within {1e3 * self.within:g} ms"
         if not found:
             return Outcome(name, False, f"no {what} found{limit or ', expected one'}", np.nan)
@@ -193,7 +208,7 @@ class Expect(Declaration):
             names = log.robots[robot].names if values.shape[1] > 1 else [""]
             chosen = [k for k, joint in enumerate(names)
                       if not self.joints or joint in self.joints or not joint]  # fmt: skip
-            if not len(values) or not chosen:
+            if not len(values) or not chosen:  # the run ended before
                 continue
             reduced = _REDUCE[self.of](values[:, chosen])
             k = int(np.argmax(reduced))
@@ -206,7 +221,11 @@ class Expect(Declaration):
         given = (("below", self.below), ("above", self.above))
         bounds = [f"{word} {bound:g}" for word, bound in given if bound is not None]
         of = "" if self.of == "max" else f"{self.of} "
-        text = f"{of}{self.measure.replace('_', ' ')} {worst:.4g} {unit} at {place or 'no time'}"
+        what = f"{of}{self.measure.replace('_', ' ')}"
+        if not place:
+            text = f"{what}: the run ended at {log.times[-1]:g} s, before it counts"
+            return Outcome(name, False, f"{text}; expected {' and '.join(bounds)}", np.nan)
+        text = f"{what} {worst:.4g} {unit} at {place}"
         ended = "" if reaches_end else "; the run ended before"
         return Outcome(name, bool(holds), f"{text}, expected {' and '.join(bounds)}{ended}", worst)
 

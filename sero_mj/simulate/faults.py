@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, model_validator
 
 from ..assemble.declaration import Declaration, Name
 from ..assemble.robot import SerialRobot
@@ -87,7 +87,7 @@ class SensorFault(Fault):
         gain: what it is multiplied by.
         noise: standard deviation, rad, rad/s or Nm.
         resolution: distance of the values that it can show.
-        delay_ms: until a value is read; of all joints.
+        delay_ms: until a value is read.
     """
 
     kind: Literal["sensor"] = "sensor"
@@ -98,6 +98,13 @@ class SensorFault(Fault):
     resolution: float | None = Field(None, ge=0)
     delay_ms: float | None = Field(None, ge=0, le=1e4)
 
+    @model_validator(mode="after")
+    def _breaks_something(self) -> SensorFault:
+        keys = ("bias", "gain", "noise", "resolution", "delay_ms")
+        if all(getattr(self, key) is None for key in keys):
+            raise ValueError(f"does nothing; expected one of {', '.join(keys)}")
+        return self
+
     def happen(self, plant: Plant, gains: Any) -> None:
         """Changes the sensor."""
         given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
@@ -105,7 +112,8 @@ class SensorFault(Fault):
         if changed:
             plant.sensors.change(self.signal, self.rows, **changed)
         if self.delay_ms is not None:
-            plant.sensors.delay(self.signal, round(self.delay_ms / 1e3 / plant.timestep))
+            steps = round(self.delay_ms / 1e3 / plant.timestep)
+            plant.sensors.delay(self.signal, steps, list(self.rows))
 
 
 class EncoderOffset(Fault):
@@ -186,6 +194,12 @@ class FrictionFault(Fault):
     viscous: float = Field(1.0, ge=0)
     coulomb: float = Field(1.0, ge=0)
     added_coulomb: float = Field(0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> FrictionFault:
+        if (self.viscous, self.coulomb, self.added_coulomb) == (1.0, 1.0, 0.0):
+            raise ValueError("does nothing; expected viscous, coulomb or added_coulomb")
+        return self
 
     def happen(self, plant: Plant, gains: Any) -> None:
         """Changes the friction."""

@@ -34,19 +34,22 @@ class GravityCompensation(ControllerDeclaration):
 
 
 class Torque(ControllerDeclaration):
-    """The target's torques, and gravity.
+    """Torques as they are given, and gravity.
 
     Attributes:
+        torques: Nm per joint, all the time; what a target brings comes on top.
         compensate_gravity: whether gravity is added.
     """
 
     kind: Literal["torque"] = "torque"
+    torques: PerJoint = np.zeros(1)
     compensate_gravity: bool = True
 
     def make(self, model: RobotModel, timestep: float) -> GravityCompensator:
         """The controller at work."""
+        own = self.per_joint("torques", model.n)
         return GravityCompensator(
-            model, feed_forward=True, compensate_gravity=self.compensate_gravity
+            model, torques=own, feed_forward=True, compensate_gravity=self.compensate_gravity
         )
 
 
@@ -98,11 +101,12 @@ class JointPosition(JointImpedance):
 
 
 class GravityCompensator:
-    """tau = g(q) - d dq, or g(q) + tau_target.
+    """tau = g(q) - d dq + tau_0, or g(q) + tau_0 + tau_target.
 
     Args:
         model: for itself.
         damping: d, (n,), Nm s/rad; None for none.
+        torques: tau_0, (n,), Nm, added all the time; None for none.
         feed_forward: whether the target's torques are added.
         compensate_gravity: whether g(q) is.
     """
@@ -112,11 +116,13 @@ class GravityCompensator:
         model: RobotModel,
         *,
         damping: Array | None = None,
+        torques: Array | None = None,
         feed_forward: bool = False,
         compensate_gravity: bool = True,
     ) -> None:
         self.model = model
         self._damping = damping if damping is not None and damping.any() else None
+        self._own = torques if torques is not None and torques.any() else None
         self._feed_forward, self._compensate = feed_forward, compensate_gravity
         self._resisting: Array = np.zeros(model.n)
 
@@ -127,6 +133,8 @@ class GravityCompensator:
             out[:] = self.model.gravity()
         else:
             out[:] = 0.0
+        if self._own is not None:
+            np.add(out, self._own, out)
         if self._feed_forward:
             np.add(out, target.torques, out)
         if self._damping is not None:

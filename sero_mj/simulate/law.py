@@ -65,6 +65,10 @@ class Law(Declaration):
         """
         motion = self.motion(np.asarray(times, float), robot, np.asarray(start, float))
         problems = beyond_limits(motion, robot)
+        ramp = getattr(self, "ramp", None)
+        if problems and ramp is not None:  # while it grows it is faster than later on
+            hint = f"; it grows within {ramp:g} s: ramp = {2 * ramp or 1:g} is gentler"
+            problems = [Problem(each.key, each.message + hint) for each in problems]
         if problems:
             raise DeclarationError(problems)
         return motion
@@ -104,7 +108,7 @@ class Law(Declaration):
 
 
 def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
-    """The first time that every joint is beyond its position or velocity limits."""
+    """Where every joint is farthest beyond its position or velocity limits."""
     problems = []
     limits, speeds = robot.position_limits, robot.velocity_limits
     for joint, name in enumerate(robot.names):
@@ -114,7 +118,7 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
             angles = motion.angles[:, joint]
             bad = (angles < low - _SLACK) | (angles > high + _SLACK)
             if bad.any():
-                row = int(np.argmax(bad))
+                row = int(np.argmax(np.maximum(low - angles, angles - high)))
                 where = f"joint {name} is to be at {factor * angles[row]:.4g} {unit}"
                 allowed = f"expected {factor * low:.4g} to {factor * high:.4g} {unit}"
                 problems.append(Problem("", f"{where} at t = {motion.times[row]:.3f} s; {allowed}"))
@@ -122,7 +126,7 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
         if speeds is not None:
             fast = np.abs(motion.velocities[:, joint])
             if (fast > speeds[joint] * (1.0 + _SLACK)).any():
-                row = int(np.argmax(fast > speeds[joint] * (1.0 + _SLACK)))
+                row = int(np.argmax(fast))
                 where = f"joint {name} is to move at {factor * fast[row]:.4g} {unit}/s"
                 allowed = f"expected up to {factor * speeds[joint]:.4g} {unit}/s"
                 problems.append(Problem("", f"{where} at t = {motion.times[row]:.3f} s; {allowed}"))

@@ -24,6 +24,10 @@ KINDS = (
     "velocity_limit",
     "position_limit",
 )
+_UNITS = {
+    "torque_error": " Nm", "external_torque": " Nm", "position_error": " rad",
+    "frozen_torque": " s", "saturated": "", "velocity_limit": " rad/s", "position_limit": " rad",
+}  # fmt: skip
 _CLOSE = 1e-3  # rad or m, from a stop
 
 
@@ -117,7 +121,8 @@ class Finding:
 
     def __str__(self) -> str:
         kind = self.kind.replace("_", " ")
-        found = f"{kind} {self.value:.4g}, above {self.limit:.4g}"
+        unit = _UNITS[self.kind]
+        found = f"{kind} {self.value:.4g}{unit}, above {self.limit:.4g}{unit}"
         return f"{self.time:.3f} s  {self.robot}/{self.joint}  {found}"
 
 

@@ -39,7 +39,11 @@ def with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> d
     """
     fields = dict(table)
     file, of = fields.pop("file", None), fields.pop("of", None)
-    if table.get("kind") != "recorded" or file is None:
+    if table.get("kind") != "recorded":
+        return dict(table)
+    if file is None:
+        if "times" not in table:
+            raise _wrong("file", "is required; expected RUN.mcap or TABLE.csv, or times and angles")
         return dict(table)
     if not isinstance(file, str):
         raise _wrong("file", f"found {file!r}; expected the name of a recording or a table")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..assemble.declaration import Declaration
+from ..assemble.objects import Object
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem, did_you_mean
 from .cartesian_laws import CARTESIAN_LAWS, CartesianLaw
@@ -170,10 +171,31 @@ class Scenario:
                     self.problems.append(Problem(f"{section}.{name}", f"no robot '{name}'{near}"))
         for name, disturbance in self.disturbances.items():
             self._check_disturbance(f"disturbances.{name}", disturbance)
+        for section in ("disturbances", "faults"):
+            for name, each in getattr(self, section).items():
+                if each.begin >= self.run.duration:
+                    end = f"the run ends at {self.run.duration:g} s"
+                    message = f"found {each.begin:g} s; {end}"
+                    self.problems.append(Problem(f"{section}.{name}.begin", message))
+        self._check_starts()
         for name, fault in self.faults.items():
             self._read(f"faults.{name}", lambda fault=fault: fault.choose(robots))
         for name, expect in self.expect.items():
             self._read(f"expect.{name}", lambda expect=expect: expect.check(self))
+
+    def _check_starts(self) -> None:
+        """Looks whether robots begin within their position limits."""
+        for name, robot in self.scene.robots.items():
+            if robot.position_limits is None:
+                continue
+            low, high = robot.position_limits.T
+            for joint in np.flatnonzero((robot.home < low) | (robot.home > high)):
+                turns = robot.types[joint] == "revolute"
+                factor, unit = (np.rad2deg(1.0), "deg") if turns else (1.0, "m")
+                numbers = factor * np.array([robot.home[joint], low[joint], high[joint]])
+                found = f"joint {robot.names[joint]} begins at {numbers[0]:.4g} {unit}"
+                message = f"{found}; expected {numbers[1]:.4g} to {numbers[2]:.4g} {unit}"
+                self.problems.append(Problem(f"robots.{name}.joint_angles", message))
 
     def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:
         """Looks whether what it happens to is there."""
@@ -194,6 +216,18 @@ class Scenario:
     def duration(self) -> float:
         """Of the run, s."""
         return self.run.duration
+
+    @property
+    def obstacles(self) -> list[Object]:
+        """What robots can run into: all objects that are not carried."""
+        payloads = [each for each in self.disturbances.values() if isinstance(each, Payload)]
+        carried = {payload.object for payload in payloads}
+        return [each for each in self.scene.objects if each.name not in carried]
+
+    @property
+    def has_surroundings(self) -> bool:
+        """Whether there is something that robots can touch: objects, a floor, each other."""
+        return bool(self.obstacles) or self.scene.floor or len(self.scene.robots) > 1
 
     def has_target(self, robot: str) -> bool:
         """Whether a robot is to be somewhere: by its law, or where a spring holds it."""

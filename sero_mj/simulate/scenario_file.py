@@ -49,7 +49,9 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         if section in (*SECTIONS, "run"):
             _set(own, key, value, file)
         else:
-            of_scene[key] = value
+            section, dot, rest = key.partition(".")
+            named = dot and "." in rest and section in tables
+            of_scene[rest if named else key] = value
     problems: list[Problem] = []
     scene = None
     try:
@@ -98,7 +100,7 @@ def _read_motions(own: dict[str, Any], scene: Scene, file: Path) -> list[Problem
             problems += _placed(wrong, file)
             own["targets"] = {key: value for key, value in own["targets"].items() if key != name}
             continue
-        if "file" in table and robot.joint_angles is None:
+        if "file" in table and "angles" in found and robot.joint_angles is None:
             robot.joint_angles = found["angles"][0]
         own["targets"] = {**own["targets"], name: found}
     return problems

@@ -92,6 +92,7 @@ class Sensors:
         self._noise, self._offsets = np.zeros((2, _BLOCK, 3, n))  # noise alone, and all in all
         self._drawn = False
         self._grid_steps = np.zeros(n)
+        self._joints = np.arange(n)
         self._past = [np.zeros((1, n)) for _ in SIGNALS]  # what was read without its delay
         self._k = 0
         self.repair()
@@ -112,7 +113,7 @@ class Sensors:
                         f"{signal}.{key}: found {len(value)} numbers; expected 1 or {self.n}"
                     )
                 self._errors[key][row] = value
-        self._delays = [0, 0, 0]
+        self._delays = np.zeros((3, self.n), np.intp)
         for signal, declared in zip(SIGNALS, self._declared, strict=True):
             self.delay(signal, declared.delay)
 
@@ -125,7 +126,7 @@ class Sensors:
         self._rng = np.random.default_rng(self.seed)
         self._drawn = False
         self._k = 0
-        for _ in range(max(self._delays) + 1):
+        for _ in range(int(self._delays.max()) + 1):
             self.measure(actual)
 
     def change(
@@ -151,10 +152,17 @@ class Sensors:
             self._errors[key][row, slice(None) if joints is None else joints] = value
         self._plan()
 
-    def delay(self, signal: Signal, steps: int) -> None:
+    def delay(
+        self, signal: Signal, steps: int, joints: int | Sequence[int] | slice | None = None
+    ) -> None:
         """Delays a signal by so many steps from now on.
 
         What was read before is kept; before the first delay only what was read last.
+
+        Args:
+            signal: `angles`, `velocities` or `torques`.
+            steps: 0 ends a delay.
+            joints: from 0; all when None.
 
         Raises:
             UnknownName: no such signal.
@@ -163,12 +171,14 @@ class Sensors:
         row = _row(signal)
         if steps < 0:
             raise ValueError(f"{signal}: found a delay of {steps} steps; expected 0 or more")
-        old, past = self._past[row], np.empty((steps + 1, self.n))
+        delays = self._delays[row]
+        was_late = delays.any()
+        delays[slice(None) if joints is None else joints] = steps
+        old, past = self._past[row], np.empty((int(delays.max()) + 1, self.n))
         past[:] = self.measured[row]
-        for age in range(min(len(old), len(past)) if self._delays[row] else 0):
+        for age in range(min(len(old), len(past)) if was_late else 0):
             past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
         self._past[row] = past
-        self._delays[row] = steps
         self._plan()
 
     def kill(self, signal: Signal, joint: int) -> None:
@@ -200,7 +210,7 @@ class Sensors:
         self._late = [
             (self.measured[row], self._past[row], steps)
             for row, steps in enumerate(self._delays)
-            if steps
+            if steps.any()
         ]
 
         self.is_perfect = not (
@@ -244,7 +254,7 @@ class Sensors:
             copyto(measured, 0.0, where=self._dead)
         for values, past, late in self._late:
             past[self._k % len(past)] = values
-            values[:] = past[(self._k - late) % len(past)]
+            values[:] = past[(self._k - late) % len(past), self._joints]
         self._k += 1
         return measured
 

@@ -12,7 +12,6 @@ from ..errors import DeclarationError, Problem, SimulationError
 from .arm import Arm
 from .compiler import Compiler
 from .contacts import Contacts
-from .disturbances import Payload
 from .expect import Outcome
 from .happenings import Happenings
 from .joint_control import GravityCompensation
@@ -63,10 +62,7 @@ class Simulation:
         sensors = scenario.make_sensors(run.seed if seed is None else seed)
         # Doubles, arrows and cameras take no part, and would cost time in every step. What is
         # carried is a mass of the flange, and nothing to run into.
-        carried = {
-            each.object for each in scenario.disturbances.values() if isinstance(each, Payload)
-        }
-        obstacles = [each for each in scene.objects if each.name not in carried]
+        obstacles = scenario.obstacles
         stripped = Scene(
             robots=list(scene.robots.values()),
             objects=obstacles,
@@ -81,7 +77,7 @@ class Simulation:
         self._happenings = Happenings(scenario, self.plant, run.steps)
         others = self._happenings.others()
         self._contacts = None
-        if obstacles or len(plans) > 1:
+        if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
             others |= {event_of(name, "contact_force"): "1V" for name in plans}
         for name, plan in plans.items():

@@ -66,7 +66,8 @@ def _show_pushes(scene: Scene, scenario: Scenario, layout: RunLayout) -> dict[st
                 arrow = _add_arrow(scene, name, key, disturbance)
                 routes[f"{arrow}.vector"] = f"{SOURCE}.{event}"
     for name in scene.robots:
-        if (event := event_of(name, "contact_force")) in layout.columns:
+        event = event_of(name, "contact_force")
+        if event in layout.columns and (scenario.obstacles or len(scene.robots) > 1):
             arrow = _free(scene, f"{name}_contact")
             scene.arrows[arrow] = SmartArrow(
                 name=arrow, kind="force", at=f"{name}/flange", expressed_in="world"

@@ -97,9 +97,13 @@ class LimitedController:
         """
         asked = self.asked
         try:
-            self.controller.torques(sensed, target, asked)
+            returned = self.controller.torques(sensed, target, asked)  # type: ignore[func-returns-value]
         except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
             asked[:] = math.nan
+            returned = None
+        if returned is not None:
+            reason = "torques() has returned something; expected it to write into `out`"
+            raise SimulationError(sensed.time, self._robot, reason)
         # One number tells of NaN and inf in any joint.
         if self.checks and not asked.dot(asked) < math.inf:
             raise self.not_finite(sensed)
