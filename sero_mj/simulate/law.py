@@ -34,6 +34,13 @@ class Motion:
     velocities: Array
     accelerations: Array
 
+    def since(self, time: float) -> Motion:
+        """The rows from a time (s) on."""
+        rows = self.times >= time
+        return Motion(
+            self.times[rows], self.angles[rows], self.velocities[rows], self.accelerations[rows]
+        )
+
 
 class Law(Declaration):
     """Base of the declarations of target motions in joint space."""
@@ -66,8 +73,8 @@ class Law(Declaration):
         motion = self.motion(np.asarray(times, float), robot, np.asarray(start, float))
         problems = beyond_limits(motion, robot)
         ramp = getattr(self, "ramp", None)
-        if problems and ramp is not None:  # while it grows it is faster than later on
-            hint = f"; it grows within {ramp:g} s: ramp = {2 * ramp or 1:g} is gentler"
+        if problems and ramp and not beyond_limits(motion.since(ramp), robot):
+            hint = f"; it grows within {ramp:g} s: ramp = {2 * ramp:g} is gentler"
             problems = [Problem(each.key, each.message + hint) for each in problems]
         if problems:
             raise DeclarationError(problems)
