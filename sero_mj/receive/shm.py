@@ -17,7 +17,7 @@ from .whole import WholePackets
 _LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
 _BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
 _TELL_EVERY = 1.0  # s; how often a block that stays too small is counted
-_GATHER = 4e-3  # s; packets that come faster are checked together, as one costs what ten do
+_GATHER = 8e-4  # s; packets that come faster are checked together, as one costs what ten do
 
 
 class ShmReader(Receiver):
