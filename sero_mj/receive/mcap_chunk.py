@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import struct
 import sys
-import zlib
 from array import array
 from dataclasses import dataclass
 from struct import Struct
@@ -78,7 +77,9 @@ class ChunkBuilder:
     """
 
     def __init__(self) -> None:
-        self._compressor = zstandard.ZstdCompressor(level=-3)  # twice as fast as 1, 6 % larger
+        self._compressor = zstandard.ZstdCompressor(
+            level=-3, write_checksum=True
+        )  # twice as fast as 1, 6 % larger
         self.clear()
 
     def clear(self) -> None:
@@ -148,7 +149,7 @@ class ChunkBuilder:
             data=packed,
             message_start_time=first,
             message_end_time=last,
-            uncompressed_crc=zlib.crc32(plain),
+            uncompressed_crc=0,  # zstd has a checksum of its own, which is ten times as fast
             uncompressed_size=len(plain),
         ).write(builder)
         chunk_length = builder.count

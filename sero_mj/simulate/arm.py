@@ -69,6 +69,7 @@ class Arm:
         self.sensed = Sensed(robot.n, None if self._copies else plant.measured, self.motors)
         self.target = Target(robot.n)
         self.target.posture[:] = robot.home
+        self.target.has_torques = False  # no law has any
         self.observed_every = max(round(OBSERVED_EVERY / timestep), 1)
         self.observer = MomentumObserver(
             compiler.robot_model(robot), scenario.run.observer_gain, timestep * self.observed_every

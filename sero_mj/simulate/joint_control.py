@@ -203,7 +203,8 @@ class JointImpedanceController:
         else:
             own = model.gravity()
         np.add(out, own, out)
-        np.add(out, target.torques, out)
+        if target.has_torques:
+            np.add(out, target.torques, out)
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long.

@@ -80,6 +80,7 @@ class Target:
         velocities: (n,), per second; the second half of `state`.
         accelerations: (n,), per second squared.
         torques: (n,), Nm or N, added to what the controller computes.
+        has_torques: whether to; false where `torques` are zero all the time, which is faster.
         pose: (4, 4), T_world_flange, m.
         twist: (6,), of the flange in world axes: m/s, then rad/s.
         wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
@@ -89,6 +90,7 @@ class Target:
     __slots__ = (
         "accelerations",
         "angles",
+        "has_torques",
         "motion",
         "pose",
         "posture",
@@ -106,6 +108,7 @@ class Target:
         self.velocities: Array = self.state[n:]
         self.accelerations: Array = self.motion[2 * n :]
         self.torques: Array = np.zeros(n)
+        self.has_torques = True
         self.pose: Array = np.eye(4)
         self.twist: Array = np.zeros(6)
         self.wrench: Array = np.zeros(6)
