@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ..assemble.scene import Scene
 from ..drive.mirror import Mirror
 from ..receive.replay import Replay
 from ..simulate.simulated_source import SimulatedSource
@@ -40,6 +39,9 @@ class Clock:
         self.step_size = step_of(mirror)
         self._shown: float | None = None  # what the mirror stands at
         self._simulated = 0.0  # as far as it is simulated
+        sources = mirror.sources.values()
+        simulates = any(isinstance(source, SimulatedSource) for source in sources)
+        self._at_once = _MOST_AT_ONCE if simulates else float("inf")
 
     @property
     def is_at_end(self) -> bool:
@@ -62,11 +64,11 @@ class Clock:
 
     def _show(self) -> bool:
         # What was not simulated yet takes its time; it comes in pieces, frame by frame.
-        goal = min(self.time, self._simulated + _MOST_AT_ONCE)
+        goal = min(self.time, self._simulated + self._at_once)
         if not self.is_paused:
             self.time = goal
         self._simulated = max(self._simulated, goal)
-        if goal == self._shown:
+        if goal == self._shown and self._mirror.sources:
             return False
         self._mirror.advance(goal)
         self._shown = goal
@@ -130,8 +132,3 @@ def step_of(mirror: Mirror) -> float:
         if isinstance(source, SimulatedSource):
             return float(source.simulation.scenario.run.timestep)
     return _STEP
-
-
-def has_time_line(scene: Scene, clock: Clock) -> bool:
-    """Whether there is something to scrub through."""
-    return bool(scene.sources) and clock.end is not None and clock.end > 0
