@@ -84,6 +84,7 @@ class GlWindow:
         self._world = world
         self._events: list[Event] = []
         self._is_repeat = False
+        self._at: tuple[float, float] | None = None  # the pointer, in screen coordinates
         self._windowed: tuple[int, int, int, int] | None = None
         mode = glfw.get_video_mode(glfw.get_primary_monitor())
         self.refresh_rate = float(mode.refresh_rate or 60)
@@ -201,9 +202,8 @@ class GlWindow:
     def _add(self, kind: Any, **values: Any) -> None:
         self._events.append(Event(kind, time=time.monotonic(), **values))
 
-    def _pixel(self) -> dict[str, float]:
-        """Where the pointer is: screen coordinates are not pixels on every screen."""
-        x, y = glfw.get_cursor_pos(self._window)
+    def _pixel(self, x: float, y: float) -> dict[str, float]:
+        """A point in screen coordinates, which are not pixels on every screen."""
         width, height = glfw.get_window_size(self._window)
         pixels = self.size
         return {
@@ -212,13 +212,16 @@ class GlWindow:
         }
 
     def _on_button(self, window: Any, button: int, action: int, mods: int) -> None:
+        # Where it was pressed, not where the pointer has come to until this event is looked at.
+        x, y = self._at or glfw.get_cursor_pos(window)
         kind = "press" if action == glfw.PRESS else "release"
         shift = bool(mods & (glfw.MOD_SHIFT | glfw.MOD_CONTROL))
         if button in (LEFT, RIGHT, MIDDLE):
-            self._add(kind, button=button, shift=shift, **self._pixel())
+            self._add(kind, button=button, shift=shift, **self._pixel(x, y))
 
     def _on_move(self, window: Any, x: float, y: float) -> None:
-        self._add("move", **self._pixel())
+        self._at = (x, y)
+        self._add("move", **self._pixel(x, y))
 
     def _on_scroll(self, window: Any, x: float, y: float) -> None:
         self._add("scroll", x=x, y=y)

@@ -124,7 +124,7 @@ class Hud:
         text = _shortened(text, self.font, width - 4 * h)
         wide = self.font.width(text) + 2 * _PAD * h * 1.6
         left = (width - wide) / 2
-        lines = [(0.7 * h, 0.62 * h, text, _TEXT)]
+        lines = [(0.7 * h, 0.54 * h, text, _TEXT)]
         self.panel((left, bottom + 0.8 * h, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
 
     def filming(self, text: str, width: int, top: float) -> None:
@@ -132,7 +132,7 @@ class Hud:
         h = self.font.height
         wide = self.font.width(text) + 2.2 * h
         left, bottom = (width - wide) / 2, top - 2.0 * h
-        self.panel((left, bottom, wide, 1.5 * h), [(1.5 * h, 0.55 * h, text, _TEXT)])
+        self.panel((left, bottom, wide, 1.5 * h), [(1.4 * h, 0.45 * h, text, _TEXT)])
         self.box(left + 0.55 * h, bottom + 0.5 * h, 0.5 * h, 0.5 * h, _RED)
 
     def help(self, columns: Sequence[Sequence[tuple[str, str]]], width: int, height: int) -> None:
@@ -144,8 +144,8 @@ class Hud:
         h, line = font.height, 1.08 * font.height
         sizes = []
         for rows in columns:
-            keys = max(font.width(key) for key, words in rows if words) + 1.2 * h
-            words = max(font.width(words) for _, words in rows)
+            keys = max(font.width(key) for key, meaning in rows if meaning) + 1.2 * h
+            words = max(font.width(meaning) for _, meaning in rows)
             sizes.append((keys, keys + words))
         while (
             len(sizes) > 1 and sum(wide for _, wide in sizes) + 2.0 * h * (len(sizes) + 1) > width
@@ -159,10 +159,10 @@ class Hud:
         x = 1.5 * h
         for (keys, total), rows in zip(sizes, shown, strict=True):
             y = tall - 1.2 * h - line
-            for key, words in rows:
-                if words:
+            for key, meaning in rows:
+                if meaning:
                     lines.append((x, y, key, _MOODS["good"]))
-                    lines.append((x + keys, y, words, _TEXT))
+                    lines.append((x + keys, y, meaning, _TEXT))
                 elif key:
                     lines.append((x, y, key, TITLE))
                 y -= line

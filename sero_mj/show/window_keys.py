@@ -15,6 +15,7 @@ from .window_camera import Navigator
 from .window_clock import Clock
 from .window_film import Camera
 from .window_gl import Event, GlWindow
+from .window_plot import joint_name
 
 _HELD = ("step", "step_back", "back", "on", "slower", "faster", "next_joint", "last_joint")
 _JUMP = 1.0  # s
@@ -123,7 +124,7 @@ class WindowKeys:
         if not names:
             return "no joint"
         window.joint = (window.joint + places) % len(names)
-        return f"selected: {names[window.joint]}"
+        return f"selected: {joint_name(window.world, window.joint)}"
 
     def _last_joint(self) -> str:
         return self._next_joint(-1)

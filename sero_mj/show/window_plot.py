@@ -88,6 +88,13 @@ def y_range(values: Array, limit: float) -> tuple[float, float]:
     return middle - _HEADROOM * half, middle + _HEADROOM * half
 
 
+def joint_name(world: World, joint: int) -> str:
+    """A joint with its robot or double: `lwr/A4`."""
+    owner = list(world.owners)[int(world.joints.owner[joint])]
+    name = world.joints.names[joint]
+    return name if name.startswith(f"{owner}/") else f"{owner}/{name}"
+
+
 class TorquePlot:
     """Fills an `MjvFigure` with the history of one joint."""
 
@@ -95,7 +102,7 @@ class TorquePlot:
         self._world = world
         figure = self.figure = mujoco.MjvFigure()
         mujoco.mjv_defaultFigure(figure)
-        figure.flg_legend = figure.flg_extend = 1
+        figure.flg_legend = 1
         figure.flg_ticklabel[:] = 1
         figure.flg_extend = 0
         figure.gridsize[:] = 5, 5
@@ -107,9 +114,7 @@ class TorquePlot:
         figure.linewidth, figure.gridwidth = 2.5, 1.0
         figure.xformat, figure.yformat = "%.0f", "%.0f"
         figure.range[0] = -SPAN, 0.0
-        for line, (name, rgb) in enumerate(zip(_NAMES, _RGB, strict=True)):
-            figure.linename[line] = name
-            figure.linergb[line] = rgb
+        figure.linergb[: len(_RGB)] = _RGB
         figure.linergb[2] = _LIMIT_RGB
         figure.linergb[3] = _LIMIT_RGB
 
@@ -120,14 +125,15 @@ class TorquePlot:
         limit = float(joints.torque_limit[joint])
         low, high = y_range(values, limit)
         unit = "Nm" if joints.revolute[joint] else "N"
-        figure.title = f"{joints.names[joint]} torque" if unit == "Nm" else joints.names[joint]
-        figure.xlabel = f"s         [{unit}]"
+        figure.title = f"{joint_name(self._world, joint)}: {'torque' if unit == 'Nm' else 'force'}"
+        figure.xlabel = f"{unit} over s"
         figure.range[1] = low, high
         figure.yformat = "%.1f" if high - low < 8 else "%.0f"
         for line, row in enumerate(values):
             there = np.isfinite(row)
             count = int(there.sum())
             figure.linepnt[line] = count
+            figure.linename[line] = _NAMES[line] if count else ""
             points = figure.linedata[line]
             points[0 : 2 * count : 2] = times[there]
             points[1 : 2 * count : 2] = row[there]

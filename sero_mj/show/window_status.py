@@ -25,7 +25,7 @@ def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
     """
     name = found["source"]
     if not is_live:
-        return f"{name}: {found['about']}", "plain"
+        return str(found["about"]), "plain"
     if found["age"] is None:
         malformed = f", {found['malformed']} not applied" if found["malformed"] else ""
         return f"{name}: no data yet{malformed}", "bad" if malformed else "quiet"
