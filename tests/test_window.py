@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-
 from window_tools import MISSING, ROOT, SIZE, Driven, screen
 
 pytestmark = [
@@ -126,12 +125,10 @@ def test_a_double_click_of_the_right_button_centres_the_view(window: Driven) -> 
     x, y = pixel(window, 5)
     window.click(x, y, "click", "--repeat", 2, "--delay", 60, 3)
     window.settle()
-    seen = window.ask(
-        "w._frame.view.project(np.array(w.navigator.camera.lookat))[0].tolist()"
-    )
+    seen = window.ask("w._frame.view.project(np.array(w.navigator.camera.lookat))[0].tolist()")
     picture = window.ask("w.picture_size")
     assert seen == pytest.approx([picture[0] / 2, picture[1] / 2], abs=1)
-    assert max(abs(a - b) for a, b in zip(pixel(window, 5), (320, picture[1] / 2))) < 40
+    assert pixel(window, 5) == pytest.approx((320, picture[1] / 2), abs=40)
 
 
 def test_a_frame_is_followed(window: Driven) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import time as clock
+
 from ..drive.mirror import Mirror
 from ..receive.replay import Replay
 from ..simulate.simulated_source import SimulatedSource
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # s, of a recording that has no time step
-_MOST_AT_ONCE = 0.1  # s of simulation in one frame, so that the window stays alive
+_PIECE = 0.05  # s that are simulated at once, and
+_PATIENCE = 0.03  # s of real time after which a frame is shown, so that the window stays alive
 _LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does not jump
 
 
@@ -40,8 +43,7 @@ class Clock:
         self._shown: float | None = None  # what the mirror stands at
         self._simulated = 0.0  # as far as it is simulated
         sources = mirror.sources.values()
-        simulates = any(isinstance(source, SimulatedSource) for source in sources)
-        self._at_once = _MOST_AT_ONCE if simulates else float("inf")
+        self._simulates = any(isinstance(source, SimulatedSource) for source in sources)
 
     @property
     def is_at_end(self) -> bool:
@@ -63,16 +65,25 @@ class Clock:
         return self._show()
 
     def _show(self) -> bool:
-        # What was not simulated yet takes its time; it comes in pieces, frame by frame.
-        goal = min(self.time, self._simulated + self._at_once)
-        if not self.is_paused:
-            self.time = goal
-        self._simulated = max(self._simulated, goal)
-        if goal == self._shown and self._mirror.sources:
+        if self.time == self._shown and self._mirror.sources:
             return False
+        goal = self.time
+        if self._simulates and goal > self._simulated:
+            goal = self._simulate(goal)
         self._mirror.advance(goal)
         self._shown = goal
         return True
+
+    def _simulate(self, goal: float) -> float:
+        """Simulates until then, or for as long as a frame may take; returns how far it came."""
+        begin = clock.monotonic()
+        while self._simulated < goal and clock.monotonic() - begin < _PATIENCE:
+            self._simulated = min(self._simulated + _PIECE, goal)
+            for source in self._mirror.sources.values():
+                source.advance_to(self._simulated)
+        if not self.is_paused:
+            self.time = self._simulated
+        return self._simulated
 
     def pause(self) -> str:
         """Stands still, or goes on; returns what to tell the user."""
