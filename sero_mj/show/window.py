@@ -29,7 +29,6 @@ from .window_status import Piece, status_pieces
 from .window_timeline import TimeLine, time_text
 
 _MESSAGE_TIME = 3.0  # s
-_NOTCHES_PER_HEIGHT = 10.0
 _HINT = "F1 help"
 _OF_JOINTS = ("link", "double", "arrow", "billboard")
 OnClick = Callable[[Picked | None, str], None]

@@ -69,12 +69,12 @@ class Navigator:
         camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
 
     def zoom(self, notches: float) -> None:
-        """Comes nearer; a drag across the window's height is ten notches."""
-        distance = self.camera.distance * _PER_NOTCH**notches
+        """Comes nearer by so many notches of the wheel, or goes away."""
+        distance = self.camera.distance * _PER_NOTCH ** np.clip(notches, -100.0, 100.0)
         self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
 
     def centre(self, point: Array) -> None:
-        """Looks at a point (3,), m, from where it is now a step nearer; orbits turn about it."""
+        """Looks at a point (3,), m, in the same direction; orbits turn about it."""
         self.camera.lookat = point
 
     def free(self, position: Array, forward: Array) -> None:
