@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -258,8 +259,6 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
 
 
 def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
-    import os
-
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
         [sys.executable, "-m", "sero_mj", "view", "lwr"],
@@ -272,3 +271,46 @@ def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert "no display for a window" in done.stderr
+
+
+_LOOP = """
+import sero_mj, numpy as np, time
+scene = sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr", show_arrows=True)])
+clicks = []
+with sero_mj.view(scene, size=(400, 300)) as viewer:
+    viewer.on_click(lambda picked, gesture: clicks.append(gesture))
+    before = viewer.picture()
+    rounds, end = 0, time.monotonic() + 1.5
+    while viewer.sync() and time.monotonic() < end:
+        viewer.set("lwr.joint_angles", [0.4, 0.5, 0, -1, 0, 1, 0])
+        viewer.set("lwr.torques", np.full(7, 40.0))
+        rounds += 1
+        time.sleep(0.0005)
+    after = viewer.picture()
+    assert before.shape == after.shape and (before != after).mean() > 0.01
+    assert rounds > 100, rounds  # it did not wait for the screen in every round
+    assert abs(viewer.world.frame(viewer.data, "lwr/flange")[1, 3]) > 0.05
+    try:
+        viewer.set("lwr.joint_angle", [0.0] * 7)
+    except sero_mj.SeroError as error:
+        assert "joint_angles" in str(error)
+    viewer.window.gl.close_soon()
+    assert not viewer.sync()
+print("done")
+"""
+
+
+def test_a_loop_of_ones_own_moves_the_robot(display: str, tmp_path: Path) -> None:
+    environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
+    environment.pop("MUJOCO_GL", None)
+    done = subprocess.run(
+        [sys.executable, "-c", _LOOP],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "done\n"

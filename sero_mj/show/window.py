@@ -8,6 +8,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..decor.toggles import Toggles
 from ..drive.mirror import Mirror
@@ -93,7 +94,7 @@ class Window:
         self._line: TimeLine | None = None
         self._is_scrubbing = False
         self._message: tuple[str, bool, float] = ("", False, 0.0)
-        self._last = time.monotonic()
+        self._last = self._end = time.monotonic()  # when the last frame began and ended
         self._interval = 1.0 / self.gl.refresh_rate
 
     @property
@@ -106,8 +107,24 @@ class Window:
         while self.frame():
             pass
 
-    def frame(self) -> bool:
-        """Shows one frame; returns whether the window is still open."""
+    @property
+    def is_due(self) -> bool:
+        """Whether the screen is ready for the next frame.
+
+        Where frames take long, half of the time is left to whoever asks.
+        """
+        took = self._end - self._last
+        return time.monotonic() - self._end >= max(1.0 / self.gl.refresh_rate - 1e-3 - took, took)
+
+    def frame(self, *, wait: bool = True) -> bool:
+        """Shows one frame.
+
+        Args:
+            wait: for the screen to be ready for the next one.
+
+        Returns:
+            whether the window is still open.
+        """
         begin = time.monotonic()
         passed, self._last = begin - self._last, begin
         self._interval += 0.1 * (passed - self._interval)
@@ -134,8 +151,10 @@ class Window:
         self.work = time.monotonic() - begin
         self._draw(figure, pieces, (width, height), bar)
         self.gl.swap()
+        self._end = time.monotonic()
         # Where nothing waits for the screen's refresh, frames are not faster than it anyway.
-        self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (time.monotonic() - begin))
+        if wait:
+            self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
 
     @property
@@ -183,6 +202,11 @@ class Window:
     def picture_size(self) -> tuple[int, int]:
         """Width and height of the picture in the window, pixels."""
         return self._frame.rect.width, self._frame.rect.height
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Draws the last frame once more, without bar and messages; (height, width, 3)."""
+        self._frame.draw(self.gl.context)
+        return self._frame.pixels(self.gl.context)
 
     def plot_rect(self) -> mujoco.MjrRect:
         """Where the plot is: the lower right corner of the picture."""
