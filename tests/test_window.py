@@ -155,6 +155,12 @@ def test_the_help_is_shown_and_goes_with_a_click(window: Driven) -> None:
     window.until("not w.shows_help")
     window.tool("type", "?")
     window.until("w.shows_help")
+    count = window.ask("len(w.help_pages(w.gl.size))")
+    for _ in range(count):
+        window.key("F1")
+    window.until("not w.shows_help")
+    window.key("h")
+    window.until("w.shows_help")
     window.key("Escape")
     window.until("not w.shows_help")
 
@@ -203,7 +209,7 @@ def test_full_screen_and_back(window: Driven) -> None:
 def test_the_plot_shows_the_selected_joint(window: Driven) -> None:
     window.key("p")
     window.until("w.shows_plot")
-    window.until("w._plot.figure.linepnt[0] > 2")
+    window.until("bool(w._plot.torques.linepnt[0] > 2)")
     joint = window.ask("w.joint")
     window.key("bracketright")
     window.until(f"w.joint == ({joint} + 1) % 7")

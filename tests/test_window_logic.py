@@ -20,8 +20,9 @@ from sero_mj.show.window_camera import Navigator, axes
 from sero_mj.show.window_clock import SPEEDS, Clock
 from sero_mj.show.window_film import due_frames, free_name
 from sero_mj.show.window_gl import LEFT, MIDDLE, RIGHT, Event
-from sero_mj.show.window_help import help_columns
+from sero_mj.show.window_help import help_columns, pages
 from sero_mj.show.window_keys import WindowKeys
+from sero_mj.show.window_layout import arrange
 from sero_mj.show.window_mouse import Clicked, Mouse, Moved
 from sero_mj.show.window_plot import SPAN, TorqueHistory, TorquePlot, joint_name, y_range
 from sero_mj.show.window_status import clock_text, source_text, status_pieces
@@ -257,20 +258,25 @@ def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
         if k >= 20:
             world.set_input(data, "lwr.commanded_torques", np.full(7, 0.8 * limit))
         history.add(data)
-    figure = plot.fill(history, 1)
-    assert figure.title == "lwr/A2: torque"
+    figure, error = plot.fill(history, 1)
+    assert figure.title == "lwr/A2: torque [Nm]"
     assert figure.linepnt[:4].tolist() == [50, 30, 2, 0]
     assert figure.linedata[1][1:60:2] == pytest.approx(np.full(30, 0.8 * limit), rel=1e-6)
     assert figure.range[1][1] > limit
+    assert error.linepnt[:4].tolist() == [30, 0, 0, 0]
+    assert error.linedata[0][1:60:2] == pytest.approx(np.full(30, -0.1 * limit), rel=1e-4)
     assert joint_name(world, 6) == "lwr/A6"
 
 
 def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
     none = np.full(3, np.nan)
-    assert y_range(none, 10.0) == (-1.0, 1.0)
+    low, high = y_range(none, 10.0)
+    assert low < 0
+    assert high > 0
     low, high = y_range(np.array([2.0, np.nan, 6.0]), np.inf)
     assert low < 2.0
     assert high > 6.0
+    assert (low, high) == (0.0, 8.0)  # round numbers
     low, high = y_range(np.array([-95.0, 20.0]), 100.0)
     assert low < -100.0
     assert high > 20.0
@@ -355,3 +361,27 @@ def test_the_help_says_everything_that_the_tables_hold() -> None:
                 assert meaning in words, key
     assert {meaning for _, meaning in HOST_KEYS.values()} <= words
     assert set(HOST_MOUSE.values()) <= words
+
+
+def test_what_finds_no_room_is_on_the_next_page() -> None:
+    columns = help_columns()
+    assert len(pages(columns, (100, 2))) == 1
+    assert len(pages(columns, (100, 1))) == 2
+    small = pages(columns, (10, 1))
+    assert [row for page in small for column in page for row in column] == [
+        row for column in columns for row in column
+    ]
+    assert max(len(column) for page in small for column in page) == 10
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (640, 480), (320, 240)])
+@pytest.mark.parametrize("has_plot", [False, True])
+def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_plot: bool) -> None:
+    layout = arrange(size, 18, bar=29, line=23, has_plot=has_plot)
+    covered = np.zeros(size[::-1], int)
+    for rect in (layout.picture, *layout.plots):
+        assert rect.width > 0 and rect.height > 0
+        covered[rect.bottom : rect.bottom + rect.height, rect.left : rect.left + rect.width] += 1
+    assert (covered[52:] == 1).all()
+    assert not covered[:52].any()
+    assert len(layout.plots) == (0 if not has_plot else 2 if size[0] > 1000 else 1)

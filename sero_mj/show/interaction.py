@@ -258,13 +258,13 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "right": ("on", "1 s on"),
     "0": ("camera", "0 the first view, 1 to 9 cameras"),
     "f": ("follow", "follow what is under the pointer"),
-    "p": ("plot", "torque plot of the selected joint"),
+    "p": ("plot", "torques of the selected joint"),
     "]": ("next_joint", "select the next joint, [ the last"),
     "t": ("status_line", "status line on or off"),
     "f2": ("screenshot", "screenshot"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
-    "f1": ("help", "this help; ? too"),
+    "f1": ("help", "help, its next page; ? too"),
 }
 # Other keys for the same, that a help need not list.
 MORE_KEYS: dict[str, str] = {

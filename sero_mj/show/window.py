@@ -21,9 +21,10 @@ from .window_clock import Clock
 from .window_film import Camera
 from .window_frame import Frame
 from .window_gl import Event, GlWindow
-from .window_help import help_columns
+from .window_help import Row, help_columns, pages
 from .window_hud import Hud
 from .window_keys import WindowKeys
+from .window_layout import Layout, arrange
 from .window_mouse import Clicked, Mouse, Moved
 from .window_plot import TorqueHistory, TorquePlot
 from .window_status import Piece, status_pieces
@@ -81,6 +82,7 @@ class Window:
         self.on_click: OnClick | None = None
         self.shows_plot = self.shows_help = False
         self.shows_status = True
+        self.help_page = 0
         self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
@@ -91,6 +93,7 @@ class Window:
         self._keys = WindowKeys(self)
         self._history, self._plot = TorqueHistory(world), TorquePlot(world)
         self._help = help_columns()
+        self._layout = self._arrange(self.gl.size)
         self._line: TimeLine | None = None
         self._is_scrubbing = False
         self._message: tuple[str, bool, float] = ("", False, 0.0)
@@ -137,25 +140,38 @@ class Window:
         for event in self.gl.events():
             self._take(event, height)
         self._advance(passed)
-        bar = self._hud.bar_height if self.shows_status else 0
-        has_line = self.shows_status and bool(self.clock.end)
-        bottom = bar + (self._hud.line_height if has_line else 0)
-        rect = mujoco.MjrRect(0, bottom, width, max(height - bottom, 1))
+        self._layout = self._arrange((width, height))
+        rect = self._layout.picture
         self._frame.lay_out(self.data, self.navigator.camera, rect, self.gl.fit_font(rect.height))
         self._hover()
-        figure = self._plot.fill(self._history, self.joint) if self._has_plot else None
+        figures = self._plot.fill(self._history, self.joint) if self._has_plot else []
         pieces = status_pieces(self.mirror.sources.values(), self.clock, self.frame_rate)
         self._line = None
-        if has_line:
-            self._line = self._hud.time_line(width, bar, float(self.clock.end or 0.0))
+        if self._has_line:
+            end = float(self.clock.end or 0.0)
+            self._line = self._hud.time_line(width, self._layout.line_bottom, end)
         self.work = time.monotonic() - begin
-        self._draw(figure, pieces, (width, height), bar)
+        self._draw(figures, pieces, (width, height))
         self.gl.swap()
         self._end = time.monotonic()
         # Where nothing waits for the screen's refresh, frames are not faster than it anyway.
         if wait:
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
+
+    def _arrange(self, size: tuple[int, int]) -> Layout:
+        hud = self._hud
+        return arrange(
+            size,
+            hud.font.height,
+            bar=hud.bar_height if self.shows_status else 0,
+            line=hud.line_height if self._has_line else 0,
+            has_plot=self._has_plot,
+        )
+
+    @property
+    def _has_line(self) -> bool:
+        return self.shows_status and bool(self.clock.end)
 
     @property
     def _has_plot(self) -> bool:
@@ -174,12 +190,14 @@ class Window:
         if news is not None:
             self.say(news[0], is_bad=news[1])
 
-    def _draw(self, figure: object, pieces: list[Piece], size: tuple[int, int], bar: int) -> None:
+    def _draw(
+        self, figures: list[mujoco.MjvFigure], pieces: list[Piece], size: tuple[int, int]
+    ) -> None:
         width, height = size
-        hud, rect, now = self._hud, self._frame.rect, time.monotonic()
+        hud, layout, now = self._hud, self._layout, time.monotonic()
         self._frame.draw(self.gl.context)
-        if figure is not None:
-            mujoco.mjr_figure(self.plot_rect(), figure, self.gl.hud)
+        for rect, figure in zip(layout.plots, figures, strict=False):  # one, where it is narrow
+            mujoco.mjr_figure(rect, figure, self.gl.hud)
         if self.wants_picture or self.camera.wants(now):
             pixels = self._frame.pixels(self.gl.context)
             if self.wants_picture:
@@ -187,16 +205,17 @@ class Window:
             self.camera.add(pixels, now)
             self.wants_picture = False
         if self.camera.is_filming:
-            hud.filming(f"filming {time_text(self.camera.seconds)}", width, height)
+            hud.filming(f"filming {time_text(self.camera.seconds)}", layout.picture.width, height)
         if self._line is not None:
-            hud.draw_time_line(self._line, self.clock.time, width, bar)
+            hud.draw_time_line(self._line, self.clock.time, width, layout.line_bottom)
         if self.shows_status:
             hud.status(pieces, _HINT, width)
         text, is_bad, until = self._message
         if now < until:
-            hud.message(text, width, rect.bottom, is_bad=is_bad)
+            hud.message(text, layout.picture.width, layout.picture.bottom, is_bad=is_bad)
         if self.shows_help:
-            hud.help(self._help, width, height)
+            found = self.help_pages(size)
+            hud.help(found[min(self.help_page, len(found) - 1)], width, height)
 
     @property
     def picture_size(self) -> tuple[int, int]:
@@ -208,13 +227,14 @@ class Window:
         self._frame.draw(self.gl.context)
         return self._frame.pixels(self.gl.context)
 
-    def plot_rect(self) -> mujoco.MjrRect:
-        """Where the plot is: the lower right corner of the picture."""
-        rect, h = self._frame.rect, self._hud.font.height
-        width = int(min(max(0.36 * rect.width, 22 * h), rect.width - h))
-        height = int(min(max(0.34 * rect.height, 13 * h), rect.height - h))
-        left = rect.left + rect.width - width - h // 2
-        return mujoco.MjrRect(left, rect.bottom + h // 2, width, height)
+    def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:
+        """The help in pages of columns, as they find room in a window of that size."""
+        return pages(self._help, self._hud.help_room(size))
+
+    def next_help_page(self) -> None:
+        """Shows the help, its next page, or no help any more."""
+        self.help_page = self.help_page + 1 if self.shows_help else 0
+        self.shows_help = self.help_page < len(self.help_pages(self.gl.size))
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
         """Writes a line into the window for a few seconds."""

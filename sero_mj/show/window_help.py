@@ -47,3 +47,17 @@ def help_columns() -> list[list[Row]]:
         ("Shift+click", "the same for the whole robot"),
     ]
     return [view, shown]
+
+
+def pages(columns: list[list[Row]], room: tuple[int, int]) -> list[list[list[Row]]]:
+    """Divides the help into pages of columns.
+
+    Args:
+        columns: of rows.
+        room: how many rows a column may have, and how many columns a page.
+    """
+    rows, beside = max(room[0], 4), max(room[1], 1)
+    parts = [
+        column[start : start + rows] for column in columns for start in range(0, len(column), rows)
+    ]
+    return [parts[start : start + beside] for start in range(0, len(parts), beside)]

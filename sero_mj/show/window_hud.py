@@ -14,6 +14,7 @@ from .window_timeline import TimeLine
 Rgba = tuple[float, float, float, float]
 BAR: Rgba = (0.07, 0.09, 0.12, 1.0)
 PANEL: Rgba = (0.07, 0.09, 0.12, 0.92)
+HELP: Rgba = (0.07, 0.09, 0.12, 0.96)
 BAD: Rgba = (0.45, 0.07, 0.06, 0.95)
 _TRACK: Rgba = (0.22, 0.26, 0.31, 1.0)
 _DONE: Rgba = (0.26, 0.56, 0.82, 1.0)
@@ -29,6 +30,8 @@ _MOODS: dict[Mood, tuple[float, float, float]] = {
     "plain": (0.80, 0.84, 0.88),
 }
 _PAD = 0.45  # of a line's height
+_HELP_LINE = 1.08  # of a line's height
+_HELP_COLUMN = 27.0  # of a line's height, wide
 _GAP = 1.6  # between pieces of the status line, of a line's height
 
 
@@ -135,29 +138,28 @@ class Hud:
         self.panel((left, bottom, wide, 1.5 * h), [(1.4 * h, 0.45 * h, text, _TEXT)])
         self.box(left + 0.55 * h, bottom + 0.5 * h, 0.5 * h, 0.5 * h, _RED)
 
+    def help_room(self, size: tuple[int, int]) -> tuple[int, int]:
+        """How many rows a column of the help may have, and how many columns it may have."""
+        h = self.font.height
+        return int((size[1] - 2.6 * h) / (_HELP_LINE * h)), int((size[0] - h) / (_HELP_COLUMN * h))
+
     def help(self, columns: Sequence[Sequence[tuple[str, str]]], width: int, height: int) -> None:
         """Draws the help: columns of rows of what to press and what that does.
 
-        A row without words is a heading. Columns that find no room are left out.
+        A row without words is a heading.
         """
         font = self.font
-        h, line = font.height, 1.08 * font.height
+        h, line = font.height, _HELP_LINE * font.height
         sizes = []
         for rows in columns:
-            keys = max(font.width(key) for key, meaning in rows if meaning) + 1.2 * h
-            words = max(font.width(meaning) for _, meaning in rows)
-            sizes.append((keys, keys + words))
-        while (
-            len(sizes) > 1 and sum(wide for _, wide in sizes) + 2.0 * h * (len(sizes) + 1) > width
-        ):
-            sizes.pop()
-        shown = columns[: len(sizes)]
+            keys = max([font.width(key) for key, meaning in rows if meaning] or [0]) + 1.2 * h
+            sizes.append((keys, keys + max(font.width(meaning) for _, meaning in rows)))
         wide = sum(total for _, total in sizes) + 2.0 * h * len(sizes) + h
-        tall = line * max(len(rows) for rows in shown) + 2.4 * h
+        tall = line * max(len(rows) for rows in columns) + 2.4 * h
         left, bottom = max((width - wide) / 2, 0), max((height - tall) / 2, 0)
         lines = []
         x = 1.5 * h
-        for (keys, total), rows in zip(sizes, shown, strict=True):
+        for (keys, total), rows in zip(sizes, columns, strict=True):
             y = tall - 1.2 * h - line
             for key, meaning in rows:
                 if meaning:
@@ -167,7 +169,7 @@ class Hud:
                     lines.append((x, y, key, TITLE))
                 y -= line
             x += total + 2.0 * h
-        self.panel((left, bottom, wide, tall), [each for each in lines if each[1] >= 0])
+        self.panel((left, bottom, wide, tall), lines, HELP)
 
 
 def _shortened(text: str, font: Font, width: float) -> str:

@@ -46,6 +46,9 @@ class Keyed(Protocol):
     def pick_under_pointer(self) -> Picked | None:
         """What is under the pointer."""
 
+    def next_help_page(self) -> None:
+        """Shows the help, its next page, or no help any more."""
+
 
 class WindowKeys:
     """Finds the method that a key calls.
@@ -151,4 +154,4 @@ class WindowKeys:
         self._window.gl.toggle_full_screen()
 
     def _help(self) -> None:
-        self._window.shows_help = not self._window.shows_help
+        self._window.next_help_page()

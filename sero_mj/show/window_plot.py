@@ -17,8 +17,11 @@ _SHOWN = ("torques", "commanded_torques")
 _NAMES = ("measured", "commanded")
 # Colour-blind safe against each other and on a dark ground: light blue and orange.
 _RGB = ((0.45, 0.78, 1.0), (1.0, 0.62, 0.18))
+_ERROR_RGB = (0.75, 0.88, 0.45)
+_LIMITS = (2, 3)  # which lines of a figure are the limits
 _LIMIT_RGB = (0.85, 0.30, 0.30)
-_HEADROOM = 1.15  # of the range over what is in it
+_ABOVE = 0.35  # of the range, over what is in it: there the legend is
+_STEPS = 4  # of the grid
 _LEAST_RANGE = 1.0  # Nm or N
 
 
@@ -72,20 +75,25 @@ class TorqueHistory:
 
 
 def y_range(values: Array, limit: float) -> tuple[float, float]:
-    """Lower and upper end of the plot, Nm or N.
+    """Lower and upper end of the plot, Nm or N: four steps of a round number.
 
     Args:
         values: all that is shown, NaN where there is nothing.
         limit: of the torque, inf for none; it is in the picture when torques come near it.
     """
     finite = values[np.isfinite(values)]
-    if not len(finite):
-        return -_LEAST_RANGE, _LEAST_RANGE
-    low, high = float(finite.min()), float(finite.max())
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     if np.isfinite(limit) and max(abs(low), abs(high)) > 0.8 * limit:
         high, low = (max(high, limit), low) if high > -low else (high, min(low, -limit))
-    middle, half = (low + high) / 2, max((high - low) / 2, _LEAST_RANGE)
-    return middle - _HEADROOM * half, middle + _HEADROOM * half
+    span = max(high - low, _LEAST_RANGE)
+    middle = (low + high) / 2
+    low, high = middle - 0.6 * span, middle + (0.5 + _ABOVE) * span
+    power = 10.0 ** np.floor(np.log10(span / _STEPS))
+    for step in (power * nice for nice in (1, 2, 2.5, 5, 10, 20)):
+        start = float(np.floor(low / step) * step)
+        if start + _STEPS * step >= high:
+            break
+    return start, start + _STEPS * step
 
 
 def joint_name(world: World, joint: int) -> str:
@@ -95,51 +103,63 @@ def joint_name(world: World, joint: int) -> str:
     return name if name.startswith(f"{owner}/") else f"{owner}/{name}"
 
 
+def make_figure(rgb: tuple[tuple[float, float, float], ...]) -> mujoco.MjvFigure:
+    """Returns an empty figure whose first lines have these colours; limits are red."""
+    figure = mujoco.MjvFigure()
+    mujoco.mjv_defaultFigure(figure)
+    figure.flg_legend, figure.flg_extend = 1, 0
+    figure.flg_ticklabel[:] = 1
+    figure.gridsize[:] = 5, _STEPS + 1
+    figure.gridrgb[:] = 0.32, 0.36, 0.42
+    figure.figurergba[:] = 0.07, 0.09, 0.12, 1.0
+    figure.panergba[:] = 0.10, 0.12, 0.16, 1.0
+    figure.legendrgba[:] = 0.07, 0.09, 0.12, 0.6
+    figure.textrgb[:] = 0.88, 0.90, 0.93
+    figure.linewidth, figure.gridwidth = 2.5, 1.0
+    figure.xformat = "%.0f"
+    figure.xlabel = "s"
+    figure.range[0] = -SPAN, 0.0
+    figure.linergb[: len(rgb)] = rgb
+    figure.linergb[_LIMITS[0] : _LIMITS[1] + 1] = _LIMIT_RGB
+    return figure
+
+
 class TorquePlot:
-    """Fills an `MjvFigure` with the history of one joint."""
+    """Fills figures with the history of one joint: torques, and their error."""
 
     def __init__(self, world: World) -> None:
         self._world = world
-        figure = self.figure = mujoco.MjvFigure()
-        mujoco.mjv_defaultFigure(figure)
-        figure.flg_legend = 1
-        figure.flg_ticklabel[:] = 1
-        figure.flg_extend = 0
-        figure.gridsize[:] = 5, 5
-        figure.gridrgb[:] = 0.32, 0.36, 0.42
-        figure.figurergba[:] = 0.07, 0.09, 0.12, 0.82
-        figure.panergba[:] = 0.10, 0.12, 0.16, 0.75
-        figure.legendrgba[:] = 0.07, 0.09, 0.12, 0.6
-        figure.textrgb[:] = 0.88, 0.90, 0.93
-        figure.linewidth, figure.gridwidth = 2.5, 1.0
-        figure.xformat, figure.yformat = "%.0f", "%.0f"
-        figure.range[0] = -SPAN, 0.0
-        figure.linergb[: len(_RGB)] = _RGB
-        figure.linergb[2] = _LIMIT_RGB
-        figure.linergb[3] = _LIMIT_RGB
+        self.torques, self.error = make_figure(_RGB), make_figure((_ERROR_RGB,))
 
-    def fill(self, history: TorqueHistory, joint: int) -> mujoco.MjvFigure:
-        """Returns the figure of a joint of the world."""
-        figure, joints = self.figure, self._world.joints
+    def fill(self, history: TorqueHistory, joint: int) -> list[mujoco.MjvFigure]:
+        """Returns the figures of a joint of the world."""
+        joints = self._world.joints
         times, values = history.of(joint)
         limit = float(joints.torque_limit[joint])
-        low, high = y_range(values, limit)
-        unit = "Nm" if joints.revolute[joint] else "N"
-        figure.title = f"{joint_name(self._world, joint)}: {'torque' if unit == 'Nm' else 'force'}"
-        figure.xlabel = f"{unit} over s"
-        figure.range[1] = low, high
-        figure.yformat = "%.1f" if high - low < 8 else "%.0f"
-        for line, row in enumerate(values):
-            there = np.isfinite(row)
-            count = int(there.sum())
-            figure.linepnt[line] = count
-            figure.linename[line] = _NAMES[line] if count else ""
-            points = figure.linedata[line]
-            points[0 : 2 * count : 2] = times[there]
-            points[1 : 2 * count : 2] = row[there]
-        for line, bound in ((2, limit), (3, -limit)):
-            inside = np.isfinite(limit) and low <= bound <= high
-            figure.linepnt[line] = 2 if inside else 0
-            if inside:
-                figure.linedata[line][:4] = -SPAN, bound, 0.0, bound
-        return figure
+        what, unit = ("torque", "Nm") if joints.revolute[joint] else ("force", "N")
+        self.torques.title = f"{joint_name(self._world, joint)}: {what} [{unit}]"
+        _set_lines(self.torques, times, dict(zip(_NAMES, values, strict=True)), limit)
+        self.error.title = f"error [{unit}]"
+        _set_lines(self.error, times, {"commanded - measured": values[1] - values[0]}, np.inf)
+        return [self.torques, self.error]
+
+
+def _set_lines(
+    figure: mujoco.MjvFigure, times: Array, lines: dict[str, Array], limit: float
+) -> None:
+    low, high = y_range(np.concatenate(list(lines.values())), limit)
+    figure.range[1] = low, high
+    figure.yformat = "%.2f" if high - low < 2 else "%.1f" if high - low < 20 else "%.0f"
+    for line, (name, values) in enumerate(lines.items()):
+        there = np.isfinite(values)
+        count = int(there.sum())
+        figure.linepnt[line] = count
+        figure.linename[line] = name if count else ""
+        points = figure.linedata[line]
+        points[0 : 2 * count : 2] = times[there]
+        points[1 : 2 * count : 2] = values[there]
+    for line, bound in zip(_LIMITS, (limit, -limit), strict=True):
+        inside = np.isfinite(limit) and low <= bound <= high
+        figure.linepnt[line] = 2 if inside else 0
+        if inside:
+            figure.linedata[line][:4] = -SPAN, bound, 0.0, bound
