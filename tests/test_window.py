@@ -239,6 +239,28 @@ def test_a_simulation_is_paused_stepped_scrubbed_and_reset(display: str, tmp_pat
         assert not window.ask("clicks")  # the time line is not the picture
 
 
+def test_a_recording_is_scrubbed_and_its_end_is_the_end(display: str, tmp_path: Path) -> None:
+    recording = tmp_path / "run.mcap"
+    make_recording(recording, seconds=2.0)
+    with Driven(display, tmp_path, "lwr_udp", replay=str(recording)) as window:
+        window.until("w.clock.time > 0.1")
+        line = window.ask("vars(w._line)")
+        assert line["end"] == pytest.approx(2.0, abs=0.02)
+        middle = SIZE[1] - line["bottom"] - line["height"] / 2
+        x = round(line["left"] + 0.25 * line["width"])
+        window.tool("mousemove", x, round(middle), "mousedown", 1, "key", "space")
+        window.tool("mousemove", round(line["left"] + 0.5 * line["width"]), round(middle))
+        window.tool("mousemove", x, round(middle), "mouseup", 1)
+        window.settle()
+        time = window.ask("w.clock.time")
+        assert time == pytest.approx(0.5, abs=0.02)
+        # The first joint goes as fast as the recording says: 0.1 rad/s.
+        assert window.ask("w.data.qpos[0]") == pytest.approx(0.1 * time, abs=1e-3)
+        window.key("space")
+        window.until("w.clock.is_at_end")
+        assert window.ask("w.data.qpos[0]") == pytest.approx(0.2, abs=1e-3)
+
+
 def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path: Path) -> None:
     sender = subprocess.Popen(
         [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32755"],

@@ -270,14 +270,14 @@ def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
 
 def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
     none = np.full(3, np.nan)
-    low, high = y_range(none, 10.0)
+    low, high, _ = y_range(none, 10.0)
     assert low < 0
     assert high > 0
-    low, high = y_range(np.array([2.0, np.nan, 6.0]), np.inf)
+    low, high, _ = y_range(np.array([2.0, np.nan, 6.0]), np.inf)
     assert low < 2.0
     assert high > 6.0
-    assert (low, high) == (0.0, 8.0)  # round numbers
-    low, high = y_range(np.array([-95.0, 20.0]), 100.0)
+    assert (low, high) == (1.0, 8.0)  # round numbers
+    low, high, _ = y_range(np.array([-95.0, 20.0]), 100.0)
     assert low < -100.0
     assert high > 20.0
 

@@ -20,8 +20,10 @@ _RGB = ((0.45, 0.78, 1.0), (1.0, 0.62, 0.18))
 _ERROR_RGB = (0.75, 0.88, 0.45)
 _LIMITS = (2, 3)  # which lines of a figure are the limits
 _LIMIT_RGB = (0.85, 0.30, 0.30)
-_ABOVE = 0.35  # of the range, over what is in it: there the legend is
-_STEPS = 4  # of the grid
+# Of the range, from its middle: above what is in it the legend is.
+_BELOW, _ABOVE = 0.55, 0.85
+# Of the grid, by the whole units that are in the range.
+_STEPS = {1: 5, 2: 4, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7, 8: 4, 9: 3, 10: 5}
 _LEAST_RANGE = 1.0  # Nm or N
 
 
@@ -74,8 +76,8 @@ class TorqueHistory:
         return times[kept], self._values[:, joint, order[kept]]
 
 
-def y_range(values: Array, limit: float) -> tuple[float, float]:
-    """Lower and upper end of the plot, Nm or N: four steps of a round number.
+def y_range(values: Array, limit: float) -> tuple[float, float, int]:
+    """Lower and upper end of the plot, Nm or N, and into how many steps the grid divides it.
 
     Args:
         values: all that is shown, NaN where there is nothing.
@@ -85,15 +87,13 @@ def y_range(values: Array, limit: float) -> tuple[float, float]:
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     if np.isfinite(limit) and max(abs(low), abs(high)) > 0.8 * limit:
         high, low = (max(high, limit), low) if high > -low else (high, min(low, -limit))
-    span = max(high - low, _LEAST_RANGE)
-    middle = (low + high) / 2
-    low, high = middle - 0.6 * span, middle + (0.5 + _ABOVE) * span
-    power = 10.0 ** np.floor(np.log10(span / _STEPS))
-    for step in (power * nice for nice in (1, 2, 2.5, 5, 10, 20)):
-        start = float(np.floor(low / step) * step)
-        if start + _STEPS * step >= high:
-            break
-    return start, start + _STEPS * step
+    span, middle = max(high - low, _LEAST_RANGE), (low + high) / 2
+    low, high = middle - _BELOW * span, middle + _ABOVE * span
+    for _ in range(2):  # once more where rounding has made it longer than ten units
+        # `mjr_figure` widens a range to whole powers of ten, whatever it is told.
+        unit = 10.0 ** np.floor(np.log10((high - low) * (1 + 1e-9)))
+        low, high = float(np.floor(low / unit) * unit), float(np.ceil(high / unit) * unit)
+    return low, high, _STEPS.get(round((high - low) / unit), 5)
 
 
 def joint_name(world: World, joint: int) -> str:
@@ -109,7 +109,7 @@ def make_figure(rgb: tuple[tuple[float, float, float], ...]) -> mujoco.MjvFigure
     mujoco.mjv_defaultFigure(figure)
     figure.flg_legend, figure.flg_extend = 1, 0
     figure.flg_ticklabel[:] = 1
-    figure.gridsize[:] = 5, _STEPS + 1
+    figure.gridsize[0] = 5
     figure.gridrgb[:] = 0.32, 0.36, 0.42
     figure.figurergba[:] = 0.07, 0.09, 0.12, 1.0
     figure.panergba[:] = 0.10, 0.12, 0.16, 1.0
@@ -147,9 +147,10 @@ class TorquePlot:
 def _set_lines(
     figure: mujoco.MjvFigure, times: Array, lines: dict[str, Array], limit: float
 ) -> None:
-    low, high = y_range(np.concatenate(list(lines.values())), limit)
+    low, high, steps = y_range(np.concatenate(list(lines.values())), limit)
     figure.range[1] = low, high
-    figure.yformat = "%.2f" if high - low < 2 else "%.1f" if high - low < 20 else "%.0f"
+    figure.gridsize[1] = steps + 1
+    figure.yformat = f"%.{max(0, -int(np.floor(np.log10((high - low) / steps * 1.001))))}f"
     for line, (name, values) in enumerate(lines.items()):
         there = np.isfinite(values)
         count = int(there.sum())
