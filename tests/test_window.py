@@ -14,6 +14,8 @@ import pytest
 from PIL import Image
 from window_tools import MISSING, ROOT, SIZE, Driven, screen
 
+from sero_mj.receive.recording_writer import RecordingWriter
+
 pytestmark = [
     pytest.mark.gl,
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
@@ -49,6 +51,20 @@ def window(lwr_window: Driven) -> Driven:
     lwr_window.ask("w.navigator.choose(0)[:0]")
     lwr_window.settle()
     return lwr_window
+
+
+def make_recording(path: Path, seconds: float) -> None:
+    """Records what `lwr_udp` expects: the first joint turns by 0.1 rad/s, at 100 packets/s."""
+    writer = RecordingWriter(path, about={"scene": "lwr_udp"}, overwrite=True)
+    declared = {"port": 32000, "structure": "7F7F", "double": True}
+    events = {"values0": (7,), "values1": (7,)}
+    writer.add_source("udp", kind="udp", declared=declared, events=events, size=112)
+    start = writer.clock.monotonic_ns / 1e9
+    for k in range(round(seconds * 100) + 1):
+        values = np.zeros(14)
+        values[0], values[8] = 0.1 * k / 100, 20.0
+        writer.write_raw("udp", values.tobytes(), start + k / 100)
+    writer.close()
 
 
 def pixel(window: Driven, joint: int) -> tuple[float, float]:

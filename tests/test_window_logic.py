@@ -259,7 +259,7 @@ def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
             world.set_input(data, "lwr.commanded_torques", np.full(7, 0.8 * limit))
         history.add(data)
     figure, error = plot.fill(history, 1)
-    assert figure.title == "lwr/A2: torque [Nm]"
+    assert figure.title == "lwr/A2: torque [Nm] over time [s]"
     assert figure.linepnt[:4].tolist() == [50, 30, 2, 0]
     assert figure.linedata[1][1:60:2] == pytest.approx(np.full(30, 0.8 * limit), rel=1e-6)
     assert figure.range[1][1] > limit

@@ -9,6 +9,7 @@ import mujoco
 _PLOT_SHARE = 0.34  # of the width, for plots beside the picture
 _STRIP_SHARE = 0.36  # of the height, for a plot below it, where the window is narrow
 _NARROW = 46.0  # lines of text; a window less wide has its plot below the picture
+_LEAST_STRIP = 10.0  # lines of text, high
 _LEAST_PLOT = 20.0  # lines of text, wide
 
 
@@ -46,7 +47,7 @@ def arrange(
     if not has_plot:
         return Layout(mujoco.MjrRect(0, bottom, width, height), [], bar, bar)
     if width < _NARROW * text:
-        strip = round(_STRIP_SHARE * height)
+        strip = round(min(max(_STRIP_SHARE * height, _LEAST_STRIP * text), 0.5 * height))
         picture = mujoco.MjrRect(0, bottom + strip, width, max(height - strip, 1))
         return Layout(picture, [mujoco.MjrRect(0, bottom, width, strip)], bar, bar)
     beside = round(max(_PLOT_SHARE * width, _LEAST_PLOT * text))

@@ -117,7 +117,6 @@ def make_figure(rgb: tuple[tuple[float, float, float], ...]) -> mujoco.MjvFigure
     figure.textrgb[:] = 0.88, 0.90, 0.93
     figure.linewidth, figure.gridwidth = 2.5, 1.0
     figure.xformat = "%.0f"
-    figure.xlabel = "s"
     figure.range[0] = -SPAN, 0.0
     figure.linergb[: len(rgb)] = rgb
     figure.linergb[_LIMITS[0] : _LIMITS[1] + 1] = _LIMIT_RGB
@@ -137,9 +136,9 @@ class TorquePlot:
         times, values = history.of(joint)
         limit = float(joints.torque_limit[joint])
         what, unit = ("torque", "Nm") if joints.revolute[joint] else ("force", "N")
-        self.torques.title = f"{joint_name(self._world, joint)}: {what} [{unit}]"
+        self.torques.title = f"{joint_name(self._world, joint)}: {what} [{unit}] over time [s]"
         _set_lines(self.torques, times, dict(zip(_NAMES, values, strict=True)), limit)
-        self.error.title = f"error [{unit}]"
+        self.error.title = f"error [{unit}] over time [s]"
         _set_lines(self.error, times, {"commanded - measured": values[1] - values[0]}, np.inf)
         return [self.torques, self.error]
 
