@@ -101,15 +101,16 @@ class GlWindow:
 
     def _make_contexts(self) -> None:
         world = self._world
-        self._scale = font_scale(world, self.size[1])
+        height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
+        self._least_scale = nearest_font_scale(height)
+        self._scale = max(font_scale(world, self.size[1]), self._least_scale)
         # The window's own buffer is drawn to, and the one for pictures without one is not.
         world.model.vis.global_.offwidth = world.model.vis.global_.offheight = 16
         self.context = mujoco.MjrContext(world.model, self._scale)
         empty = mujoco.MjModel.from_xml_string("<mujoco/>")
         empty.vis.global_.offwidth = empty.vis.global_.offheight = 16
         empty.vis.quality.shadowsize = empty.vis.quality.offsamples = 0
-        height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
-        self.hud = mujoco.MjrContext(empty, nearest_font_scale(height))
+        self.hud = mujoco.MjrContext(empty, self._least_scale)
         self.hud_font = Font.of_context(self.hud)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
 
@@ -148,8 +149,11 @@ class GlWindow:
         return events
 
     def fit_font(self, height: int) -> Font:
-        """Returns the font of billboards for a picture of that height, pixels."""
-        scale = font_scale(self._world, height)
+        """Returns the font of billboards for a picture of that height, pixels.
+
+        It is never smaller than the window's own, which is as large as the screen's pixels are small.
+        """
+        scale = max(font_scale(self._world, height), self._least_scale)
         if scale != self._scale:
             self._scale = scale
             mujoco.mjr_changeFont(scale, self.context)
