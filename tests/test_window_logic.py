@@ -135,6 +135,19 @@ def test_time_goes_by_at_the_chosen_speed_and_stops_at_the_end(simulated: Mirror
     assert clock.time == 0.0
 
 
+def test_a_simulation_that_cannot_keep_up_says_so(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+    clock.advance(0.02)
+    assert clock_text(clock)[0].endswith("x1")
+    for _ in range(30):
+        clock.advance(0.9)  # frames so long that time does not jump after them
+    assert clock.is_at_end or "(only 0.2" in clock_text(clock)[0]
+    clock.seek(0.0)
+    for _ in range(15):
+        clock.advance(0.9)
+    assert "(only 0." in clock_text(clock)[0]
+
+
 def test_a_paused_clock_steps_and_seeks(simulated: Mirror) -> None:
     clock = Clock(simulated)
     clock.pause()

@@ -12,6 +12,7 @@ SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # s, of a recording that has no time step
 _PIECE = 0.05  # s that are simulated at once, and
 _PATIENCE = 0.03  # s of real time after which a frame is shown, so that the window stays alive
+_SMOOTHING = 0.1  # of the speed that is shown, for every frame
 _LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does not jump
 
 
@@ -30,6 +31,7 @@ class Clock:
         time: shown, s since the start.
         end: of the time line, s; None where there is no end.
         step_size: of a single step, s.
+        real_speed: what came of `speed` in the last frames; a simulation may be slower.
     """
 
     def __init__(self, mirror: Mirror) -> None:
@@ -37,6 +39,7 @@ class Clock:
         self.is_live = mirror.is_live
         self.is_paused = False
         self.speed = 1.0
+        self.real_speed = 1.0
         self.time = 0.0
         self.end = None if self.is_live else end_of(mirror)
         self.step_size = step_of(mirror)
@@ -58,11 +61,16 @@ class Clock:
         """
         if self.is_live:
             return not self.is_paused and (self._mirror.advance() or True)
-        if not self.is_paused:
-            self.time += self.speed * min(passed, _LONGEST_FRAME)
-        if self.end is not None:
-            self.time = min(self.time, self.end)
-        return self._show()
+        if self.is_paused or self.is_at_end:
+            self.real_speed = self.speed
+            return self._show()
+        before = self.time
+        self.time += self.speed * min(passed, _LONGEST_FRAME)
+        if self.end is not None and self.time >= self.end:
+            self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
+        changed = self._show()
+        self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
+        return changed
 
     def _show(self) -> bool:
         if self.time == self._shown and self._mirror.sources:
@@ -106,7 +114,7 @@ class Clock:
         if self.is_live:
             return "live: the speed is the robot's"
         nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
-        self.speed = SPEEDS[min(max(nearest + times, 0), len(SPEEDS) - 1)]
+        self.speed = self.real_speed = SPEEDS[min(max(nearest + times, 0), len(SPEEDS) - 1)]
         return f"speed {self.speed:g}"
 
     def reset(self) -> str:

@@ -151,7 +151,7 @@ class GlWindow:
     def fit_font(self, height: int) -> Font:
         """Returns the font of billboards for a picture of that height, pixels.
 
-        It is never smaller than the window's own, which is as large as the screen's pixels are small.
+        It is never smaller than the window's own, which grows with the screen's scale.
         """
         scale = max(font_scale(self._world, height), self._least_scale)
         if scale != self._scale:

@@ -14,6 +14,7 @@ Mood = Literal["good", "quiet", "bad", "plain"]
 Piece = tuple[str, Mood]
 
 _SEEN_LOSS = 0.0005  # a share of lost packets below it is written in numbers
+_SLOW = 0.85  # of the chosen speed; what is slower is said
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
@@ -50,6 +51,8 @@ def clock_text(clock: Clock) -> Piece:
         return ("PAUSED", "bad") if clock.is_paused else ("live", "good")
     end = f" / {time_text(clock.end)}" if clock.end is not None else ""
     text = f"{time_text(clock.time)}{end}  x{clock.speed:g}"
+    if clock.real_speed < _SLOW * clock.speed:
+        text += f" (only {clock.real_speed:.2g})"
     if clock.is_at_end:
         return f"{text}  end", "quiet"
     return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")
