@@ -169,6 +169,22 @@ def test_a_paused_clock_steps_and_seeks(simulated: Mirror) -> None:
     assert clock.time == 0.0
 
 
+def test_plots_are_as_fine_at_a_low_frame_rate(simulated: Mirror) -> None:
+    clock, seen = Clock(simulated), []
+    clock.advance(0.0)
+    clock.on_moment = lambda: seen.append(simulated.data.time)
+    clock.advance(0.1)
+    assert len(seen) >= 10
+    assert np.diff(seen).max() < 0.011
+    assert seen[-1] == clock.time
+    clock.seek(3.0)  # a jump is no way
+    seen.clear()
+    clock.pause()
+    while simulated.data.time < 3.0:
+        clock.advance(0.0)
+    assert len(seen) < 60
+
+
 def test_speeds_have_ends(simulated: Mirror) -> None:
     clock = Clock(simulated)
     for _ in range(20):

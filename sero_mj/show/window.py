@@ -178,17 +178,21 @@ class Window:
         return self.shows_plot and len(self.world.joints.names) > 0
 
     def _advance(self, passed: float) -> None:
+        self.clock.on_moment = self._sample if self._has_plot else None
         try:
             self.clock.advance(passed)
         except SeroError as error:  # a file that is gone, say: what is shown stays
             self.clock.is_paused = True
             self.say(str(error), is_bad=True)
         if not self.clock.is_paused:
-            self._history.add(self.data)
+            self._sample()
         self.navigator.advance(self.data)
         news = self.camera.news()
         if news is not None:
             self.say(news[0], is_bad=news[1])
+
+    def _sample(self) -> None:
+        self._history.add(self.data)
 
     def _draw(
         self, figures: list[mujoco.MjvFigure], pieces: list[Piece], size: tuple[int, int]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 
 from ..drive.mirror import Mirror
 from ..receive.replay import Replay
@@ -12,6 +13,9 @@ SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # s, of a recording that has no time step
 _PIECE = 0.05  # s that are simulated at once, and
 _PATIENCE = 0.03  # s of real time after which a frame is shown, so that the window stays alive
+_FINE = 0.008  # s between moments,
+_MOST_MOMENTS = 20  # of which a frame has at most so many
+_FLOWS = 0.5  # s; what goes on by more has jumped
 _SMOOTHING = 0.1  # of the speed that is shown, for every frame
 _LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does not jump
 
@@ -31,6 +35,8 @@ class Clock:
         time: shown, s since the start.
         end: of the time line, s; None where there is no end.
         step_size: of a single step, s.
+        on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
+            on in steps that are as fine at a low frame rate, so that a plot misses little.
         real_speed: what came of `speed` in the last frames; a simulation may be slower.
     """
 
@@ -40,6 +46,7 @@ class Clock:
         self.is_paused = False
         self.speed = 1.0
         self.real_speed = 1.0
+        self.on_moment: Callable[[], None] | None = None
         self.time = 0.0
         self.end = None if self.is_live else end_of(mirror)
         self.step_size = step_of(mirror)
@@ -69,6 +76,7 @@ class Clock:
         if self.end is not None and self.time >= self.end:
             self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
         changed = self._show()
+        passed = max(passed, 1e-6)
         self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
         return changed
 
@@ -78,9 +86,20 @@ class Clock:
         goal = self.time
         if self._simulates and goal > self._simulated:
             goal = self._simulate(goal)
-        self._mirror.advance(goal)
+        for moment in self._moments(goal):
+            self._mirror.advance(moment)
+            if self.on_moment is not None:
+                self.on_moment()
         self._shown = goal
         return True
+
+    def _moments(self, goal: float) -> list[float]:
+        """What is shown until then: more than a frame's end where somebody listens."""
+        passed = goal - (goal if self._shown is None else self._shown)
+        if self.on_moment is None or not 0 < passed <= _FLOWS:
+            return [goal]
+        count = min(max(round(passed / _FINE), 1), _MOST_MOMENTS)
+        return [goal - passed * k / count for k in range(count - 1, -1, -1)]
 
     def _simulate(self, goal: float) -> float:
         """Simulates until then, or for as long as a frame may take; returns how far it came."""

@@ -28,7 +28,7 @@ _LEAST_RANGE = 1.0  # Nm or N
 
 
 class TorqueHistory:
-    """The last seconds of all joints' torques, one sample a frame.
+    """The last seconds of all joints' torques, a sample for every frame or every few ms.
 
     Going back in time forgets what came later.
     """
@@ -50,7 +50,7 @@ class TorqueHistory:
             last = self._times[(self._count - 1) % _MOST]
             if time < last - 1e-9:
                 self.clear()
-            elif time - last < SPAN / _MOST:
+            elif time - last < 0.9 * SPAN / _MOST:
                 return
         values = joint_values(self._world, data)
         at = self._count % _MOST
