@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from .show.capture import render_film as render_film
     from .show.capture import render_picture as render_picture
     from .show.headless import HeadlessRenderer as HeadlessRenderer
+    from .show.viewer import Viewer as Viewer
+    from .show.viewer import view as view
     from .simulate.plant import Plant as Plant
     from .simulate.scenario import Scenario as Scenario
     from .simulate.scenario_file import read_scenario as read_scenario
@@ -101,6 +103,8 @@ _HOME = {
     "render_film": "show.capture",
     "render_picture": "show.capture",
     "HeadlessRenderer": "show.headless",
+    "Viewer": "show.viewer",
+    "view": "show.viewer",
 }
 
 

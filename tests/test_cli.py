@@ -19,7 +19,7 @@ from sero_mj.cli import main
 from sero_mj.cli.arguments import overrides
 from sero_mj.paths import find_scene
 
-COMMANDS = ["render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep"]
+COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep"]
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:

@@ -12,8 +12,35 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
+from window_tools import MISSING, screen
 
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
+
+
+def open_window(language: str, text: str, folder: Path, environment: dict[str, str]) -> None:
+    """Runs what opens windows on a screen without a monitor, and closes what stays open."""
+    if MISSING:
+        return
+    script = folder / "window.py"
+    script.write_text(text)
+    with screen() as display:
+        here = {key: value for key, value in environment.items() if key != "MUJOCO_GL"}
+        here["DISPLAY"] = display
+        if language == "python":
+            subprocess.run(
+                [sys.executable, str(script)], cwd=folder, env=here, check=True, timeout=60
+            )
+            return
+        for line in text.splitlines():
+            process = subprocess.Popen(line.partition("#")[0].split(), cwd=folder, env=here)
+            try:
+                process.wait(4)
+                raise AssertionError(f"{line}: it has ended")
+            except subprocess.TimeoutExpired:
+                pass
+            finally:
+                process.kill()
+                process.wait()
 
 
 @pytest.mark.gl
@@ -40,6 +67,9 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         for note, language, text in BLOCK.findall((ROOT / "README.md").read_text("utf-8")):
             if "make demo" in text:
                 continue  # .ci/run has just run `make`, and the demo is tested below
+            if note == "window":
+                open_window(language, text, tmp_path, environment)
+                continue
             ran[language] += 1
             if language == "toml" and note:
                 path = tmp_path / note

@@ -26,6 +26,7 @@ from . import (
     status,
     structure,
     sweep,
+    view,
 )
 from .arguments import OneLineParser, join_negative_values
 
@@ -84,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for module in (
+        view,
         render,
         send,
         simulate,

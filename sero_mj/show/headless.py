@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from ..assemble.world import World
 from ..decor.draw import Decor
-from ..decor.font import Font, nearest_font_scale
+from ..decor.font import Font
 from ..decor.pen import Host, Pen
 from ..decor.toggles import Toggles
 from ..decor.view import View
 from ..errors import RenderError
 from .camera import find_camera
+from .font_scale import font_scale
 from .interaction import Gesture, click, hover
 from .picking import Picked, pick
 
@@ -25,7 +26,6 @@ log = logging.getLogger(__name__)
 
 DEFAULT_SIZE = (1280, 800)
 MAX_SIDE = 16384  # pixels; what the software GL of Mesa allows
-_TEXT_OF_SCALE = 0.7  # text height over picture height per unit of billboard_scale
 
 
 class HeadlessRenderer:
@@ -156,9 +156,7 @@ def _from_below(view: View, x: float, y: float) -> tuple[float, float]:
 def _make_renderer(world: World, width: int, height: int) -> Any:
     model = world.model
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-    scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
-    percent = nearest_font_scale(_TEXT_OF_SCALE * max(scales) * height)
-    font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{percent}")
+    font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{font_scale(world, height)}")
     try:
         return mujoco.Renderer(model, height, width, font_scale=font)
     except Exception as error:  # every GL backend raises its own

@@ -97,6 +97,10 @@ def _hide_checks(world: World, toggles: Toggles, picked: Picked) -> None:
     toggles.flange_checks = False
 
 
+def _leave(world: World, toggles: Toggles, picked: Picked) -> None:
+    """Nothing that is shown changes."""
+
+
 # Gesture and what it is made on: what it does, in words, and how. Every host reads this table.
 CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
     ("click", "link"): ("its joint's billboard on or off", _toggle_billboard),
@@ -117,6 +121,7 @@ CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
     ("click", "card"): ("hides it", _toggle_card),
     ("shift", "card"): ("hides all of them", _toggle_cards),
     ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
+    ("double", "object"): ("the view turns about it", _leave),  # the host moves its camera
 }
 # A transparent double is clicked on like a robot; one of a path has nothing to show.
 CLICKS |= {
@@ -239,4 +244,42 @@ KEYS: dict[str, tuple[str, Callable[[Toggles], None]]] = {
     "l": ("legend on or off", _flip("legend")),
     "s": ("faults of the sources on or off", _flip("status")),
     "r": ("what the scene declares", Toggles.reset),
+}
+# What keys do to the camera, the clock and the window of a live host: the name of what it does, and
+# what that is in words. A host has a function for each, or leaves it to its own controls.
+HOST_KEYS: dict[str, tuple[str, str]] = {
+    " ": ("pause", "pause, go on"),
+    ".": ("step", "single step"),
+    ",": ("step_back", "single step back"),
+    "-": ("slower", "slower"),
+    "+": ("faster", "faster"),
+    "backspace": ("reset", "back to the start"),
+    "left": ("back", "1 s back"),
+    "right": ("on", "1 s on"),
+    "0": ("camera", "0 the first view, 1 to 9 cameras"),
+    "f": ("follow", "follow what is under the pointer"),
+    "p": ("plot", "torques of the selected joint"),
+    "]": ("next_joint", "select the next joint, [ the last"),
+    "t": ("status_line", "status line on or off"),
+    "f2": ("screenshot", "screenshot"),
+    "f3": ("film", "film on or off"),
+    "f11": ("full_screen", "full screen"),
+    "f1": ("help", "help, its next page; ? too"),
+}
+# Other keys for the same, that a help need not list.
+MORE_KEYS: dict[str, str] = {
+    "?": "help",
+    "h": "help",
+    "=": "faster",
+    "_": "slower",
+    "[": "last_joint",
+    "home": "reset",
+    **{str(number): "camera" for number in range(1, 10)},
+}
+# What the mouse does to the camera of a live host.
+HOST_MOUSE: dict[str, str] = {
+    "drag": "turns the view",
+    "right drag": "moves it, also with Shift",
+    "wheel": "nearer, farther",
+    "right double click": "turns about that point",
 }

@@ -1,0 +1,172 @@
+"""The time that a live viewer shows: real for what is live, the user's for all the rest."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+
+from ..drive.mirror import Mirror
+from ..receive.replay import Replay
+from ..simulate.simulated_source import SimulatedSource
+
+SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
+_STEP = 1.0 / 60.0  # s, of a recording that has no time step
+_PIECE = 0.05  # s that are simulated at once, and
+_PATIENCE = 0.03  # s of real time after which a frame is shown, so that the window stays alive
+_FINE = 0.008  # s between moments,
+_MOST_MOMENTS = 20  # of which a frame has at most so many
+_FLOWS = 0.5  # s; what goes on by more has jumped
+_SMOOTHING = 0.1  # of the speed that is shown, for every frame
+_LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does not jump
+
+
+class Clock:
+    """Says which moment a mirror shows, frame by frame.
+
+    Live sources have the real time: they can be held still, but neither slowed down nor wound back.
+
+    Args:
+        mirror: is driven; must be open.
+
+    Attributes:
+        is_live: whether a source follows the real time.
+        is_paused: whether it stands still.
+        speed: shown s per real s.
+        time: shown, s since the start.
+        end: of the time line, s; None where there is no end.
+        step_size: of a single step, s.
+        on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
+            on in steps that are as fine at a low frame rate, so that a plot misses little.
+        real_speed: what came of `speed` in the last frames; a simulation may be slower.
+    """
+
+    def __init__(self, mirror: Mirror) -> None:
+        self._mirror = mirror
+        self.is_live = mirror.is_live
+        self.is_paused = False
+        self.speed = 1.0
+        self.real_speed = 1.0
+        self.on_moment: Callable[[], None] | None = None
+        self.time = 0.0
+        self.end = None if self.is_live else end_of(mirror)
+        self.step_size = step_of(mirror)
+        self._shown: float | None = None  # what the mirror stands at
+        self._simulated = 0.0  # as far as it is simulated
+        sources = mirror.sources.values()
+        self._simulates = any(isinstance(source, SimulatedSource) for source in sources)
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether it has come to the end of the time line."""
+        return self.end is not None and self.time >= self.end
+
+    def advance(self, passed: float) -> bool:
+        """Goes on by so many real s and brings the mirror there.
+
+        Returns:
+            whether anything may look different.
+        """
+        if self.is_live:
+            return not self.is_paused and (self._mirror.advance() or True)
+        if self.is_paused or self.is_at_end:
+            self.real_speed = self.speed
+            return self._show()
+        before = self.time
+        self.time += self.speed * min(passed, _LONGEST_FRAME)
+        if self.end is not None and self.time >= self.end:
+            self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
+        changed = self._show()
+        passed = max(passed, 1e-6)
+        self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
+        return changed
+
+    def _show(self) -> bool:
+        if self.time == self._shown and self._mirror.sources:
+            return False
+        goal = self.time
+        if self._simulates and goal > self._simulated:
+            goal = self._simulate(goal)
+        for moment in self._moments(goal):
+            self._mirror.advance(moment)
+            if self.on_moment is not None:
+                self.on_moment()
+        self._shown = goal
+        return True
+
+    def _moments(self, goal: float) -> list[float]:
+        """What is shown until then: more than a frame's end where somebody listens."""
+        passed = goal - (goal if self._shown is None else self._shown)
+        if self.on_moment is None or not 0 < passed <= _FLOWS:
+            return [goal]
+        count = min(max(round(passed / _FINE), 1), _MOST_MOMENTS)
+        return [goal - passed * k / count for k in range(count - 1, -1, -1)]
+
+    def _simulate(self, goal: float) -> float:
+        """Simulates until then, or for as long as a frame may take; returns how far it came."""
+        begin = clock.monotonic()
+        while self._simulated < goal and clock.monotonic() - begin < _PATIENCE:
+            self._simulated = min(self._simulated + _PIECE, goal)
+            for source in self._mirror.sources.values():
+                source.advance_to(self._simulated)
+        if not self.is_paused:
+            self.time = self._simulated
+        return self._simulated
+
+    def pause(self) -> str:
+        """Stands still, or goes on; returns what to tell the user."""
+        if self.is_paused and self.is_at_end:
+            self.seek(0.0)
+        self.is_paused = not self.is_paused
+        return "paused" if self.is_paused else "goes on"
+
+    def step(self, count: int = 1) -> str:
+        """Stands still, some steps further on (or back); returns what to tell the user."""
+        self.is_paused = True
+        if self.is_live:
+            self._mirror.advance()
+            return "paused; shows the latest packet"
+        self.seek(self.time + count * self.step_size)
+        return f"at {self.time:.3f} s"
+
+    def faster(self, times: int) -> str:
+        """Changes the speed by so many places of `SPEEDS`; returns what to tell the user."""
+        if self.is_live:
+            return "live: the speed is the robot's"
+        nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
+        self.speed = self.real_speed = SPEEDS[min(max(nearest + times, 0), len(SPEEDS) - 1)]
+        return f"speed {self.speed:g}"
+
+    def reset(self) -> str:
+        """Goes back to the start; returns what to tell the user."""
+        if self.is_live:
+            self._mirror.reset()
+            return "reset to the declared pose, then the latest packets"
+        self.seek(0.0)
+        return "back to the start"
+
+    def seek(self, time: float) -> None:
+        """Goes to a time, s, within the time line; without effect where all is live."""
+        if not self.is_live:
+            end = float("inf") if self.end is None else self.end
+            self.time = min(max(time, 0.0), end)
+
+
+def end_of(mirror: Mirror) -> float | None:
+    """How long its recordings and simulations play, s; None where nothing ends."""
+    ends = []
+    for source in mirror.sources.values():
+        if isinstance(source, Replay):
+            if source.loop:
+                return None
+            ends.append(source.duration / source.speed)
+        elif isinstance(source, SimulatedSource):
+            ends.append(source.simulation.scenario.run.duration)
+    return max(ends, default=None)
+
+
+def step_of(mirror: Mirror) -> float:
+    """How long a single step is, s: that of the simulation, or a frame."""
+    for source in mirror.sources.values():
+        if isinstance(source, SimulatedSource):
+            return float(source.simulation.scenario.run.timestep)
+    return _STEP

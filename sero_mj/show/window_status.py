@@ -1,0 +1,78 @@
+"""The status line: what comes in, how old it is, and how fast the window is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal
+
+from ..receive.receiver import Receiver
+from ..receive.report import report
+from .window_clock import Clock
+from .window_timeline import time_text
+
+Mood = Literal["good", "quiet", "bad", "plain"]
+Piece = tuple[str, Mood]
+
+_SEEN_LOSS = 0.0005  # a share of lost packets below it is written in numbers
+_SLOW = 0.85  # of the chosen speed; what is slower is said
+
+
+def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
+    """One source in a few words, and whether that is good.
+
+    Args:
+        found: what `report` returned.
+        is_live: whether it follows the real time.
+    """
+    name = found["source"]
+    if not is_live:
+        return str(found["about"]), "plain"
+    if found["age"] is None:
+        malformed = f", {found['malformed']} not applied" if found["malformed"] else ""
+        return f"{name}: no data yet{malformed}", "bad" if malformed else "quiet"
+    if not found["receiving"]:
+        return f"{name}: quiet for {found['age']:.1f} s{_loss(found)}", "bad"
+    text = f"{name}: {found['rate']:.0f}/s, {1e3 * found['age']:.0f} ms old{_loss(found)}"
+    return text, "bad" if found["malformed"] else "good"
+
+
+def _loss(found: dict[str, Any]) -> str:
+    lost = found["lost"] + found["dropped"]
+    text = ""
+    if lost:
+        share = lost / max(found["received"] + lost, 1)
+        text = f", {lost} lost" if share < _SEEN_LOSS else f", {100 * share:.1f} % lost"
+    return text + (f", {found['malformed']} not applied" if found["malformed"] else "")
+
+
+def clock_text(clock: Clock) -> Piece:
+    """The time that is shown, and how fast it goes."""
+    if clock.is_live:
+        return ("PAUSED", "bad") if clock.is_paused else ("live", "good")
+    end = f" / {time_text(clock.end)}" if clock.end is not None else ""
+    text = f"{time_text(clock.time)}{end}  x{clock.speed:g}"
+    if clock.real_speed < _SLOW * clock.speed:
+        text += f" (only {clock.real_speed:.2g})"
+    if clock.is_at_end:
+        return f"{text}  end", "quiet"
+    return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")
+
+
+def status_pieces(sources: Iterable[Any], clock: Clock, frame_rate: float) -> list[Piece]:
+    """All pieces of the status line, the most important first.
+
+    Args:
+        sources: those of the mirror.
+        clock: that drives it.
+        frame_rate: of the window, frames/s.
+    """
+    pieces = [clock_text(clock)]
+    for source in sources:
+        if isinstance(source, Receiver):
+            error = getattr(source, "error", None)
+            if error is not None:
+                pieces.append((f"{source.name}: {error}", "bad"))
+            else:
+                pieces.append(source_text(report(source), is_live=source.is_live))
+    pieces.append((f"{frame_rate:.0f} frames/s", "plain"))
+    return pieces

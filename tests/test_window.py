@@ -1,0 +1,360 @@
+"""A real window, worked with mouse and keys: what they change."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from window_tools import MISSING, ROOT, SIZE, Driven, screen
+
+from sero_mj.receive.recording_writer import RecordingWriter
+
+pytestmark = [
+    pytest.mark.gl,
+    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+]
+
+# Where the LWR's joints are in the window, from the upper left corner.
+_JOINTS = (
+    "[w._frame.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][{0}].tolist(), "
+    "w._frame.rect.bottom]"
+)
+
+
+@pytest.fixture(scope="module")
+def display() -> Iterator[str]:
+    with screen() as name:
+        yield name
+
+
+@pytest.fixture(scope="module")
+def lwr_window(display: str, tmp_path_factory: Any) -> Iterator[Driven]:
+    folder = tmp_path_factory.mktemp("window")
+    settings = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0", "lwr.torques=20,60,-30,40,-9,5,3")
+    with Driven(display, folder, "lwr", settings=settings) as window:
+        window.folder = folder  # type: ignore[attr-defined]
+        yield window
+
+
+@pytest.fixture
+def window(lwr_window: Driven) -> Driven:
+    """The window as it was when it was opened."""
+    lwr_window.tool("mousemove", 5, 5)
+    lwr_window.ask("w.toggles.reset()")
+    lwr_window.ask("w.navigator.choose(0)[:0]")
+    lwr_window.settle()
+    return lwr_window
+
+
+def make_recording(path: Path, seconds: float) -> None:
+    """Records what `lwr_udp` expects: the first joint turns by 0.1 rad/s, at 100 packets/s."""
+    writer = RecordingWriter(path, about={"scene": "lwr_udp"}, overwrite=True)
+    declared = {"port": 32000, "structure": "7F7F", "double": True}
+    events = {"values0": (7,), "values1": (7,)}
+    writer.add_source("udp", kind="udp", declared=declared, events=events, size=112)
+    start = writer.clock.monotonic_ns / 1e9
+    for k in range(round(seconds * 100) + 1):
+        values = np.zeros(14)
+        values[0], values[8] = 0.1 * k / 100, 20.0
+        writer.write_raw("udp", values.tobytes(), start + k / 100)
+    writer.close()
+
+
+def pixel(window: Driven, joint: int) -> tuple[float, float]:
+    (x, y), bottom = window.ask(_JOINTS.format(joint))
+    return x, SIZE[1] - bottom - y
+
+
+def test_a_key_switches_what_the_table_says(window: Driven) -> None:
+    assert not window.ask("w.toggles.arrows.any()")
+    window.key("a")
+    window.until("w.toggles.arrows.all()")
+    window.key("a")
+    window.until("not w.toggles.arrows.any()")
+
+
+def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(window: Driven) -> None:
+    x, y = pixel(window, 3)
+    window.click(x, y)
+    shown = window.until("w.toggles.billboards.nonzero()[0].tolist()")
+    assert shown == [window.ask("w.joint")]
+
+
+def test_shift_and_click_shows_all_billboards(window: Driven) -> None:
+    x, y = pixel(window, 3)
+    window.tool("mousemove", round(x), round(y), "keydown", "shift", "click", 1, "keyup", "shift")
+    window.until("w.toggles.billboards.all()")
+
+
+def test_a_double_click_shows_the_axes_and_no_billboard(window: Driven) -> None:
+    x, y = pixel(window, 3)
+    window.click(x, y, "click", "--repeat", 2, "--delay", 60, 1)
+    window.until("w.toggles.axes.sum() > 3")
+    assert not window.ask("w.toggles.billboards.any()")
+
+
+def test_the_name_of_what_is_under_the_pointer_is_written_beside_it(window: Driven) -> None:
+    x, y = pixel(window, 3)
+    window.tool("mousemove", round(x), round(y))
+    assert window.until("w.toggles.hover")[0].startswith("lwr/")
+    window.tool("mousemove", 4, 4)
+    window.until("w.toggles.hover is None")
+
+
+def test_a_drag_turns_the_view_and_is_no_click(window: Driven) -> None:
+    before = window.ask("[w.navigator.camera.azimuth, w.navigator.camera.elevation]")
+    x, y = pixel(window, 3)
+    window.tool("mousemove", round(x), round(y), "mousedown", 1)
+    window.tool("mousemove", round(x) + 60, round(y), "mousemove", round(x) + 120, round(y) + 40)
+    window.tool("mouseup", 1)
+    window.settle()
+    after = window.ask("[w.navigator.camera.azimuth, w.navigator.camera.elevation]")
+    turned = (before[0] - after[0] + 180) % 360 - 180
+    assert turned == pytest.approx(180 * 120 / SIZE[1], abs=1)
+    assert before[1] - after[1] == pytest.approx(180 * 40 / SIZE[1], abs=1)
+    assert not window.ask("w.toggles.billboards.any()")
+
+
+def test_a_drag_with_the_right_button_moves_the_view(window: Driven) -> None:
+    before = pixel(window, 1)
+    window.tool("mousemove", 300, 200, "mousedown", 3, "mousemove", 330, 200)
+    window.tool("mousemove", 360, 230, "mouseup", 3)
+    window.settle()
+    after = pixel(window, 1)
+    assert after[0] - before[0] == pytest.approx(60, abs=6)
+    assert after[1] - before[1] == pytest.approx(30, abs=6)
+
+
+def test_the_wheel_comes_nearer(window: Driven) -> None:
+    before = window.ask("w.navigator.camera.distance")
+    window.tool("mousemove", 300, 200, "click", 4, "click", 4)
+    window.until(f"abs(w.navigator.camera.distance - {before} * 0.81) < 1e-6")
+
+
+def test_a_double_click_of_the_right_button_centres_the_view(window: Driven) -> None:
+    x, y = pixel(window, 5)
+    window.click(x, y, "click", "--repeat", 2, "--delay", 60, 3)
+    window.settle()
+    seen = window.ask("w._frame.view.project(np.array(w.navigator.camera.lookat))[0].tolist()")
+    picture = window.ask("w.picture_size")
+    assert seen == pytest.approx([picture[0] / 2, picture[1] / 2], abs=1)
+    assert pixel(window, 5) == pytest.approx((320, picture[1] / 2), abs=40)
+
+
+def test_a_frame_is_followed(window: Driven) -> None:
+    x, y = pixel(window, 5)
+    window.tool("mousemove", round(x), round(y))
+    window.until("w.toggles.hover")
+    window.key("f")
+    followed = window.until("w.navigator.following")
+    before = np.array(window.ask("w.navigator.camera.lookat"))
+    there = np.array(window.ask(f"w.world.frame(w.data, {followed!r})[:3, 3]"))
+    window.ask("w.data.qpos.__setitem__(0, 0.9)")
+    window.settle()
+    moved = np.array(window.ask(f"w.world.frame(w.data, {followed!r})[:3, 3]")) - there
+    assert np.linalg.norm(moved) > 0.05
+    assert window.ask("w.navigator.camera.lookat") == pytest.approx((before + moved).tolist())
+    window.ask("w.data.qpos.__setitem__(0, 0.0)")
+
+
+def test_the_help_is_shown_and_goes_with_a_click(window: Driven) -> None:
+    window.key("F1")
+    window.until("w.shows_help")
+    window.click(320, 240)
+    window.until("not w.shows_help")
+    window.tool("type", "?")
+    window.until("w.shows_help")
+    count = window.ask("len(w.help_pages(w.gl.size))")
+    for _ in range(count):
+        window.key("F1")
+    window.until("not w.shows_help")
+    window.key("h")
+    window.until("w.shows_help")
+    window.key("Escape")
+    window.until("not w.shows_help")
+
+
+def test_a_screenshot_is_what_is_seen(window: Driven) -> None:
+    folder: Path = window.folder  # type: ignore[attr-defined]
+    window.key("F2")
+    window.until("'screenshot saved' in w._message[0]")
+    (picture,) = folder.glob("lwr_*.png")
+    pixels = np.asarray(Image.open(picture))
+    assert pixels.shape == (*window.ask("w.picture_size")[::-1], 3)
+    assert pixels.std() > 10
+    assert pixels[:40].mean() > pixels[-200:].mean()  # the sky is up
+
+
+def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
+    import av
+
+    folder: Path = window.folder  # type: ignore[attr-defined]
+    window.key("F3")
+    window.until("w.camera.seconds > 1.0")
+    window.key("F3")
+    window.until("'film of' in w._message[0] and 'saved' in w._message[0]")
+    (film,) = folder.glob("lwr_*.mp4")
+    with av.open(str(film)) as container:
+        frames = sum(1 for _ in container.decode(video=0))
+    assert frames / 30 == pytest.approx(window.ask("w.camera.seconds"), abs=0.3)
+
+
+def test_the_window_takes_another_size(window: Driven) -> None:
+    window.tool("search", "--name", "lwr - sero-mj", "windowsize", 500, 400)
+    window.until("w.gl.size == (500, 400)")
+    window.settle()
+    assert window.ask("w.picture_size[0]") == 500
+    window.tool("search", "--name", "lwr - sero-mj", "windowsize", *SIZE)
+    window.until(f"w.gl.size == {SIZE}")
+
+
+def test_full_screen_and_back(window: Driven) -> None:
+    window.key("F11")
+    window.until("w.gl.size == (1000, 700)")
+    window.key("Escape")
+    window.until(f"w.gl.size == {SIZE}")
+
+
+def test_the_plot_shows_the_selected_joint(window: Driven) -> None:
+    window.key("p")
+    window.until("w.shows_plot")
+    window.until("bool(w._plot.torques.linepnt[0] > 2)")
+    joint = window.ask("w.joint")
+    window.key("bracketright")
+    window.until(f"w.joint == ({joint} + 1) % 7")
+    window.key("p")
+
+
+def test_a_simulation_is_paused_stepped_scrubbed_and_reset(display: str, tmp_path: Path) -> None:
+    with Driven(display, tmp_path, "impedance_push") as window:
+        window.until("w.clock.time > 0.2")
+        window.key("space")
+        window.until("w.clock.is_paused")
+        time = window.ask("w.clock.time")
+        window.settle()
+        assert window.ask("w.clock.time") == time
+        window.key("period")
+        window.until("w.clock.time == " + repr(time + window.ask("w.clock.step_size")))
+        window.key("plus")
+        window.until("w.clock.speed == 2.0")
+        line = window.ask("vars(w._line)")
+        middle = SIZE[1] - line["bottom"] - line["height"] / 2
+        window.click(line["left"] + 0.5 * line["width"], middle)
+        assert window.ask("w.clock.time") == pytest.approx(line["end"] / 2, abs=0.02)
+        # It is simulated until there in pieces, and the window lives on meanwhile.
+        window.until("abs(w.data.time - w.clock.time) < 1e-9")
+        window.key("BackSpace")
+        window.until("w.clock.time == 0 and w.data.time == 0")
+        assert not window.ask("clicks")  # the time line is not the picture
+
+
+def test_a_recording_is_scrubbed_and_its_end_is_the_end(display: str, tmp_path: Path) -> None:
+    recording = tmp_path / "run.mcap"
+    make_recording(recording, seconds=2.0)
+    with Driven(display, tmp_path, "lwr_udp", replay=str(recording)) as window:
+        window.until("w.clock.time > 0.1")
+        line = window.ask("vars(w._line)")
+        assert line["end"] == pytest.approx(2.0, abs=0.02)
+        middle = SIZE[1] - line["bottom"] - line["height"] / 2
+        x = round(line["left"] + 0.25 * line["width"])
+        window.tool("mousemove", x, round(middle), "mousedown", 1, "key", "space")
+        window.tool("mousemove", round(line["left"] + 0.5 * line["width"]), round(middle))
+        window.tool("mousemove", x, round(middle), "mouseup", 1)
+        window.settle()
+        time = window.ask("w.clock.time")
+        assert time == pytest.approx(0.5, abs=0.02)
+        # The first joint goes as fast as the recording says: 0.1 rad/s.
+        assert window.ask("w.data.qpos[0]") == pytest.approx(0.1 * time, abs=1e-3)
+        window.key("space")
+        window.until("w.clock.is_at_end")
+        assert window.ask("w.data.qpos[0]") == pytest.approx(0.2, abs=1e-3)
+
+
+def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path: Path) -> None:
+    sender = subprocess.Popen(
+        [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32755"],
+        stdout=subprocess.DEVNULL,
+        cwd=ROOT,
+    )
+    try:
+        scene = tmp_path / "live.toml"
+        text = (ROOT / "scenes" / "lwr_udp.toml").read_text().replace("32000", "32755")
+        scene.write_text(text)
+        with Driven(display, tmp_path, str(scene)) as window:
+            window.until("next(iter(w.mirror.sources.values())).receiving")
+            before = window.ask("w.data.qpos.tolist()")
+            window.until(f"w.data.qpos.tolist() != {before}")
+            sender.terminate()
+            sender.wait()
+            window.until("not next(iter(w.mirror.sources.values())).receiving")
+            window.key("a")
+            assert window.ask("w.clock.is_live")
+            window.until("w._frame._pen.grey is not None")  # shown as stale
+    finally:
+        sender.kill()
+        sender.wait()
+
+
+def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-m", "sero_mj", "view", "lwr"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=environment,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "no display for a window" in done.stderr
+
+
+_LOOP = """
+import sero_mj, numpy as np, time
+scene = sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr", show_arrows=True)])
+clicks = []
+with sero_mj.view(scene, size=(400, 300)) as viewer:
+    viewer.on_click(lambda picked, gesture: clicks.append(gesture))
+    before = viewer.picture()
+    rounds, end = 0, time.monotonic() + 1.5
+    while viewer.sync() and time.monotonic() < end:
+        viewer.set("lwr.joint_angles", [0.4, 0.5, 0, -1, 0, 1, 0])
+        viewer.set("lwr.torques", np.full(7, 40.0))
+        rounds += 1
+        time.sleep(0.0005)
+    after = viewer.picture()
+    assert before.shape == after.shape and (before != after).mean() > 0.01
+    assert rounds > 100, rounds  # it did not wait for the screen in every round
+    assert abs(viewer.world.frame(viewer.data, "lwr/flange")[1, 3]) > 0.05
+    try:
+        viewer.set("lwr.joint_angle", [0.0] * 7)
+    except sero_mj.SeroError as error:
+        assert "joint_angles" in str(error)
+    viewer.window.gl.close_soon()
+    assert not viewer.sync()
+print("done")
+"""
+
+
+def test_a_loop_of_ones_own_moves_the_robot(display: str, tmp_path: Path) -> None:
+    environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
+    environment.pop("MUJOCO_GL", None)
+    done = subprocess.run(
+        [sys.executable, "-c", _LOOP],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "done\n"

@@ -1,0 +1,416 @@
+"""What a window does, without one: camera, clock, time line, status line, plots, mouse, help."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from sero_mj import Mirror, Scene, SerialRobot, View, World
+from sero_mj.assemble.looks import Camera as SceneCamera
+from sero_mj.cli.arguments import read_scene_or_model
+from sero_mj.decor.view import View as PictureView
+from sero_mj.errors import UnknownName
+from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
+from sero_mj.show.window_camera import Navigator, axes
+from sero_mj.show.window_clock import SPEEDS, Clock
+from sero_mj.show.window_film import due_frames, free_name
+from sero_mj.show.window_gl import LEFT, MIDDLE, RIGHT, Event
+from sero_mj.show.window_help import help_columns, pages
+from sero_mj.show.window_keys import WindowKeys
+from sero_mj.show.window_layout import arrange
+from sero_mj.show.window_mouse import Clicked, Mouse, Moved
+from sero_mj.show.window_plot import SPAN, TorqueHistory, TorquePlot, joint_name, y_range
+from sero_mj.show.window_status import clock_text, source_text, status_pieces
+from sero_mj.show.window_timeline import TimeLine, time_text
+
+# ---- camera
+
+
+@pytest.fixture
+def world() -> World:
+    robot = SerialRobot.from_model("lwr")
+    cameras = {"front": SceneCamera(position=[2.0, -1.0, 1.5], look_at=[0.0, 0.0, 0.5])}
+    return World(Scene(robots=[robot], cameras=cameras, view=View(distance=2.0)))
+
+
+def view_of(world: World, data: mujoco.MjData, camera: mujoco.MjvCamera) -> PictureView:
+    scene = mujoco.MjvScene(world.model, maxgeom=2000)
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    option = mujoco.MjvOption()
+    mujoco.mjv_updateScene(world.model, data, option, None, camera, everything, scene)
+    return PictureView.of_scene(scene, 800, 600)
+
+
+def test_a_pan_keeps_what_is_looked_at_under_the_pointer(world: World) -> None:
+    navigator, data = Navigator(world), world.make_data()
+    point = np.array(navigator.camera.lookat)
+    view = view_of(world, data, navigator.camera)
+    navigator.pan(0.2, 0.1, view.tan_half_fovy)
+    pixel, _ = view_of(world, data, navigator.camera).project(point)
+    # 0.2 heights to the right, and 0.1 down.
+    assert pixel == pytest.approx([400 + 120, 300 - 60], abs=0.5)
+
+
+def test_the_axes_of_a_camera_are_those_of_mujoco(world: World) -> None:
+    navigator, data = Navigator(world, "130,-35,2"), world.make_data()
+    view = view_of(world, data, navigator.camera)
+    forward, right, up = axes(130.0, -35.0)
+    for ours, theirs in ((forward, view.forward), (right, view.right), (up, view.up)):
+        assert ours == pytest.approx(theirs, abs=1e-6)
+
+
+def test_orbits_stop_at_the_poles_and_zooms_stay_in_range(world: World) -> None:
+    navigator = Navigator(world, "0,0,2")
+    navigator.orbit(0.5, 3.0)
+    assert navigator.camera.azimuth == pytest.approx(-90)
+    assert navigator.camera.elevation == -89.0
+    navigator.orbit(0.0, -9.0)
+    assert navigator.camera.elevation == 89.0
+    navigator.zoom(1e4)
+    assert navigator.camera.distance == pytest.approx(0.02)
+    for _ in range(3):
+        navigator.zoom(-1e5)
+    assert navigator.camera.distance == pytest.approx(500)
+
+
+def test_a_camera_of_the_scene_can_be_moved_from_where_it_is(world: World) -> None:
+    navigator, data = Navigator(world), world.make_data()
+    mujoco.mj_forward(world.model, data)
+    assert navigator.choose(1) == "camera front"
+    before = view_of(world, data, navigator.camera)
+    navigator.free(before.position, before.forward)
+    after = view_of(world, data, navigator.camera)
+    assert after.position == pytest.approx(before.position, abs=1e-4)
+    assert after.forward == pytest.approx(before.forward, abs=1e-4)
+    assert "no camera 2: the scene has one camera" in navigator.choose(2)
+
+
+def test_following_moves_along_and_ends(world: World) -> None:
+    navigator, data = Navigator(world), world.make_data()
+    mujoco.mj_forward(world.model, data)
+    start = navigator.camera.lookat.copy()
+    before = world.frame(data, "lwr/flange")[:3, 3].copy()
+    assert navigator.follow(data, "lwr/flange") == "follows lwr/flange"
+    data.qpos[0] += 0.8
+    data.qpos[1] += 0.8
+    mujoco.mj_forward(world.model, data)
+    navigator.advance(data)
+    moved = world.frame(data, "lwr/flange")[:3, 3] - before
+    assert np.linalg.norm(moved) > 0.1
+    assert navigator.camera.lookat == pytest.approx(start + moved)
+    assert navigator.follow(data, "lwr/flange") == "follows nothing"  # once more
+    with pytest.raises(UnknownName):
+        navigator.follow(data, "nobody")
+
+
+# ---- clock
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Any:
+    with Mirror(read_scene_or_model("impedance_push")) as mirror:
+        yield mirror
+
+
+def test_time_goes_by_at_the_chosen_speed_and_stops_at_the_end(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+    assert not clock.is_live
+    assert clock.end == pytest.approx(5.0)
+    clock.advance(0.02)
+    assert simulated.data.time == clock.time == pytest.approx(0.02)
+    assert clock.faster(1) == "speed 2"
+    clock.advance(0.02)
+    assert clock.time == pytest.approx(0.06)
+    for _ in range(400):
+        clock.advance(0.02)
+    assert clock.is_at_end
+    assert clock.time == pytest.approx(5.0)
+    clock.pause()
+    clock.pause()  # from the end it begins anew
+    assert clock.time == 0.0
+
+
+def test_a_simulation_that_cannot_keep_up_says_so(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+    clock.advance(0.02)
+    assert clock_text(clock)[0].endswith("x1")
+    for _ in range(30):
+        clock.advance(0.9)  # frames so long that time does not jump after them
+    assert clock.is_at_end or "(only 0.2" in clock_text(clock)[0]
+    clock.seek(0.0)
+    for _ in range(15):
+        clock.advance(0.9)
+    assert "(only 0." in clock_text(clock)[0]
+
+
+def test_a_paused_clock_steps_and_seeks(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+    clock.pause()
+    clock.advance(0.2)
+    assert clock.time == 0.0
+    clock.step()
+    assert clock.time == pytest.approx(clock.step_size) == pytest.approx(0.001)
+    clock.seek(0.3)
+    while simulated.data.time < 0.3 - 1e-9:
+        clock.advance(0.01)
+    angles = simulated.data.qpos.copy()
+    clock.seek(9.0)
+    clock.advance(0.01)
+    clock.seek(0.3)
+    clock.advance(0.01)
+    assert simulated.data.time == pytest.approx(0.3)
+    assert np.array_equal(simulated.data.qpos, angles)  # the past stays as it was
+    clock.seek(-1.0)
+    assert clock.time == 0.0
+
+
+def test_plots_are_as_fine_at_a_low_frame_rate(simulated: Mirror) -> None:
+    clock, seen = Clock(simulated), []
+    clock.advance(0.0)
+    clock.on_moment = lambda: seen.append(simulated.data.time)
+    clock.advance(0.1)
+    assert len(seen) >= 10
+    assert np.diff(seen).max() < 0.011
+    assert seen[-1] == clock.time
+    clock.seek(3.0)  # a jump is no way
+    seen.clear()
+    clock.pause()
+    while simulated.data.time < 3.0:
+        clock.advance(0.0)
+    assert len(seen) < 60
+
+
+def test_speeds_have_ends(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+    for _ in range(20):
+        clock.faster(1)
+    assert clock.speed == SPEEDS[-1]
+    for _ in range(20):
+        clock.faster(-1)
+    assert clock.speed == SPEEDS[0]
+
+
+def test_what_is_live_cannot_be_wound_back() -> None:
+    mirror = Mirror(read_scene_or_model("lwr_udp"))  # never opened: no port is taken
+    clock = Clock(mirror)
+    assert clock.is_live
+    assert clock.end is None
+    assert "robot's" in clock.faster(1)
+    clock.seek(5.0)
+    assert clock.time == 0.0
+    assert clock_text(clock) == ("live", "good")
+    clock.pause()
+    assert clock_text(clock) == ("PAUSED", "bad")
+
+
+# ---- time line and status line
+
+
+def test_a_time_line_is_hit_and_read() -> None:
+    line = TimeLine(left=20, bottom=40, width=600, height=8, end=12.0)
+    assert line.hits(320, 44)
+    assert line.hits(16, 36)  # a little beside it
+    assert not line.hits(320, 70)
+    assert not line.hits(5, 44)
+    assert line.time_at(320) == pytest.approx(6.0)
+    assert line.time_at(-100) == 0.0
+    assert line.time_at(900) == 12.0
+    assert line.time_at(line.x_of(7.5)) == pytest.approx(7.5)
+
+
+@pytest.mark.parametrize(
+    ("time", "text"),
+    [(0, "0.00 s"), (59.5, "59.50 s"), (61.25, "1:01.2"), (3723, "1:02:03")],
+)
+def test_times_are_written_as_people_do(time: float, text: str) -> None:
+    assert time_text(time) == text
+
+
+def found(**values: Any) -> dict[str, Any]:
+    nothing = dict.fromkeys(("lost", "dropped", "malformed", "received"), 0)
+    return {"source": "udp", "age": 0.003, "receiving": True, "rate": 999.6, **nothing, **values}
+
+
+@pytest.mark.parametrize(
+    ("values", "text", "mood"),
+    [
+        ({}, "udp: 1000/s, 3 ms old", "good"),
+        ({"lost": 50, "received": 950}, "udp: 1000/s, 3 ms old, 5.0 % lost", "good"),
+        ({"lost": 1, "received": 10**6}, "udp: 1000/s, 3 ms old, 1 lost", "good"),
+        ({"malformed": 7}, "udp: 1000/s, 3 ms old, 7 not applied", "bad"),
+        ({"receiving": False, "age": 2.5}, "udp: quiet for 2.5 s", "bad"),
+        ({"age": None}, "udp: no data yet", "quiet"),
+        ({"age": None, "malformed": 3}, "udp: no data yet, 3 not applied", "bad"),
+    ],
+)
+def test_a_source_says_how_it_is(values: dict[str, Any], text: str, mood: str) -> None:
+    assert source_text(found(**values), is_live=True) == (text, mood)
+
+
+def test_the_status_line_has_time_sources_and_frame_rate(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+    texts = [text for text, _ in status_pieces(simulated.sources.values(), clock, 59.7)]
+    assert texts == ["0.00 s / 5.00 s  x1", "simulation of impedance_push, 5 s", "60 frames/s"]
+
+
+# ---- plots
+
+
+def test_the_history_is_a_window_that_moves(world: World) -> None:
+    history, data = TorqueHistory(world), world.make_data()
+    for k in range(1500):
+        data.time = k * 0.01
+        world.set_input(data, "lwr.torques", np.full(7, float(k)))
+        history.add(data)
+    times, values = history.of(2)
+    assert times[-1] == 0.0
+    assert times[0] == pytest.approx(-SPAN, abs=0.02)
+    assert values[0, -1] == 1499.0
+    assert values[0] == pytest.approx(1499 + times * 100)
+    assert np.isnan(values[1]).all()  # nothing was commanded
+    data.time = 3.0  # back in time
+    history.add(data)
+    assert len(history.of(2)[0]) == 1
+
+
+def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
+    history, plot, data = TorqueHistory(world), TorquePlot(world), world.make_data()
+    limit = float(world.joints.torque_limit[1])
+    for k in range(50):
+        data.time = k * 0.02
+        world.set_input(data, "lwr.torques", np.full(7, 0.9 * limit))
+        if k >= 20:
+            world.set_input(data, "lwr.commanded_torques", np.full(7, 0.8 * limit))
+        history.add(data)
+    figure, error = plot.fill(history, 1)
+    assert figure.title == "lwr/A2: torque [Nm] over time [s]"
+    assert figure.linepnt[:4].tolist() == [50, 30, 2, 0]
+    assert figure.linedata[1][1:60:2] == pytest.approx(np.full(30, 0.8 * limit), rel=1e-6)
+    assert figure.range[1][1] > limit
+    assert error.linepnt[:4].tolist() == [30, 0, 0, 0]
+    assert error.linedata[0][1:60:2] == pytest.approx(np.full(30, -0.1 * limit), rel=1e-4)
+    assert joint_name(world, 6) == "lwr/A6"
+
+
+def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
+    none = np.full(3, np.nan)
+    low, high, _ = y_range(none, 10.0)
+    assert low < 0
+    assert high > 0
+    low, high, _ = y_range(np.array([2.0, np.nan, 6.0]), np.inf)
+    assert low < 2.0
+    assert high > 6.0
+    assert (low, high) == (1.0, 8.0)  # round numbers
+    low, high, _ = y_range(np.array([-95.0, 20.0]), 100.0)
+    assert low < -100.0
+    assert high > 20.0
+
+
+# ---- mouse
+
+
+def test_a_press_that_stays_is_a_click() -> None:
+    mouse = Mouse()
+    assert mouse.take(Event("press", 10, 20, 1.0, LEFT, shift=True)) is None
+    assert mouse.take(Event("move", 12, 21, 1.1)) is None
+    assert mouse.take(Event("release", 12, 21, 1.2, LEFT)) == Clicked(10, 20, 1.0, shift=True)
+
+
+@pytest.mark.parametrize(
+    ("button", "shift", "how"),
+    [(LEFT, False, "orbit"), (LEFT, True, "pan"), (RIGHT, False, "pan"), (MIDDLE, False, "pan")],
+)
+def test_a_press_that_moves_is_a_drag(button: int, shift: bool, how: Any) -> None:
+    mouse = Mouse()
+    mouse.take(Event("press", 10, 20, 1.0, button, shift=shift))
+    assert mouse.take(Event("move", 13, 20, 1.1)) is None
+    # What was held back until it was a drag is not lost.
+    assert mouse.take(Event("move", 20, 14, 1.2)) == Moved(how, 10, 6)
+    assert mouse.take(Event("move", 25, 14, 1.3)) == Moved(how, 5, 0)
+    assert mouse.is_down
+    assert mouse.take(Event("release", 25, 14, 1.4, button)) is None
+    assert mouse.take(Event("move", 30, 14, 1.5)) is None
+    assert not mouse.is_down
+
+
+def test_two_clicks_of_the_right_button_centre() -> None:
+    mouse = Mouse()
+
+    def click(time: float, x: float = 50.0) -> Any:
+        mouse.take(Event("press", x, 60, time, RIGHT))
+        return mouse.take(Event("release", x, 60, time + 0.05, RIGHT))
+
+    assert click(1.0) is None
+    assert click(1.2) == Clicked(50, 60, 1.2, centre=True)
+    assert click(1.4) is None  # a third is a first
+    assert click(3.0) is None  # too late
+    assert click(3.2, x=90.0) is None  # too far
+
+
+def test_the_wheel_zooms() -> None:
+    assert Mouse().take(Event("scroll", 0.0, 2.0)) == Moved("zoom", 0.0, 2.0)
+
+
+# ---- films, keys, help
+
+
+def test_a_film_shows_real_time_whatever_the_frame_rate() -> None:
+    sent = 0
+    for seconds in (0.0, 0.2, 0.21, 1.0):
+        sent += due_frames(seconds, sent)
+        assert sent == int(seconds * 30) + 1
+
+
+def test_files_get_names_that_are_free(tmp_path: Path) -> None:
+    now = datetime(2026, 5, 4, 17, 3, 12)
+    first = free_name(tmp_path, "two arms/1", ".png", now)
+    assert first.name == "two_arms_1_2026-05-04_17-03-12.png"
+    first.touch()
+    assert free_name(tmp_path, "two arms/1", ".png", now).name.endswith("-12_2.png")
+
+
+def test_no_key_means_two_things_and_each_is_done() -> None:
+    assert not set(KEYS) & {*HOST_KEYS, *MORE_KEYS}
+    assert not set(HOST_KEYS) & set(MORE_KEYS)
+    names = {name for name, _ in HOST_KEYS.values()} | set(MORE_KEYS.values())
+    for name in names - {"camera"}:
+        assert callable(getattr(WindowKeys, f"_{name}")), name
+
+
+def test_the_help_says_everything_that_the_tables_hold() -> None:
+    words = {meaning for column in help_columns() for _, meaning in column}
+    for table in (KEYS, CLICKS):
+        for key, (meaning, _) in table.items():
+            if key[0] != "shift" and key[1:] not in (("double",), ("check",)):
+                assert meaning in words, key
+    assert {meaning for _, meaning in HOST_KEYS.values()} <= words
+    assert set(HOST_MOUSE.values()) <= words
+
+
+def test_what_finds_no_room_is_on_the_next_page() -> None:
+    columns = help_columns()
+    assert len(pages(columns, (100, 2))) == 1
+    assert len(pages(columns, (100, 1))) == 2
+    small = pages(columns, (10, 1))
+    assert [row for page in small for column in page for row in column] == [
+        row for column in columns for row in column
+    ]
+    assert max(len(column) for page in small for column in page) == 10
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (640, 480), (320, 240)])
+@pytest.mark.parametrize("has_plot", [False, True])
+def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_plot: bool) -> None:
+    layout = arrange(size, 18, bar=29, line=23, has_plot=has_plot)
+    covered = np.zeros(size[::-1], int)
+    for rect in (layout.picture, *layout.plots):
+        assert rect.width > 0 and rect.height > 0
+        covered[rect.bottom : rect.bottom + rect.height, rect.left : rect.left + rect.width] += 1
+    assert (covered[52:] == 1).all()
+    assert not covered[:52].any()
+    assert len(layout.plots) == (0 if not has_plot else 2 if size[0] > 1000 else 1)
