@@ -188,7 +188,10 @@ def test_every_entry_of_the_tables_does_something(world) -> None:
         did = click(world, toggles, picked(kind), gesture)
         after = toggles.snapshot()
         changed = any(not np.array_equal(before[key], after[key]) for key in before)
-        assert did == ((gesture, kind) in CLICKS) == changed, (gesture, kind)
+        # A host turns its view about an object; nothing that is shown changes.
+        moves_view = (gesture, kind) == ("double", "object")
+        assert did == ((gesture, kind) in CLICKS), (gesture, kind)
+        assert changed == (did and not moves_view), (gesture, kind)
     for key, (_, act) in KEYS.items():
         toggles = Toggles(world)
         toggles.billboards[0] = True
