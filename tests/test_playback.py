@@ -294,3 +294,24 @@ def test_options_that_do_not_fit_are_told(
     arguments = [str(recording) if option == "REC" else option for option in options]
     assert send(scene, *arguments) == 2
     assert message in capsys.readouterr().err
+
+
+def test_the_command_sends_a_scenario_as_it_is_simulated(
+    tmp_path: Path, listener: socket.socket, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "lwr.toml"
+    scene.write_text(
+        '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "7F7F"\n'
+        f'port = {listener.getsockname()[1]}\n[routes]\n"lwr.joint_angles" = "udp.values0"\n'
+        '"lwr.torques" = "udp.values1"\n'
+    )
+    assert send(scene, "--play", "impedance_push", "--duration", 0.05) == 2
+    assert "expect.it_holds_before" not in capsys.readouterr().out
+    mine = tmp_path / "mine.toml"
+    mine.write_text('[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.05\n')
+    assert send(scene, "--play", mine) == 0
+    packets = [struct.unpack("<14d", listener.recv(1000)) for _ in range(51)]
+    assert np.abs(packets).max() < 1e-6  # upright, where gravity asks for nothing
+    assert "sent 51 packets in 0.0" in capsys.readouterr().out
+    assert send(scene, "--play", mine, "--rate", 5) == 2
+    assert "--rate: a scenario is sent as it is simulated" in capsys.readouterr().err

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 from ..errors import UsageError
 from . import send_fri, send_play
 from .arguments import Commands, add_command, not_negative, port, positive, read_scene_or_model
+from .sink import make_sink
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..drive.send import UdpSink
-    from ..drive.shm_writer import ShmWriter
-    from ..receive.receiver import Receiver
-    from ..receive.structure import Structure
 
 _EPILOG = """\
 examples:
@@ -133,28 +130,3 @@ def _declare_source(scene: Scene, options: argparse.Namespace) -> None:
     scene.routes[f"{robot.name}.joint_angles"] = "robot.values0"
     if len(structure.upper().split("F")) > 2:
         scene.routes[f"{robot.name}.torques"] = "robot.values1"
-
-
-def make_sink(
-    options: argparse.Namespace, source: Receiver, structure: Structure
-) -> UdpSink | ShmWriter:
-    """Where the packets go: what the command line says, else where the source receives."""
-    from ..drive.send import UdpSink
-    from ..drive.shm_writer import ShmWriter
-    from ..receive.shm import ShmReader
-    from ..receive.udp import UdpReceiver
-
-    if options.shm is not None or (isinstance(source, ShmReader) and options.port is None):
-        if not isinstance(source, ShmReader):
-            return ShmWriter(options.shm, structure)
-        if options.host is not None:
-            raise UsageError(f"source '{source.name}' is {source.about}; --host needs --port")
-        lock = source.lock if source.lock in structure.events else ""
-        return ShmWriter(options.shm or source.block, structure, lock, source.offset)
-    port = options.port or (source.udpport if isinstance(source, UdpReceiver) else 0)
-    if not port and not source.is_live:
-        reason = "is a recording, to which nothing can be sent; give --port, and --host"
-        raise UsageError(f"source '{source.name}' of the scene {reason}")
-    if not port:
-        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
-    return UdpSink(options.host or "127.0.0.1", port)

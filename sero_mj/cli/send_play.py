@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
+from ..paths import list_scenarios
 from .arguments import positive
 
 if TYPE_CHECKING:
@@ -24,7 +25,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds what is for files."""
     group = parser.add_argument_group("for a recording or a table")
     group.add_argument(
-        "--play", type=Path, metavar="FILE", help="REC.mcap or TABLE.csv, instead of a motion"
+        "--play",
+        type=Path,
+        metavar="FILE",
+        help="REC.mcap, TABLE.csv or a scenario, instead of a motion",
     )
     group.add_argument("--speed", type=positive, metavar="X", help="2 is twice as fast")
     group.add_argument("--loop", action="store_true", default=None, help="again and again")
@@ -65,6 +69,8 @@ def send_file(
     from ..drive.send import send
     from ..receive.shm import ShmReader
 
+    if options.play.suffix.lower() == ".toml" or str(options.play) in list_scenarios():
+        return _send_simulation(options)
     if options.amplitude is not None:
         raise UsageError("--amplitude is for a motion; it does nothing with --play")
     wiring = wire(scene)
@@ -99,6 +105,23 @@ def _tell(notes: list[str]) -> int:
     for note in notes:
         print(f"note: {note}", flush=True)
     return len(notes)
+
+
+def _send_simulation(options: argparse.Namespace) -> int:
+    """Simulates a scenario and sends it while it runs; returns 0."""
+    from ..simulate.scenario_file import read_scenario
+    from ..simulate.simulation import Simulation
+    from .simulate_send import Sender
+
+    for name in ("amplitude", "rate", "speed", "loop", "recorded"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name}: a scenario is sent as it is simulated, in real time")
+    over = {} if options.duration is None else {"run.duration": options.duration}
+    options.send = options.scene
+    with Sender(Simulation(read_scenario(options.play, over)), options) as sender:
+        for _ in sender.run():
+            pass
+    return 0
 
 
 def _open(

@@ -58,7 +58,7 @@ class Sender:
     def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
         from ..drive.play import MotionPackets
         from ..simulate.log_signals import LogSignals
-        from .send import make_sink
+        from .sink import make_sink
 
         scene = read_scene_or_model(options.send)
         players = {name: LogSignals(simulation, name) for name in simulation.scenario.scene.robots}
