@@ -18,7 +18,7 @@ from sero_mj.errors import UnknownName
 from sero_mj.show.clock import SPEEDS, Clock, time_text
 from sero_mj.show.events import LEFT, MIDDLE, RIGHT, Event
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
-from sero_mj.show.pointer import Clicked, Mouse, Moved
+from sero_mj.show.mouse import Clicked, Mouse, Moved
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name
 from sero_mj.show.window_camera import Navigator, axes

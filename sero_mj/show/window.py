@@ -17,8 +17,8 @@ from .clock import Clock, time_text
 from .events import Event
 from .headless import DEFAULT_SIZE
 from .interaction import KEYS, Pointer, hover
+from .mouse import Clicked, Mouse, Moved
 from .picking import Picked
-from .pointer import Clicked, Mouse, Moved
 from .status_line import Piece, status_pieces
 from .torque_history import TorqueHistory
 from .window_camera import Navigator
