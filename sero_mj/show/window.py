@@ -113,6 +113,11 @@ class Window:
             pass
 
     @property
+    def is_open(self) -> bool:
+        """Whether the user has not closed the window."""
+        return not self.gl.is_closing
+
+    @property
     def is_due(self) -> bool:
         """Whether the screen is ready for the next frame.
 

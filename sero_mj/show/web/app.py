@@ -49,7 +49,7 @@ class Pointed(Protocol):
         """Takes a key, by its name in our table."""
 
 
-class StudioApp(studio_app.App):  # type: ignore[misc]
+class StudioApp(studio_app.App):
     """Studio's menus, tool bar and panels; the rest of the page is ours.
 
     Studio's own keys and its perturbation of bodies are not for a mirrored robot: what is shown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import time
 from collections.abc import Callable
 
@@ -80,6 +81,7 @@ class WebHost:
         self._start_camera = camera
         self._app = StudioApp(self)
         self._panels = Panels(self)
+        check_address(host)
         viewer_end, sim_end = launch_thread.make_thread_endpoints()
         try:
             self.viewer = StudioViewer(
@@ -92,7 +94,8 @@ class WebHost:
                 camera=find_camera(world, camera),
             )
         except (RuntimeError, OSError) as error:
-            raise RenderError(f"no page at {host}:{port or 8080}: {error}") from error
+            where = f"{host}:{port}" if port else host
+            raise RenderError(f"no page at {where}: {error}") from error
         self._handle = viewer_handle.ViewerHandle(
             sim_end, sim_plugins=[TimeControl(self.clock), sim_history.SimHistory()]
         )
@@ -106,6 +109,16 @@ class WebHost:
     def url(self) -> str:
         """Where the page is."""
         return page_url(self.viewer.address, self.viewer.port)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return self.viewer.port
+
+    @property
+    def is_private(self) -> bool:
+        """Whether only browsers on this machine reach it."""
+        return self.viewer.address in (LOOPBACK, "::1", "localhost")
 
     @property
     def is_open(self) -> bool:
@@ -125,11 +138,16 @@ class WebHost:
     def frame(self, *, wait: bool = True) -> bool:
         """Serves one frame, when it is time for it.
 
+        Args:
+            wait: until it is; else it returns at once where it is not.
+
         Returns:
             whether the page is still served.
         """
         if not self.is_open:
             return False
+        if not (wait or self.is_due):
+            return True
         viewer = self.viewer
         is_next = viewer.prepare_next_frame()  # sleeps until then
         self._begin = begin = time.monotonic()
@@ -295,6 +313,19 @@ class WebHost:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+def check_address(host: str) -> None:
+    """Raises RenderError where this machine has no such address."""
+    try:
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as trial:
+            trial.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise RenderError(
+            f"no page at {host!r}: this machine has no such address ({error}); "
+            f"{LOOPBACK} is for browsers here, 0.0.0.0 for those everywhere"
+        ) from error
 
 
 def page_url(address: str, port: int) -> str:

@@ -53,7 +53,7 @@ def tell(text: str, mood: Mood = "plain") -> None:
     imgui.PopStyleColor(1)
 
 
-class Panels(plugin.ViewerPlugin):  # type: ignore[misc]
+class Panels(plugin.ViewerPlugin):
     """What the page has beside Studio's own menus.
 
     Args:

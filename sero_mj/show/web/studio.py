@@ -16,7 +16,7 @@ LOOPBACK = "127.0.0.1"
 _ALIVE = 0.5  # s after which a state is sent although nothing has changed
 
 
-class QuietServer(web_server.WebServer):  # type: ignore[misc]
+class QuietServer(web_server.WebServer):
     """Sends no state twice: a scene in which nothing moves costs no network.
 
     Attributes:
@@ -41,7 +41,7 @@ class QuietServer(web_server.WebServer):  # type: ignore[misc]
         super().update_state(payload)
 
 
-class StudioViewer(web_viewer.WebViewer):  # type: ignore[misc]
+class StudioViewer(web_viewer.WebViewer):
     """Studio's `WebViewer` on one address; Studio 4.0 binds to all of them and cannot be told.
 
     Args:

@@ -12,7 +12,7 @@ _RUNS = sim.PauseState.UNPAUSED
 _PAUSED = sim.PauseState.NORMAL_PAUSED
 
 
-class TimeControl(plugin.SimPlugin):  # type: ignore[misc]
+class TimeControl(plugin.SimPlugin):
     """Stands where Studio's `StepControl` would: what is shown comes from the mirror.
 
     Args:
