@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from mujoco.studio import viewer_protocol
 from mujoco.studio.dear_imgui import dear_imgui as imgui
+from numpy.typing import NDArray
 
 from ...assemble.mjcf_double import OUT_OF_SIGHT
 from ...assemble.world import World
@@ -46,11 +47,13 @@ class WebDecor:
         view: of the last picture; None before the first.
         count: geoms of the last picture.
         left_out: how many more found no room.
+        grey: which geoms of the model are to be grey, (ngeom,); None for none.
     """
 
     def __init__(self, world: World, toggles: Toggles) -> None:
         self.view: View | None = None
         self.count = self.left_out = 0
+        self.grey: NDArray[np.bool_] | None = None
         self._world, self._toggles = world, toggles
         self._decor = Decor(world, MAX_GEOMS)
         self._buffer = mujoco.MjvScene(world.model, maxgeom=MAX_GEOMS)
@@ -83,6 +86,7 @@ class WebDecor:
         self.view = View.of_scene(self._camera, width, height, self._font, inset, _PANEL_ALPHA)
         pen = self._decor.draw(data, self._toggles, self.view)
         self._buffer.ngeom = 0
+        self.grey = pen.grey
         self.left_out = pen.left_out + self._host.add(pen)
         self.count = self._buffer.ngeom
         viewer.extra_geoms[:] = self._geoms[: self.count]

@@ -23,6 +23,7 @@ from ..picking import Picked
 from ..torque_history import TorqueHistory, joint_name
 from .app import StudioApp
 from .decor import WebDecor
+from .greying import Greying
 from .panels import Panels
 from .studio import LOOPBACK, StudioViewer, quiet
 from .time_control import TimeControl
@@ -103,6 +104,7 @@ class WebHost:
             self._handle.set_model(world.model, data=self.data)
             for event in self.viewer.get_sim_events():
                 self.viewer.dispatch(event)
+        self._greying = Greying(self.viewer)
         self._begin = time.monotonic()
 
     @property
@@ -162,6 +164,7 @@ class WebHost:
             viewer.dispatch(messages.UpdateEvent())
             viewer.dispatch(messages.BuildGuiEvent())
             self.decor.lay_out(self.data, viewer, self._panels.inset)
+            self._greying.show(self.decor.grey)
             viewer.sync()
         self.work = time.monotonic() - begin
         return self.is_open

@@ -104,6 +104,11 @@ class StudioViewer(web_viewer.WebViewer):
         assert self._web_server is not None
         return self._web_server
 
+    def change_model(self, bundle: bytes, crc32: int) -> None:
+        """Makes browsers show a model that has the same joints and other colours."""
+        self._model_crc32 = crc32
+        self.server.update_model(bundle, crc32)
+
     def get_drop_file(self) -> str:
         """No file: what is dropped onto the page would replace the scene, and is refused."""
         while not self._drop_queue.empty():
