@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
-import queue
 import shutil
 import subprocess
-import sys
-import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
+from driver import ROOT, Driver
+
 SIZE = (640, 480)
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 
@@ -72,8 +68,10 @@ def screen() -> Iterator[str]:
         server.wait()
 
 
-class Driven:
+class Driven(Driver):
     """A window of another process."""
+
+    goodbye = "w.gl.close_soon()"
 
     def __init__(
         self,
@@ -87,50 +85,8 @@ class Driven:
     ) -> None:
         self._environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
         self._environment.pop("WAYLAND_DISPLAY", None)
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        arguments = json.dumps([scene, list(settings), list(SIZE), options, replay])
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", _DRIVER, arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=folder,
-            env=self._environment,
-        )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        self._expect("ready", 60)
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self._lines.put(line.strip())
-
-    def _expect(self, start: str, seconds: float) -> str:
-        end = time.monotonic() + seconds
-        while True:
-            try:
-                line = self._lines.get(timeout=max(end - time.monotonic(), 0.01))
-            except queue.Empty:
-                raise AssertionError(f"no '{start}' within {seconds} s") from None
-            if line.startswith(start):
-                return line
-
-    def ask(self, expression: str) -> Any:
-        """What an expression about the window `w` is now."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(expression + "\n")
-        self.process.stdin.flush()
-        return json.loads(self._expect("=", 20)[1:])
-
-    def until(self, expression: str, seconds: float = 15) -> Any:
-        """Waits until an expression is true, and returns it."""
-        end = time.monotonic() + seconds
-        while True:
-            found = self.ask(expression)
-            if found:
-                return found
-            assert time.monotonic() < end, f"never true: {expression}"
+        arguments = [scene, list(settings), list(SIZE), options, replay]
+        super().__init__(_DRIVER, arguments, folder, self._environment)
 
     def tool(self, *arguments: object) -> None:
         """Moves, clicks and types: `xdotool` with these arguments."""
@@ -151,26 +107,3 @@ class Driven:
         """Waits until frames were shown: the first takes what the user did."""
         frames = self.ask("frames")
         self.until(f"frames >= {frames} + 3")
-
-    def close(self) -> None:
-        """Ends the process, as a user closes a window."""
-        process = self.process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            if process.poll() is None:
-                process.stdin.write("w.gl.close_soon()\n")
-                process.stdin.flush()
-                process.wait(20)
-        finally:
-            process.kill()
-            process.wait()
-            self._reader.join()
-            process.stdin.close()
-            process.stdout.close()
-
-    def __enter__(self) -> Driven:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

@@ -61,6 +61,7 @@ class WebDecor:
         self._host = Host(self._buffer)
         self._camera = mujoco.MjvScene(world.model, maxgeom=0)
         self._font: Font | None = None
+        self._size = 0, 0  # of the page, pixels
         self._has_complained = False
 
     def lay_out(
@@ -76,14 +77,14 @@ class WebDecor:
             viewer: has the camera, and gets the geoms.
             inset: what the page's own windows cover, see `View`.
         """
-        size = imgui.GetIO().DisplaySize
-        width, height = int(size.x), int(size.y)
-        if width < 1 or height < 1:
+        if viewer.has_ui:  # outside of its frames Studio knows neither the page nor its text
+            size = imgui.GetIO().DisplaySize
+            self._size = int(size.x), int(size.y)
+            if self._font is None:
+                self._font = studio_font()
+        width, height = self._size
+        if self._font is None or width < 1 or height < 1:
             return
-        if self._font is None:
-            if not viewer.has_ui:  # outside of its frames Studio's text has no size
-                return
-            self._font = studio_font()
         mujoco.mjv_updateCamera(self._world.model, data, viewer.camera, self._camera)
         self.view = View.of_scene(self._camera, width, height, self._font, inset, _PANEL_ALPHA)
         pen = self._decor.draw(data, self._toggles, self.view)

@@ -1,0 +1,105 @@
+"""A host in a process of its own, asked about itself line by line."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+class Driver:
+    """A process that says `ready`, then answers every line, a Python expression, with `=` and JSON.
+
+    Args:
+        program: what it runs.
+        arguments: its first argument, as JSON.
+        folder: where it runs.
+        environment: of the process.
+    """
+
+    goodbye = ""  # an expression that closes what it shows
+
+    def __init__(
+        self,
+        program: str,
+        arguments: Any,
+        folder: Path,
+        environment: Mapping[str, str] = os.environ,
+    ) -> None:
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", program, json.dumps(arguments)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=folder,
+            env={**environment, "PYTHONPATH": str(ROOT)},
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        self._expect("ready", 60)
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._lines.put(line.strip())
+        self._lines.put("")  # nothing more comes
+
+    def _expect(self, start: str, seconds: float) -> str:
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                line = self._lines.get(timeout=max(end - time.monotonic(), 0.01))
+            except queue.Empty:
+                raise AssertionError(f"no '{start}' within {seconds} s") from None
+            assert line, f"the process ended before it said '{start}'"
+            if line.startswith(start):
+                return line
+
+    def ask(self, expression: str) -> Any:
+        """What an expression about the window `w` is now."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(expression + "\n")
+        self.process.stdin.flush()
+        return json.loads(self._expect("=", 20)[1:])
+
+    def until(self, expression: str, seconds: float = 15) -> Any:
+        """Waits until an expression is true, and returns it."""
+        end = time.monotonic() + seconds
+        while True:
+            found = self.ask(expression)
+            if found:
+                return found
+            assert time.monotonic() < end, f"never true: {expression}"
+
+    def close(self) -> None:
+        """Ends the process, as a user closes what it shows."""
+        process = self.process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            if process.poll() is None:
+                process.stdin.write(f"{self.goodbye}\n")
+                process.stdin.flush()
+                process.wait(20)
+        finally:
+            process.kill()
+            process.wait()
+            self._reader.join()
+            process.stdin.close()
+            process.stdout.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

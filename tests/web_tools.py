@@ -1,0 +1,196 @@
+"""Serves pages from a process of their own, and works them in Chromium as a user does."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import os
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from driver import Driver
+from numpy.typing import NDArray
+from PIL import Image
+
+SIZE = (560, 400)  # small: software draws a few such pictures a second
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+MISSING = ["chromium"] * (CHROMIUM is None)
+MISSING += ["playwright"] * (importlib.util.find_spec("playwright") is None)
+# A browser that draws without a GPU.
+ARGUMENTS = [
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--no-sandbox",
+]
+# Serves frames, and answers what is asked about the page on its standard input.
+_PROGRAM = """
+import json, queue, sys, threading
+import numpy as np
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+from sero_mj.cli.arguments import read_scene_or_model, replay_instead
+from sero_mj.drive.mirror import Mirror
+from sero_mj.show.live import open_page
+from pathlib import Path
+
+places = {}  # of what can be clicked on in the panels, by its label
+def noted(build):
+    def built(label, *rest):
+        found = build(label, *rest)
+        low, high = imgui.GetItemRectMin(), imgui.GetItemRectMax()
+        places[label] = [low.x, low.y, high.x, high.y]
+        return found
+    return built
+for name in ("Button", "Checkbox", "Combo", "SliderFloat", "CollapsingHeader", "TreeNode"):
+    setattr(imgui, name, noted(getattr(imgui, name)))
+
+scene, settings, replay, options = json.loads(sys.argv[1])
+lines = queue.SimpleQueue()
+def read():
+    for line in sys.stdin:
+        lines.put(line)
+threading.Thread(target=read, daemon=True).start()
+scene = read_scene_or_model(scene, settings)
+if replay:
+    replay_instead(scene, Path(replay), None)
+clicks = []
+with Mirror(scene) as mirror, open_page(mirror, **options) as w:
+    w.on_click = lambda picked, gesture: clicks.append((gesture, picked and picked.name))
+    w.frame()
+    print("ready", flush=True)
+    frames = 0
+    while w.frame():
+        frames += 1
+        while not lines.empty():
+            found = eval(lines.get())
+            if isinstance(found, np.ndarray | np.generic):
+                found = found.tolist()
+            print("=" + json.dumps(found), flush=True)
+print("closed", flush=True)
+"""
+
+
+class Served(Driver):
+    """A page of another process."""
+
+    goodbye = "w._app.close()"
+
+    def __init__(
+        self,
+        folder: Path,
+        scene: str,
+        *,
+        settings: tuple[str, ...] = (),
+        replay: str = "",
+        **options: Any,
+    ) -> None:
+        environment = {
+            **os.environ,
+            "HOME": str(folder),  # Studio keeps its settings there
+            "MUJOCO_GL": "egl",
+        }
+        super().__init__(_PROGRAM, [scene, list(settings), replay, options], folder, environment)
+        self.url: str = self.ask("w.url")
+
+    def joint(self, index: int) -> tuple[float, float]:
+        """Where a joint of the world is on the page, pixels from the upper left corner."""
+        point = f"w.data.site_xpos[w.world.joints.centre_site][{index}]"
+        (x, y), height = self.ask(
+            f"[w.decor.view.project({point})[0].tolist(), w.decor.view.height]"
+        )
+        return x, height - y
+
+    def middle(self, label: str) -> tuple[float, float]:
+        """Where something in a panel is, by its label."""
+        left, top, right, bottom = self.until(f"places.get({label!r})")
+        return (left + right) / 2, (top + bottom) / 2
+
+    def settle(self, frames: int = 6) -> None:
+        """Waits until so many frames were served."""
+        now = self.ask("frames")
+        self.until(f"frames >= {now + frames}")
+
+
+class Visitor:
+    """A browser's page that looks at a `Served`.
+
+    Attributes:
+        page: Playwright's.
+    """
+
+    def __init__(self, browser: Any, url: str) -> None:
+        self.page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+        self.said: list[str] = []
+        self.page.on("console", lambda message: self.said.append(message.text))
+        self.page.goto(url)
+
+    def hears(self, text: str, seconds: float = 60.0) -> None:
+        """Waits until the page has written something to its console."""
+        self._until(lambda: any(text in line for line in self.said), seconds, text)
+
+    def picture(self) -> NDArray[np.int16]:
+        """What is seen, (height, width, 3), without Studio's bar below."""
+        png = self.page.screenshot(timeout=60_000)
+        pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
+        return pixels[:-32]
+
+    def still(self) -> NDArray[np.int16]:
+        """What is seen once nothing changes any more."""
+        last = self.picture()
+        while True:
+            self.page.wait_for_timeout(500)
+            now = self.picture()
+            if (np.abs(now - last) > 8).sum() < 300:  # the pointer's name, a line of text
+                return now
+            last = now
+
+    def shows(self, what: Callable[[NDArray[np.int16]], Any], seconds: float = 60.0) -> Any:
+        """Waits until something is seen in the picture, and returns it."""
+        return self._until(lambda: what(self.picture()), seconds, what)
+
+    def _until(self, found: Callable[[], Any], seconds: float, what: object) -> Any:
+        end = time.monotonic() + seconds
+        while True:
+            result = found()
+            if result:
+                return result
+            assert time.monotonic() < end, f"never seen: {what}; {self.said[-5:]}"
+            self.page.wait_for_timeout(100)
+
+    def click(self, x: float, y: float, *, count: int = 1, held: float = 400.0) -> None:
+        """Clicks as slowly as a browser without a GPU needs it."""
+        mouse = self.page.mouse
+        mouse.move(x, y)
+        self.page.wait_for_timeout(held)
+        mouse.down()
+        self.page.wait_for_timeout(held)
+        mouse.up()
+        self.page.wait_for_timeout(held)
+
+    def press(self, key: str, held: float = 300.0) -> None:
+        """Presses a key for as long."""
+        self.page.keyboard.down(key)
+        self.page.wait_for_timeout(held)
+        self.page.keyboard.up(key)
+        self.page.wait_for_timeout(held)
+
+    def close(self) -> None:
+        """Leaves the page."""
+        self.page.close()
+
+
+def orange(pixels: NDArray[np.int16]) -> int:
+    """How many pixels have the colour of arrows of positive values."""
+    red, green, blue = pixels[..., 0], pixels[..., 1], pixels[..., 2]
+    return int(((red > 170) & (green > 60) & (green < 150) & (blue < 60)).sum())
+
+
+def blue(pixels: NDArray[np.int16]) -> int:
+    """How many pixels have the colour of arrows of negative values."""
+    red, green, blue_ = pixels[..., 0], pixels[..., 1], pixels[..., 2]
+    return int(((blue_ > 120) & (red < 60) & (green < 110)).sum())
