@@ -187,7 +187,7 @@ def test_a_mirrored_robot_moves_and_is_grey_when_its_source_is_quiet(
     scene = tmp_path / "scene.toml"
     scene.write_text(
         '[robots.lwr]\nmodel = "lwr"\nstale_after = 5.0\n'
-        f'[sources.udp]\nkind = "udp"\nport = {port}\nstructure = "7D"\n'
+        f'[sources.udp]\nkind = "udp"\nport = {port}\nstructure = "7F"\n'
         '[routes]\n"lwr.joint_angles" = "udp.values0"\n'
     )
     with Served(tmp_path, str(scene)) as served:
