@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
+from ...assemble.world import World
 from ...decor.pen import MAX_GEOMS
+from ...decor.toggles import Toggles
+from ...drive.mirror import Mirror
 from ...receive.receiver import Receiver
 from ...receive.report import describe, report
-from ..clock import SPEEDS, time_text
+from ..clock import SPEEDS, Clock, time_text
 from ..status_line import Mood, clock_text, source_text
+from ..torque_history import TorqueHistory
 from ..window_help import help_columns
+from .decor import WebDecor
 from .plots import TorquePlots
 from .robot_panel import RobotPanel
-
-if TYPE_CHECKING:
-    from .host import WebHost
 
 _ONCE = int(imgui.Cond.FirstUseEver)
 _ALWAYS = int(imgui.Cond.Always)
@@ -54,6 +56,19 @@ def tell(text: str, mood: Mood = "plain") -> None:
     imgui.PopStyleColor(1)
 
 
+class Paneled(Protocol):
+    """What the panels are about: a `WebHost`."""
+
+    world: World
+    mirror: Mirror
+    toggles: Toggles
+    clock: Clock
+    decor: WebDecor
+    history: TorqueHistory
+    joint: int
+    message: tuple[str, bool, float]
+
+
 class Panels(plugin.ViewerPlugin):
     """What the page has beside Studio's own menus.
 
@@ -61,7 +76,7 @@ class Panels(plugin.ViewerPlugin):
         host: whose page it is.
     """
 
-    def __init__(self, host: WebHost) -> None:
+    def __init__(self, host: Paneled) -> None:
         self._host = host
         self._robots = RobotPanel(host.world, host.toggles)
         self._plots = TorquePlots(host.world)

@@ -1,0 +1,341 @@
+"""The page without a browser: what Studio's controls do, what is drawn and where it is served."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco.studio import messages, sim
+from mujoco.studio.web import state_payload
+
+from sero_mj import Mirror, World
+from sero_mj.cli.arguments import read_scene_or_model
+from sero_mj.cli.view import wants_page
+from sero_mj.decor.font import DEFAULT_FONT, Font
+from sero_mj.decor.panels import labels_at
+from sero_mj.decor.pen import GREY, MAX_GEOMS
+from sero_mj.decor.view import View as PictureView
+from sero_mj.errors import RenderError, UsageError
+from sero_mj.show.clock import Clock
+from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
+from sero_mj.show.web import app
+from sero_mj.show.web.greying import Greying, greyed
+from sero_mj.show.web.host import check_address, page_url
+from sero_mj.show.web.plots import thin_out
+from sero_mj.show.web.studio import CalmUi, QuietServer
+from sero_mj.show.web.time_control import TimeControl
+
+
+def test_the_page_takes_every_geom_of_the_budget() -> None:
+    assert state_payload.MAX_EXTRA_GEOMS >= MAX_GEOMS
+
+
+def test_every_key_of_the_table_is_one_of_the_page() -> None:
+    ours = {*KEYS, *HOST_KEYS, *MORE_KEYS} - set(OF_BROWSER) - {"+", "_"}  # with Shift
+    assert ours <= set(app.KEYS)
+
+
+def test_lines_are_as_wide_as_their_characters() -> None:
+    lines = [b"A1 -12.3 Nm", b"", b"i"]
+    assert DEFAULT_FONT.line_widths(lines).tolist() == [DEFAULT_FONT.width(line) for line in lines]
+
+
+def picture_view(**options: Any) -> PictureView:
+    return PictureView(
+        position=np.array([0.0, -3.0, 0.5]),
+        right=np.array([1.0, 0.0, 0.0]),
+        up=np.array([0.0, 0.0, 1.0]),
+        forward=np.array([0.0, 1.0, 0.0]),
+        tan_half_fovy=0.4,
+        near=0.01,
+        width=800,
+        height=600,
+        **options,
+    )
+
+
+def test_panels_stay_clear_of_what_the_host_covers() -> None:
+    view = picture_view(inset=(300.0, 50.0, 100.0, 20.0))
+    wanted = np.array([[0.0, 0.0], [790.0, 599.0], [400.0, 300.0]])
+    centres, sizes = labels_at(view, wanted, [[b"one"], [b"two"], [b"three"]])
+    low, high = centres - sizes / 2, centres + sizes / 2
+    assert (low >= [300.0, 50.0]).all()
+    assert (high <= [700.0, 580.0]).all()
+    assert centres[2].tolist() == [400.0, 300.0]
+
+
+def test_labels_stand_where_the_host_takes_them_from() -> None:
+    """A host that centres labels below their position shows the same lines."""
+    from sero_mj.decor.panels import Panels, draw_panels
+    from sero_mj.decor.pen import Pen
+
+    def places(anchor: tuple[float, float]) -> tuple[np.ndarray, PictureView]:
+        font = Font(DEFAULT_FONT.height, DEFAULT_FONT.widths, anchor)
+        view, pen = picture_view(font=font), Pen(20)
+        panels = Panels(np.array([[400.0, 300.0]]), np.array([[200.0, 80.0]]), [[b"ab", b"cde"]])
+        draw_panels(pen, view, [panels])
+        labels = pen.rows[: pen.count][pen.rows["type"][: pen.count] == mujoco.mjtGeom.mjGEOM_LABEL]
+        return view.project(labels["pos"].astype(float))[0], view
+
+    left, _ = places((0.0, 0.0))
+    middle, _ = places((0.5, 1.0))
+    widths = DEFAULT_FONT.line_widths([b"ab", b"cde"])
+    np.testing.assert_allclose(middle - left, np.stack([widths / 2, [28.0, 28.0]], 1), atol=0.05)
+
+
+def test_thinned_lines_keep_every_peak() -> None:
+    times = np.linspace(-8, 0, 1000)
+    values = np.sin(times)
+    values[[123, 777]] = 9.0, -9.0
+    values[500:520] = np.nan
+    x, y = thin_out(times, values, 200)
+    assert len(x) <= 210
+    assert (np.diff(x) > 0).all()
+    assert {9.0, -9.0} <= set(y.tolist())
+    assert np.isin(x, times).all()
+    few = thin_out(times[:50], values[:50], 200)
+    assert few[0].tolist() == times[:50].tolist()
+
+
+class Handle:
+    """What a `TimeControl` needs of Studio's handle."""
+
+    def __init__(self) -> None:
+        self.sent: list[Any] = []
+
+    def send_if_changes(self, *make: Any) -> Any:
+        return messages.send_if_changes(self.sent.append, *make)
+
+
+def controlled(mirror: Mirror) -> tuple[TimeControl, Clock, Handle]:
+    clock = Clock(mirror)
+    control = TimeControl(clock)
+    handle = Handle()
+    control.handle = handle
+    return control, clock, handle
+
+
+def step_control(*, paused: bool, speed: float) -> messages.StepControlSnapshot:
+    control = sim.StepControl()
+    control.set_pause_state(sim.PauseState.NORMAL_PAUSED if paused else sim.PauseState.UNPAUSED)
+    control.set_speed(speed)
+    return messages.StepControlSnapshot.from_step_control(control)
+
+
+def test_studios_controls_drive_the_clock_of_a_simulation() -> None:
+    with Mirror(read_scene_or_model("impedance_push")) as mirror:
+        control, clock, _ = controlled(mirror)
+        step = messages.StepEvent(model=mirror.world.model, data=mirror.data)
+        control.on_step_control(step_control(paused=False, speed=50.0))
+        assert clock.speed == 0.5
+        control.on_step(step)
+        assert 0 < mirror.data.time < 1.0
+        control.on_step_control(step_control(paused=True, speed=50.0))
+        assert clock.is_paused
+        before = clock.time
+        control.on_single_step(messages.SingleStepEvent())
+        assert clock.time == pytest.approx(before + clock.step_size)
+        clock.pause()
+        control.on_step(step)
+        control.on_reset(messages.ResetEvent())
+        assert clock.time == 0.0
+
+
+def test_a_moment_of_the_history_is_gone_on_from() -> None:
+    with Mirror(read_scene_or_model("impedance_push")) as mirror:
+        control, clock, _ = controlled(mirror)
+        step = messages.StepEvent(model=mirror.world.model, data=mirror.data)
+        clock.seek(2.0)
+        clock.advance(0.0)
+        control.on_step(step)
+        control.on_pause(messages.RequestPauseEvent(pause_state=sim.PauseState.NORMAL_PAUSED))
+        control.on_history(None)  # type: ignore[arg-type]
+        mirror.data.time = 1.25  # what Studio's history puts there
+        control.on_step(step)
+        assert clock.time == pytest.approx(1.25, abs=0.05)
+
+
+def test_greyed_models_differ_in_colour_only() -> None:
+    world = World(read_scene_or_model("lwr"))
+    model = world.model
+    grey = np.zeros(model.ngeom, bool)
+    grey[-1] = True
+    other = greyed(model, grey)
+    assert (other.geom_rgba[:-1, 3] == 1).any()
+    assert np.abs(other.geom_rgba[-1, :3] - GREY).max() < 0.2
+    assert other.nq == model.nq
+    np.testing.assert_array_equal(other.geom_pos, model.geom_pos)
+    # What is not grey has the colour that it had: of its material, where it has one.
+    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
+    np.testing.assert_array_equal(other.geom_rgba[floor], model.mat_rgba[model.geom_matid[floor]])
+    rest = np.delete(np.arange(model.ngeom - 1), floor)
+    np.testing.assert_array_equal(other.geom_rgba[rest], model.geom_rgba[rest])
+
+
+class FakeServer:
+    """Keeps models as Studio's server does."""
+
+    def __init__(self) -> None:
+        self.models: dict[int, bytes] = {}
+
+    def add_model(self, bundle: bytes) -> None:
+        import zlib
+
+        self.models[zlib.crc32(bundle)] = bundle
+
+    def cached_model(self, crc32: int) -> bytes | None:
+        return self.models.get(crc32)
+
+
+class FakeViewer:
+    """What `Greying` needs of a viewer."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model, self.server = model, FakeServer()
+        self.changes: list[int] = []
+
+    def change_model(self, bundle: bytes, crc32: int) -> None:
+        assert self.server.models[crc32] == bundle
+        self.changes.append(crc32)
+
+
+def test_browsers_have_time_to_fetch_a_model_and_flapping_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("sero_mj.show.web.greying.time.monotonic", lambda: now[0])
+    model = World(read_scene_or_model("lwr")).model
+    viewer = FakeViewer(model)
+    greying = Greying(viewer)  # type: ignore[arg-type]
+    grey = np.ones(model.ngeom, bool)
+    greying.show(None)
+    for _ in range(20):  # to and fro, faster than a browser fetches
+        now[0] += 0.05
+        greying.show(grey)
+        greying.show(None)
+    assert len(viewer.changes) == 0
+    greying.show(grey)
+    now[0] += 1.1
+    greying.show(grey)
+    assert len(viewer.changes) == 1
+    greying.show(None)
+    assert len(viewer.changes) == 1
+    now[0] += 1.1
+    greying.show(None)
+    assert len(viewer.changes) == 2
+    assert len(set(viewer.changes)) == 2
+
+
+def test_what_is_grey_from_the_start_is_at_once() -> None:
+    model = World(read_scene_or_model("lwr")).model
+    viewer = FakeViewer(model)
+    Greying(viewer).show(np.ones(model.ngeom, bool))  # type: ignore[arg-type]
+    assert len(viewer.changes) == 1
+
+
+def test_a_state_is_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [10.0]
+    monkeypatch.setattr("sero_mj.show.web.studio.time.monotonic", lambda: now[0])
+    with socket.socket() as one, socket.socket() as two:
+        server = QuietServer(http_sock=one, tcp_sock=two)
+        for payload, after in ((b"a", 0.0), (b"a", 0.1), (b"b", 0.1), (b"b", 0.1), (b"b", 0.6)):
+            now[0] += after
+            server.update_state(payload)
+    assert (server.sent, server.sent_bytes) == (3, 3)
+
+
+class FakeUi:
+    """Counts the frames of a user interface."""
+
+    def __init__(self, *, is_ready: bool) -> None:
+        self.begun = self.ended = 0
+        self.is_ready = is_ready
+
+    def new_frame(self) -> bool:
+        self.begun += 1
+        return self.is_ready
+
+    def end_frame(self) -> None:
+        self.ended += 1
+
+
+@pytest.mark.parametrize("is_ready", [True, False])
+def test_the_user_interface_has_half_the_frames(
+    monkeypatch: pytest.MonkeyPatch, is_ready: bool
+) -> None:
+    now = [5.0]
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    monkeypatch.setattr("sero_mj.show.web.studio.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("sero_mj.show.web.studio.time.sleep", sleep)
+    ui = FakeUi(is_ready=is_ready)
+    calm = CalmUi(ui)
+    begin = now[0]
+    for _ in range(120):
+        assert calm.new_frame()
+        assert calm.is_due <= is_ready
+        now[0] += 0.004  # work
+        calm.end_frame()
+    assert now[0] - begin == pytest.approx(2.0, abs=0.05)
+    assert ui.begun == pytest.approx(60, abs=2)
+    assert ui.ended == (ui.begun if is_ready else 0)
+
+
+def test_pages_are_named_by_addresses_that_a_browser_takes() -> None:
+    assert page_url("127.0.0.1", 8080) == "http://localhost:8080/"
+    assert page_url("0.0.0.0", 80) == "http://localhost:80/"
+    assert page_url("192.168.1.7", 8080) == "http://192.168.1.7:8080/"
+    assert page_url("fe80::1", 8080) == "http://[fe80::1]:8080/"
+
+
+@pytest.mark.parametrize("host", ["203.0.113.7", "no such host", "x" * 300])
+def test_an_address_of_others_is_refused(host: str) -> None:
+    with pytest.raises(RenderError, match="this machine has no such address"):
+        check_address(host)
+    check_address("127.0.0.1")
+    check_address("localhost")
+
+
+def options(**given: Any) -> argparse.Namespace:
+    nothing = dict.fromkeys(("port", "host", "size"))
+    return argparse.Namespace(
+        **{"window": False, "web": False, "full_screen": False} | nothing | given
+    )
+
+
+def test_there_is_a_page_where_there_is_no_screen(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: True)
+    assert not wants_page(options())
+    assert wants_page(options(web=True))
+    assert wants_page(options(port=8081))
+    assert wants_page(options(host="0.0.0.0"))
+    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
+    assert wants_page(options())
+    assert "no display for a window, so it is a page" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"window": True, "port": 8080}, "--port is for the page"),
+        ({"window": True, "host": "0.0.0.0"}, "--host is for the page"),
+        ({"web": True, "size": (640, 480)}, "--size is for the window"),
+        ({"port": 8080, "full_screen": True}, "--full-screen is for the window"),
+        ({"window": True}, "no display for a window"),
+        ({"size": (640, 480)}, "no display for a window"),
+    ],
+)
+def test_options_of_the_other_host_are_refused(
+    monkeypatch: pytest.MonkeyPatch, given: dict[str, Any], expected: str
+) -> None:
+    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
+    with pytest.raises(UsageError, match=expected):
+        wants_page(options(**given))
