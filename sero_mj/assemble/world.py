@@ -7,6 +7,7 @@ copies, history and recordings carry it. `mj_resetData` zeroes it: apply the lat
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from .declaration import numbers
 from .frame_table import arrow_table, frame_table
 from .frames import frame_from, inverse
 from .inputs import Input, list_inputs, userdata_slots
-from .joint_table import joint_table
+from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
 from .mjcf import build_mjcf, moved_body, xml_text
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
@@ -88,9 +89,10 @@ class World:
         self.doubles = self._find_doubles()
         single = {name: part for name, part in self.doubles.items() if part.path is None}
         self.owners: dict[str, Owner] = {**self.robots, **single}
-        self.joints = joint_table(self.model, self.owners, self.slots, self.flags)
-        self.frames = frame_table(self.model, scene, list(self.owners), self.flags)
-        self.arrows = arrow_table(self.model, scene, self.slots, self.flags)
+        sites = partial(site_ids, self.model)
+        self.joints = joint_table(self.owners, self.slots, self.flags, sites)
+        self.frames = frame_table(scene, list(self.owners), self.flags, sites)
+        self.arrows = arrow_table(scene, self.slots, self.flags, sites)
         self.placed = {name: part.mocap for name, part in self.robots.items()}
         for name in [*scene.frames, *(item.name for item in scene.objects), *scene.cameras]:
             body = f"frame-{name}" if name in scene.frames else moved_body(name)
@@ -102,6 +104,13 @@ class World:
         """Returns a new `MjData` with every robot at its declared joint angles."""
         data = mujoco.MjData(self.model)
         self.reset(data)
+        return data
+
+    def state(self, data: mujoco.MjData) -> Any:
+        """What decor reads of `data`: here `data` itself, which has a site for all that it needs.
+
+        A `ModelWorld` returns an object with the same fields.
+        """
         return data
 
     def reset(self, data: mujoco.MjData) -> None:
@@ -190,6 +199,7 @@ class World:
         if robot not in self.robots:
             raise UnknownName("robot", robot, self.robots)
         part = self.robots[robot]
+        data = self.state(data)
         T_world_base, T_world_flange = np.eye(4), np.eye(4)
         for T, body in ((T_world_base, part.bodies[0]), (T_world_flange, part.flange_body)):
             T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
@@ -203,6 +213,7 @@ class World:
         """
         if name not in self.frames.names:
             raise UnknownName("frame", name, self.frames.names)
+        data = self.state(data)
         site = self.frames.site[self.frames.names.index(name)]
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]

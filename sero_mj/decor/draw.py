@@ -53,6 +53,7 @@ class Decor:
             view: from where, and how large the picture is.
         """
         pen, world = self.pen, self._world
+        data = world.state(data)
         pen.clear()
         toggles.follow(data)
         shown = toggles.shown(data)
