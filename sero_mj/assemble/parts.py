@@ -71,6 +71,12 @@ class RobotPart:
         return f"{self.robot.name}/flange"
 
     @property
+    def link_names(self) -> list[str]:
+        """Names of its base and links, n + 1."""
+        name = self.robot.name
+        return [self.base_name] + [f"{name}/link{i + 1}" for i in range(self.robot.n)]
+
+    @property
     def chain(self) -> Ints:
         """Which of its joints move the flange, in order from the base."""
         return np.arange(self.robot.n)

@@ -19,6 +19,7 @@ from ..errors import DeclarationError, Problem, UnknownName
 from .declaration import numbers
 from .frame_table import arrow_table, frame_table
 from .frames import frame_from, inverse
+from .ghost import Ghost
 from .inputs import Input, list_inputs, userdata_slots
 from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
@@ -57,10 +58,13 @@ class World:
         slots: name to slice of `userdata`, e.g. `lwr.torques`, `sources.udp`.
         flags: name of an input to the index in `userdata` that says whether something came.
         placed: index in `mocap_pos` of what a `frame` or `base_frame` input places, by name.
+        is_borrowed: whether the model is somebody else's (`ModelWorld`).
 
     Raises:
         DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
     """
+
+    is_borrowed = False
 
     def __init__(self, scene: Scene, *, dynamic: bool = False) -> None:
         self.scene = scene
@@ -112,6 +116,15 @@ class World:
         A `ModelWorld` returns an object with the same fields.
         """
         return data
+
+    def ghosts(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+        """Doubles that are drawn and not compiled in: none here, those of a `ModelWorld`.
+
+        Args:
+            state: what `state` returned.
+            shown: which doubles are switched on, (D,).
+        """
+        return []
 
     def reset(self, data: mujoco.MjData) -> None:
         """Puts every robot at its declared joint angles and shows what the scene declares."""

@@ -58,6 +58,7 @@ class Decor:
         toggles.follow(data)
         shown = toggles.shown(data)
         pen.hidden = toggles.hidden_geoms()
+        pen.ghosts = world.ghosts(data, toggles.doubles)
         stale = self._staleness.find(data)
         for name, on in zip(world.doubles, toggles.doubles, strict=True):
             if not on:

@@ -49,7 +49,8 @@ def towards_singularity(world: World, data: mujoco.MjData, part: Owner) -> Array
 def jacobian(world: World, data: mujoco.MjData, part: Owner) -> Array:
     """Geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
 
-    Its columns are those joints that move the flange, all n of a serial robot. It is made from the sites at the joints, for a double has no degrees of freedom in MuJoCo.
+    Its columns are those joints that move the flange, all n of a serial robot. It is made from the
+    sites at the joints, for a double has no degrees of freedom in MuJoCo.
     """
     chain = part.chain
     sites = world.joints.centre_site[part.joints][chain]

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..drive.mirror import Mirror, load_scene
+from ..drive.watch import Watch
 from .headless import DEFAULT_SIZE
+from .overlay import Overlay
 from .picking import Picked
 from .window import Window
 
@@ -91,7 +93,7 @@ class Viewer:
 
 
 def view(
-    scene: Scene | Path | str,
+    scene: Scene | Overlay | Path | str,
     *,
     size: tuple[int, int] = DEFAULT_SIZE,
     camera: str | None = None,
@@ -106,7 +108,8 @@ def view(
                 viewer.set("lwr.torques", my_torques())
 
     Args:
-        scene: a scene, a TOML file, or a shipped scene's name.
+        scene: a scene, a TOML file, a shipped scene's name, or an `overlay`, whose data the caller
+            steps.
         size: of the window, in screen coordinates.
         camera: see `find_camera`.
         full_screen: whether it covers the screen.
@@ -114,6 +117,8 @@ def view(
     Raises:
         SeroError: what is wrong with the scene, its sources or the camera, or no display.
     """
-    if not isinstance(scene, Scene):
-        scene = load_scene(scene)
-    return Viewer(Mirror(scene), size=size, camera=camera, full_screen=full_screen)
+    if isinstance(scene, Overlay):
+        mirror: Mirror = Watch(scene.world)
+    else:
+        mirror = Mirror(scene if isinstance(scene, Scene) else load_scene(scene))
+    return Viewer(mirror, size=size, camera=camera, full_screen=full_screen)
