@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import UnknownName
 from .double import Double
 from .found_robot import FoundPart
-from .model_trees import Tree
+from .model_trees import Tree, without_scope
 from .named_frames import NamedFrame
 
 Ints = NDArray[np.intp]
@@ -81,12 +81,11 @@ def list_found_frames(
 
 def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
     """What the frames of a robot's bodies are called; the first is its base."""
-    labels: dict[int, str] = {}
-    names = {int(body): model.body(int(body)).name for body in tree.bodies}
-    scopes = {name.rpartition("/")[0] for name in names.values() if name.strip("/")}
-    scope = f"{scopes.pop()}/" if len(scopes) == 1 else ""
-    for body, name in names.items():
-        label = BASE if not labels else name.removeprefix(scope).strip("/") or f"body{body}"
+    labels: dict[int, str] = {int(tree.bodies[0]): BASE}
+    bodies = [int(body) for body in tree.bodies[1:]]
+    names = [model.body(body).name or f"body{body}" for body in bodies]
+    for body, name in zip(bodies, without_scope(names), strict=True):
+        label = name.strip("/") or f"body{body}"
         labels[body] = f"{label}_{body}" if label in labels.values() else label
     return labels
 

@@ -13,9 +13,10 @@ from .model_trees import Tree
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-_CLEAR = 1.3  # radius of an arrow over that of the housing it goes round
-_SMALLEST, _LARGEST = 0.12, 0.45  # radius of an arrow, of the length of a link
+_CLEAR = 1.45  # radius of an arrow over that of the housing it goes round
+_SMALLEST, _LARGEST = 0.12, 0.5  # radius of an arrow, of the length of a link
 _AXES = 0.3  # length of axes, of the length of a link
+_OF_PARENT = 1.4  # how much larger than what turns that may be in which it turns
 _SLAB = 0.2  # of the length of a link: how far from a joint its housing is measured
 _SECTORS = 12
 _MOST_POINTS = 1500  # of a mesh
@@ -24,6 +25,7 @@ _AT_ONE_PLACE = 0.02  # of the robot's extent
 _GRAVITY = 9.81  # m/s2
 _LEAST_SHARE = 0.02  # of the largest load of a robot, that any joint's is taken for
 _ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+_RING = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
 _TYPES = mujoco.mjtGeom
 
 
@@ -61,12 +63,12 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
     link = float(np.median(links))
     radius = np.empty(len(tree.joints))
     for i in range(len(tree.joints)):
-        # A body without a surface of its own is a part of what it hangs on.
-        for body in (bodies[i], parents[i]):
-            around = points[of_body == body] - anchors[i]
-            housing = _housing_radius(around, axes[i], _SLAB * links[i])
-            if housing > 0:
-                break
+        own, other = (
+            _housing_radius(points[of_body == around] - anchors[i], axes[i], _SLAB * links[i])
+            for around in (bodies[i], parents[i])
+        )
+        # A finger is not as thick as its palm; a body without a surface is part of its parent.
+        housing = max(own, min(other, _OF_PARENT * own)) if own > 0 else other
         most = _LARGEST * max(links[i], link)
         radius[i] = np.clip(_CLEAR * housing, _SMALLEST * links[i], most)
     return Sizes(link, radius, _AXES * link, _loads(model, data, tree, link))
@@ -118,7 +120,9 @@ def _housing_radius(points: Array, axis: Array, slab: float) -> float:
     sector = np.floor((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
     reach = np.zeros(_SECTORS)
     np.maximum.at(reach, sector, np.linalg.norm(across[near], axis=1))
-    return float(np.median(reach[reach > 0])) if (reach > 0).any() else 0.0
+    if not reach.any():
+        return 0.0
+    return float(np.median(reach)) or float(reach[reach > 0].min())
 
 
 def _loads(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, link: float) -> Array:
@@ -153,13 +157,9 @@ def _geom_points(model: mujoco.MjModel, geom: int) -> Array:
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         step = max(count // _MOST_POINTS, 1)
         return np.array(model.mesh_vert[first : first + count : step], np.float64)
-    ring = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
+    ring = _RING
     if kind in (_TYPES.mjGEOM_SPHERE, _TYPES.mjGEOM_ELLIPSOID):
-        radii = np.full(3, size[0]) if kind == _TYPES.mjGEOM_SPHERE else size
-        polar = np.linspace(-1.0, 1.0, 9)[:, None, None]
-        return np.asarray(
-            ((np.sqrt(1.0 - polar**2) * ring + polar * [0.0, 0.0, 1.0]) * radii).reshape(-1, 3)
-        )
+        return _ball(np.full(3, size[0]) if kind == _TYPES.mjGEOM_SPHERE else size)
     if kind in (_TYPES.mjGEOM_CAPSULE, _TYPES.mjGEOM_CYLINDER, _TYPES.mjGEOM_BOX):
         if kind == _TYPES.mjGEOM_BOX:  # the ring pushed out to a rectangle
             ring = ring / np.abs(ring).max(axis=1, keepdims=True) * [size[0], size[1], 1.0]
@@ -167,5 +167,17 @@ def _geom_points(model: mujoco.MjModel, geom: int) -> Array:
         else:
             ring, half = ring * size[0], size[1]
         heights = np.linspace(-half, half, 15)[:, None, None]
-        return np.asarray((ring + heights * [0.0, 0.0, 1.0]).reshape(-1, 3))
+        points = (ring + heights * [0.0, 0.0, 1.0]).reshape(-1, 3)
+        if kind == _TYPES.mjGEOM_CAPSULE:
+            ends = _ball(np.full(3, size[0]))
+            points = np.concatenate([points, ends + np.sign(ends[:, 2:]) * [0.0, 0.0, half]])
+        return np.asarray(points)
     return np.empty((0, 3))  # planes, height fields: no part of a robot
+
+
+def _ball(radii: Array) -> Array:
+    """Points on an ellipsoid, (k, 3)."""
+    polar = np.linspace(0.0, np.pi, 13)[:, None, None]
+    return np.asarray(
+        ((np.sin(polar) * _RING + np.cos(polar) * [0.0, 0.0, 1.0]) * radii).reshape(-1, 3)
+    )

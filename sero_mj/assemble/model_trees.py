@@ -82,10 +82,18 @@ def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
     for joint in joints:
         name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
         names.append(_unlike(name or f"joint{joint}", names))
-    scopes = {name.rpartition("/")[0] for name in names}
-    if len(scopes) == 1 and all(not name.endswith("/") for name in names):
-        names = [name.rpartition("/")[2] for name in names]
-    return names
+    return without_scope(names)
+
+
+def without_scope(names: list[str]) -> list[str]:
+    """Names without the scopes (`jaco/` in `jaco/hand/finger_1`) that all of them share."""
+    split = [name.split("/") for name in names]
+    common = 0
+    while all(len(parts) > common + 1 for parts in split):
+        if len({parts[common] for parts in split}) > 1:
+            break
+        common += 1
+    return ["/".join(parts[common:]) for parts in split]
 
 
 def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, int]:
