@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem, UnknownName
 from .cartesian import SmartArrow
+from .declaration import numbers
 from .double import Double
 from .found_frames import body_labels, list_found_frames
 from .found_robot import FoundPart, found_robot
 from .frame_table import arrow_table, frame_table
+from .frames import frame_from
 from .ghost import Ghost
 from .inputs import BLANKABLE, list_inputs, userdata_slots
 from .joint_poses import JointPoses
@@ -297,6 +299,11 @@ class ModelWorld(World):
             self.not_finite += int(bad.sum())
             if item.kind not in BLANKABLE:
                 return
+        elif item.shape == (4, 4):
+            try:
+                array = frame_from(array, numbers)
+            except ValueError as error:
+                raise ValueError(f"{target}: {error}") from None
         self._userdata[self.slots[target]] = np.where(bad, np.nan, array).ravel()
         self._userdata[self.flags[target]] = 1.0
         self._live.pop((name, key), None)
