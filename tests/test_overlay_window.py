@@ -14,7 +14,7 @@ from window_tools import MISSING, screen
 
 import sero_mj
 from sero_mj.drive.watch import Watch
-from sero_mj.show.window_clock import Clock
+from sero_mj.show.clock import Clock
 
 SCRIPT = """
 import sys
@@ -35,10 +35,10 @@ with sero_mj.view(overlay, size=(640, 480)) as viewer:
     for _ in range(200):
         mujoco.mj_step(model, data)
         assert viewer.sync()
-    assert viewer.window.frame()
+    assert viewer.host.frame()
     assert data.time > 0.3 and viewer.data.time == data.time
     assert np.abs(viewer.picture().astype(int) - first).mean() > 0.5
-    window = viewer.window
+    window = viewer.host
     window.clock.pause()
     held = viewer.data.qpos.copy()
     for _ in range(20):

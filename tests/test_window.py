@@ -338,7 +338,7 @@ with sero_mj.view(scene, size=(400, 300)) as viewer:
         viewer.set("lwr.joint_angle", [0.0] * 7)
     except sero_mj.SeroError as error:
         assert "joint_angles" in str(error)
-    viewer.window.gl.close_soon()
+    viewer.host.gl.close_soon()
     assert not viewer.sync()
 print("done")
 """

@@ -15,18 +15,19 @@ from sero_mj.assemble.looks import Camera as SceneCamera
 from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.decor.view import View as PictureView
 from sero_mj.errors import UnknownName
+from sero_mj.show.clock import SPEEDS, Clock, time_text
+from sero_mj.show.events import LEFT, MIDDLE, RIGHT, Event
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
+from sero_mj.show.mouse import Clicked, Mouse, Moved
+from sero_mj.show.status_line import clock_text, source_text, status_pieces
+from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name
 from sero_mj.show.window_camera import Navigator, axes
-from sero_mj.show.window_clock import SPEEDS, Clock
 from sero_mj.show.window_film import due_frames, free_name
-from sero_mj.show.window_gl import LEFT, MIDDLE, RIGHT, Event
 from sero_mj.show.window_help import help_columns, pages
 from sero_mj.show.window_keys import WindowKeys
 from sero_mj.show.window_layout import arrange
-from sero_mj.show.window_mouse import Clicked, Mouse, Moved
-from sero_mj.show.window_plot import SPAN, TorqueHistory, TorquePlot, joint_name, y_range
-from sero_mj.show.window_status import clock_text, source_text, status_pieces
-from sero_mj.show.window_timeline import TimeLine, time_text
+from sero_mj.show.window_plot import TorquePlot, y_range
+from sero_mj.show.window_timeline import TimeLine
 
 # ---- camera
 

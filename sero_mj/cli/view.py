@@ -1,43 +1,60 @@
-"""`sero-mj view`: a scene in a window, live."""
+"""`sero-mj view`: a scene in a window or on a web page, live."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 from pathlib import Path
 
+from ..assemble.scene import Scene
 from ..errors import UsageError
 from .arguments import (
     Commands,
     add_command,
     not_negative,
+    port,
     read_scene_or_model,
     replay_instead,
     size,
 )
 
+_SIZE = (1280, 800)
+_LOOPBACK = "127.0.0.1"
 _EPILOG = """\
 examples:
   sero-mj view lwr_udp                                the robot, as it moves
   sero-mj view impedance_push                         a simulation, with a time line
   sero-mj view lwr_udp --replay run.mcap              a recording, with a time line
+  sero-mj view lwr_udp --web                          on a page for browsers on this machine
   sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
 
-F1 in the window shows what mouse and keys do. Ctrl+Q closes it.
+H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
+the page. Browsers on other machines reach it best through `ssh -L 8080:localhost:8080 MACHINE`:
+without https they show it from their own machine only, whatever --host says.
 """
 
 
 def add_to(commands: Commands) -> None:
     """Adds the command."""
-    parser = add_command(commands, "view", run, "show a scene in a window, live", _EPILOG)
+    summary = "show a scene in a window or on a web page, live"
+    parser = add_command(commands, "view", run, summary, _EPILOG)
     parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--window", action="store_true", help="a window on this screen; the default if there is one"
+    )
+    where.add_argument("--web", action="store_true", help="a page for web browsers")
     parser.add_argument(
-        "--window", action="store_true", help="a window on this screen, and nothing else"
+        "--port", type=port, metavar="N", help="of the page; default the first free from 8080 on"
     )
     parser.add_argument(
-        "--size", type=size, default=(1280, 800), metavar="WxH", help="default 1280x800"
+        "--host",
+        metavar="ADDR",
+        help="address the page is served at; default 127.0.0.1, this machine only",
     )
+    parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
     parser.add_argument(
         "--camera",
@@ -61,40 +78,79 @@ def add_to(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Shows the window until it is closed; returns 0."""
-    if not has_display():
-        raise UsageError(
-            "no display for a window: neither DISPLAY nor WAYLAND_DISPLAY is set; "
-            "`sero-mj render` makes pictures and films without one"
-        )
-    # MuJoCo takes its OpenGL from the window here, whatever is right without one.
-    os.environ["MUJOCO_GL"] = "glfw"
+    """Shows the scene until it is closed; returns 0."""
+    on_page = wants_page(options)
+    if not on_page:
+        # MuJoCo takes its OpenGL from the window here, whatever is right without one.
+        os.environ["MUJOCO_GL"] = "glfw"
     scene = read_scene_or_model(options.scene, options.settings)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
     elif options.start is not None:
         raise UsageError("--start is for recordings; give --replay REC.mcap as well")
-    from ..drive.mirror import Mirror
-    from ..show.window import Window
-
-    try:
-        with (
-            Mirror(scene) as mirror,
-            Window(
-                mirror,
-                size=options.size,
-                camera=options.camera,
-                full_screen=options.full_screen,
-            ) as window,
-        ):
-            window.run()
-    except KeyboardInterrupt:
-        pass  # as good as closing it
+    with contextlib.suppress(KeyboardInterrupt):  # as good as closing it
+        _serve(scene, options) if on_page else _open_window(scene, options)
     return 0
 
 
-def has_display() -> bool:
-    """Whether there is a screen to open a window on."""
-    if sys.platform != "linux":
+def wants_page(options: argparse.Namespace) -> bool:
+    """Whether the scene goes to browsers instead of into a window.
+
+    Raises:
+        UsageError: options of the one are given with the other, or there is no display.
+    """
+    of_page = [name for name in ("port", "host") if getattr(options, name) is not None]
+    of_window = ["size"] * (options.size is not None) + ["full-screen"] * options.full_screen
+    if options.window and of_page:
+        raise UsageError(f"--{of_page[0]} is for the page; leave --window out, or take --web")
+    if (options.web or of_page) and of_window:
+        raise UsageError(f"--{of_window[0]} is for the window; a page is as large as its browser's")
+    if options.web or of_page:
         return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    from ..show.display import has_display
+
+    if has_display():
+        return False
+    if options.window or of_window:
+        raise UsageError(
+            "no display for a window: neither DISPLAY nor WAYLAND_DISPLAY is set; "
+            "--web shows the scene on a page, `sero-mj render` makes pictures and films"
+        )
+    print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
+    return True
+
+
+def _open_window(scene: Scene, options: argparse.Namespace) -> None:
+    from ..drive.mirror import Mirror
+    from ..show.live import open_window
+
+    with (
+        Mirror(scene) as mirror,
+        open_window(
+            mirror,
+            size=options.size or _SIZE,
+            camera=options.camera,
+            full_screen=options.full_screen,
+        ) as window,
+    ):
+        window.run()
+
+
+def _serve(scene: Scene, options: argparse.Namespace) -> None:
+    from ..drive.mirror import Mirror
+    from ..show.live import open_page
+
+    host = options.host or _LOOPBACK
+    with (
+        Mirror(scene) as mirror,
+        open_page(mirror, camera=options.camera, host=host, port=options.port or 0) as page,
+    ):
+        print(f"{scene.name} is at {page.url}  (Ctrl+C ends it)", flush=True)
+        if not page.is_private:
+            print(
+                f"warning: served at {host}: whoever reaches port {page.port} sees it and can "
+                "take control; there is no password",
+                file=sys.stderr,
+                flush=True,
+            )
+        page.run()

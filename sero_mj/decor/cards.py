@@ -69,15 +69,18 @@ def lay_out(
     side = np.concatenate([group.side for group in groups])
     order = np.argsort(np.concatenate([group.rank for group in groups]), kind="stable")
     gap = view.font.height * 0.3
-    beside = min(max(3 * gap, *(group.clear for group in groups)), view.width / 6)
+    low, high = view.free
+    width, height = high - low
+    beside = min(max(3 * gap, *(group.clear for group in groups)), width / 6)
     centres = np.empty((len(anchors), 2))
     kept_free = np.array(
         [np.concatenate([low, high]) for low, high in map(_bounds, corners)]
     ).reshape(-1, 4)
     centres[order] = columns(
-        anchors[order], sizes[order], side[order], gap, beside, view.width, view.height,
-        span=_span(view, points, anchors), kept_free=kept_free,
+        anchors[order] - low, sizes[order], side[order], gap, beside, width, height,
+        span=_span(view, points, anchors), kept_free=kept_free - [*low, *low],
     )  # fmt: skip
+    centres += low
     edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
     starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
     draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
@@ -111,10 +114,11 @@ def _bounds(panels: Panels) -> tuple[Array, Array]:
 
 
 def _span(view: View, points: Array, anchors: Array) -> tuple[float, float]:
-    """First and last column of pixels that the robots take, as far as they are in the picture."""
+    """First and last column of pixels that the robots take, of those that the host leaves free."""
     pixels, depth = view.project(points)
     across = np.concatenate([pixels[depth > view.near, 0], anchors[:, 0]])
-    return max(float(across.min()), 0.0), min(float(across.max()), float(view.width))
+    low, high = view.free[0][0], view.free[1][0]
+    return max(float(across.min() - low), 0.0), float(min(across.max(), high) - low)
 
 
 def heights_in_order(heights: Array) -> Ints:

@@ -15,7 +15,7 @@ from .frame_names import name_panels
 from .hover import hover_panel
 from .legend import Legend
 from .panels import Panels, draw_panels
-from .pen import Pen
+from .pen import CAPACITY, Pen
 from .quantities import arrow_values, joint_values
 from .round_arrows import RoundArrows
 from .smart_arrows import arrow_vectors, draw_smart_arrows, drawn_sizes
@@ -29,12 +29,16 @@ from .view import View
 class Decor:
     """The decor of one world.
 
+    Args:
+        world: the compiled scene.
+        capacity: how many geoms the host takes.
+
     Attributes:
         pen: the geoms of the frame that was drawn last.
     """
 
-    def __init__(self, world: World) -> None:
-        self.pen = Pen()
+    def __init__(self, world: World, capacity: int = CAPACITY) -> None:
+        self.pen = Pen(capacity)
         self._world = world
         self._arrows = RoundArrows(world)
         self._billboards = Billboards(world)

@@ -157,5 +157,5 @@ def _corner(view: View, lines: list[bytes], off: bool) -> Panels | None:
     widest = np.array([max(view.font.width(line) for line in lines)])
     size = panel_sizes(widest, len(lines), view)
     margin = _MARGIN * view.font.height
-    corner = np.array([view.width - margin, view.height - margin])
+    corner = view.free[1] - margin
     return Panels(corner - size / 2, size, [lines], OFF_RGBA if off else _CORNER_RGBA)

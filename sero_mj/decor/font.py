@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.intp]
+Widths = NDArray[np.intp] | NDArray[np.float64]
 
 # MjrContext.charWidth[32:127] at font scale 150 %, read from MuJoCo 4.0.0; a test compares.
 _WIDTHS_150 = (
@@ -27,12 +27,15 @@ class Font:
     """A proportional font.
 
     Attributes:
-        height: of a line, pixels. A label's position is the lower left corner of its line.
+        height: of a line, pixels.
         widths: of the characters 0 to 127, pixels.
+        anchor: which point of its line a label's position is, as shares of its width and height
+            from the lower left corner.
     """
 
     height: int
-    widths: Ints
+    widths: Widths
+    anchor: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of_context(cls, context: Any) -> Font:
@@ -44,7 +47,14 @@ class Font:
     def width(self, text: str | bytes) -> int:
         """Returns how many pixels wide a text of printable ASCII is."""
         codes = np.frombuffer(text if isinstance(text, bytes) else text.encode("ascii"), np.uint8)
-        return int(self.widths[codes & 127].sum())
+        return int(np.ceil(self.widths[codes & 127].sum()))
+
+    def line_widths(self, lines: list[bytes]) -> NDArray[np.float64]:
+        """Returns how many pixels wide every line (k,) of printable ASCII is."""
+        codes = np.frombuffer(b"".join(lines), np.uint8)
+        until = np.concatenate([[0.0], np.cumsum(self.widths[codes & 127])])
+        ends = np.cumsum([len(line) for line in lines])
+        return np.asarray(until[ends] - until[ends - [len(line) for line in lines]])
 
 
 def nearest_font_scale(height: float) -> int:

@@ -55,8 +55,8 @@ def columns(
     side: Ints,
     gap: float,
     beside: float,
-    width: int,
-    height: int,
+    width: float,
+    height: float,
     *,
     span: tuple[float, float] | None = None,
     kept_free: Array | None = None,
@@ -119,7 +119,7 @@ def columns(
     return centres
 
 
-def _limits(corners: Array, height: int) -> tuple[float, float]:
+def _limits(corners: Array, height: float) -> tuple[float, float]:
     """Between which heights corners leave room, a third of the picture at least."""
     at_bottom = corners[:, 1] + corners[:, 3] < height
     below = float(corners[at_bottom, 3].max(initial=0.0))
@@ -128,7 +128,7 @@ def _limits(corners: Array, height: int) -> tuple[float, float]:
     return min(below, above - height / 3), above
 
 
-def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: int) -> Array:
+def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
     """Corners of the other side, as high as they matter to a column that begins at `inner`.
 
     One that reaches the column matters as a whole, one that is `ramp` pixels away not at all, and

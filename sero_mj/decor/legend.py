@@ -63,7 +63,8 @@ class Legend:
         kept = int((np.cumsum(panels.sizes.prod(axis=1)) < room).sum())
         if not kept:
             return None
-        return Panels(panels.centres[:kept], panels.sizes[:kept], panels.texts[:kept], _RGBA)
+        centres = panels.centres[:kept] + view.free[0]
+        return Panels(centres, panels.sizes[:kept], panels.texts[:kept], _RGBA)
 
     def _laid_out(self, toggles: Toggles, view: View, limit: Array) -> Panels:
         margin = _MARGIN * view.font.height

@@ -62,8 +62,8 @@ def labels_at(view: View, centres: Array, texts: list[list[bytes]]) -> tuple[Arr
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
     sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
     half = sizes / 2
-    room = np.maximum([view.width, view.height] - half, half)
-    return np.clip(centres, half, room), sizes
+    low, high = view.free
+    return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
 
 
 def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
@@ -93,6 +93,7 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
             pen.kinds[first + start : first + stop] = group.kind
             pen.items[first + start : first + stop] = group.items
         start = stop
+    rows["rgba"][:, 3] = np.maximum(rows["rgba"][:, 3], view.least_alpha)
     rows["pos"] = view.at(centres, depth)
     rows["mat"] = view.facing
     rows["size"][:, :2] = sizes * (pixel / 2)
@@ -108,11 +109,16 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     labels = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
     if not len(labels):
         return
+    lines = [text for lines in texts for text in lines]
+    across, up = view.font.anchor
+    if across:
+        starts[:, 0] += across * view.font.line_widths(lines)
+    starts[:, 1] += up * line
     labels["pos"] = view.at(starts, _TEXT_DEPTH * view.near)
     labels["mat"] = view.facing
     labels["size"] = pixel
     labels["rgba"] = 1.0
-    labels["label"] = [text for lines in texts for text in lines]
+    labels["label"] = lines
 
 
 def draw_leaders(

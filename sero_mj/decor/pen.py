@@ -105,7 +105,7 @@ class Pen:
 
 
 GREY = (0.50, 0.50, 0.51)
-_GREYNESS = 0.8  # how much of a grey robot's colour is grey
+GREYNESS = 0.8  # how much of a grey robot's colour is grey
 
 
 class Host:
@@ -165,9 +165,9 @@ class Host:
             index = ((rows["objtype"] == kind) & (rows["objid"] >= 0)).nonzero()[0]
             index = index[grey[rows["objid"][index]]]
             colours = rows["rgba"][index]
-            colours[:, :3] += _GREYNESS * (np.array(GREY) - colours[:, :3])
+            colours[:, :3] += GREYNESS * (np.array(GREY) - colours[:, :3])
             rows["rgba"][index] = colours
             return
         for geom in self._scene.geoms[:count]:
             if geom.objtype == kind and geom.objid >= 0 and grey[geom.objid]:
-                geom.rgba[:3] += _GREYNESS * (np.array(GREY) - geom.rgba[:3])
+                geom.rgba[:3] += GREYNESS * (np.array(GREY) - geom.rgba[:3])

@@ -110,5 +110,6 @@ class Status:
         widest = max(view.font.width(text) for text in texts)
         size = panel_sizes(np.array([widest]), len(texts), view)
         margin = _MARGIN * view.font.height
-        corner = np.array([margin, view.height - margin])
+        low, high = view.free
+        corner = np.array([low[0] + margin, high[1] - margin])
         return Panels(corner + size * (0.5, -0.5), size, [texts], FAULT_RGBA)

@@ -30,6 +30,9 @@ class View:
         width: of the picture, pixels.
         height: of the picture, pixels.
         font: of the host's labels.
+        inset: how much of the picture the host covers with its own windows, from the left, from
+            below, from the right and from above, pixels; panels stay clear of it.
+        least_alpha: of panels, for a host in which they shine through more.
     """
 
     position: Array
@@ -41,10 +44,18 @@ class View:
     width: int
     height: int
     font: Font = field(default=DEFAULT_FONT)
+    inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    least_alpha: float = 0.0
 
     @classmethod
     def of_scene(
-        cls, scene: mujoco.MjvScene, width: int, height: int, font: Font = DEFAULT_FONT
+        cls,
+        scene: mujoco.MjvScene,
+        width: int,
+        height: int,
+        font: Font = DEFAULT_FONT,
+        inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+        least_alpha: float = 0.0,
     ) -> View:
         """Returns the view of an `MjvScene` that `mjv_updateScene` has filled."""
         left, right = scene.camera[0], scene.camera[1]
@@ -62,7 +73,16 @@ class View:
             width=width,
             height=height,
             font=font,
+            inset=inset,
+            least_alpha=least_alpha,
         )
+
+    @cached_property
+    def free(self) -> tuple[Array, Array]:
+        """Lower left and upper right pixel (2,) of what the host does not cover."""
+        left, below, right, above = self.inset
+        low = np.array([left, below])
+        return low, np.maximum(np.array([self.width - right, self.height - above]), low)
 
     @cached_property
     def facing(self) -> Array:

@@ -266,6 +266,8 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "f11": ("full_screen", "full screen"),
     "f1": ("help", "help, its next page; ? too"),
 }
+# What a browser does itself.
+OF_BROWSER = ("f2", "f3", "f11")
 # Other keys for the same, that a help need not list.
 MORE_KEYS: dict[str, str] = {
     "?": "help",

@@ -1,7 +1,8 @@
-"""`view`: a scene in a window that the user's own loop drives."""
+"""`view`: a scene in a window or on a page that the user's own loop drives."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,37 +15,42 @@ from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..drive.mirror import Mirror, load_scene
 from ..drive.watch import Watch
+from .display import has_display
 from .headless import DEFAULT_SIZE
+from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
 from .picking import Picked
-from .window import Window
+
+log = logging.getLogger(__name__)
 
 
 class Viewer:
-    """A window beside the user's own loop; `view` opens one. Use it as a context manager.
+    """A window or a page beside the user's own loop; `view` opens one. It is a context manager.
 
     Attributes:
         world: the compiled scene.
         data: its state; set joint angles and the like with `set`.
-        window: with the camera, what is shown, and the clock.
+        host: the `Window` or `WebHost`, with what is shown, and the clock.
+        url: of the page; None for a window.
     """
 
-    def __init__(self, mirror: Mirror, **options: Any) -> None:
+    def __init__(self, mirror: Mirror, open_host: Callable[..., LiveHost], **options: Any) -> None:
         self.world: World = mirror.world
         self.data: mujoco.MjData = mirror.data
         self._mirror = mirror
         mirror.open()
         try:
-            self.window = Window(mirror, **options)
+            self.host = open_host(mirror, **options)
         except BaseException:
             mirror.close()
             raise
-        self.window.frame()
+        self.url: str | None = getattr(self.host, "url", None)
+        self.host.frame()
 
     @property
     def is_open(self) -> bool:
-        """Whether the user has not closed the window."""
-        return not self.window.gl.is_closing
+        """Whether the user has not closed it."""
+        return self.host.is_open
 
     def set(self, target: str, values: Any) -> None:
         """Sets an input, as a packet would.
@@ -60,30 +66,40 @@ class Viewer:
         self.world.set_input(self.data, target, values)
 
     def sync(self) -> bool:
-        """Shows what is set now, where the screen is due for a new picture; else returns at once.
+        """Shows what is set now, where it is time for a new picture; else returns at once.
 
         So it may be called in every round of a fast loop. Call it on the thread that opened the
-        window, and at least a few times a second: it also takes what mouse and keys do.
+        viewer, and at least a few times a second: it also takes what mouse and keys do.
 
         Returns:
-            whether the window is still open.
+            whether it is still open.
         """
-        if self.window.is_due:
-            return self.window.frame(wait=False)
+        if self.host.is_due:
+            return self.host.frame(wait=False)
         return self.is_open
 
     def on_click(self, callback: Callable[[Picked | None, str], None]) -> None:
         """Calls `callback(picked, gesture)` after every click, None for the sky and the floor."""
-        self.window.on_click = callback
+        self.host.on_click = callback
 
     def picture(self) -> NDArray[np.uint8]:
-        """What is seen, (height, width, 3), without the window's own text."""
-        return self.window.picture()
+        """What is seen, (height, width, 3), without the host's own text."""
+        return self.host.picture()
 
     def close(self) -> None:
-        """Closes the window and the sources."""
-        self.window.close()
+        """Closes the host and the sources."""
+        self.host.close()
         self._mirror.close()
+
+    def _repr_html_(self) -> str:
+        """The page itself in a notebook; where it is, for a window."""
+        if self.url is None:
+            return f"<p>{self.world.scene.name} is in a window on the screen.</p>"
+        frame = 'width="100%" height="600" allow="cross-origin-isolated" style="border:0"'
+        return (
+            f'<p><a href="{self.url}" target="_blank">{self.url}</a></p>'
+            f'<iframe src="{self.url}" {frame}></iframe>'
+        )
 
     def __enter__(self) -> Viewer:
         return self
@@ -95,11 +111,14 @@ class Viewer:
 def view(
     scene: Scene | Overlay | Path | str,
     *,
-    size: tuple[int, int] = DEFAULT_SIZE,
+    web: bool | None = None,
     camera: str | None = None,
+    size: tuple[int, int] = DEFAULT_SIZE,
     full_screen: bool = False,
+    host: str | None = None,
+    port: int = 0,
 ) -> Viewer:
-    """Opens a window on a scene and returns at once.
+    """Opens a window or a web page on a scene and returns at once.
 
     Its sources are mirrored, if it has any; all else is set by the caller:
 
@@ -110,15 +129,30 @@ def view(
     Args:
         scene: a scene, a TOML file, a shipped scene's name, or an `overlay`, whose data the caller
             steps.
-        size: of the window, in screen coordinates.
+        web: whether it is a page, and its address is printed; None for a page where there is no
+            screen for a window.
         camera: see `find_camera`.
-        full_screen: whether it covers the screen.
+        size: of the window, in screen coordinates.
+        full_screen: whether the window covers the screen.
+        host: address that the page is served at; None for this machine only.
+        port: of the page; 0 for the first free one from 8080 on.
 
     Raises:
-        SeroError: what is wrong with the scene, its sources or the camera, or no display.
+        SeroError: what is wrong with the scene, its sources or the camera, no display for a
+            window, or no such address for a page.
     """
     if isinstance(scene, Overlay):
         mirror: Mirror = Watch(scene.world)
     else:
         mirror = Mirror(scene if isinstance(scene, Scene) else load_scene(scene))
-    return Viewer(mirror, size=size, camera=camera, full_screen=full_screen)
+    if web is None:
+        web = not has_display()
+    if not web:
+        options = {"size": size, "camera": camera, "full_screen": full_screen}
+        return Viewer(mirror, open_window, **options)
+    if mirror.world.is_borrowed and mirror.world.doubles:
+        log.warning("a page shows no doubles of an overlay; a window and pictures do")
+    page = {"camera": camera, "port": port, **({} if host is None else {"host": host})}
+    viewer = Viewer(mirror, open_page, **page)
+    print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
+    return viewer

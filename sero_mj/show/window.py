@@ -13,22 +13,24 @@ from numpy.typing import NDArray
 from ..decor.toggles import Toggles
 from ..drive.mirror import Mirror
 from ..errors import SeroError
+from .clock import Clock, time_text
+from .events import Event
 from .headless import DEFAULT_SIZE
 from .interaction import KEYS, Pointer, hover
+from .mouse import Clicked, Mouse, Moved
 from .picking import Picked
+from .status_line import Piece, status_pieces
+from .torque_history import TorqueHistory
 from .window_camera import Navigator
-from .window_clock import Clock
 from .window_film import Camera
 from .window_frame import Frame
-from .window_gl import Event, GlWindow
+from .window_gl import GlWindow
 from .window_help import Row, help_columns, pages
 from .window_hud import Hud
 from .window_keys import WindowKeys
 from .window_layout import Layout, arrange
-from .window_mouse import Clicked, Mouse, Moved
-from .window_plot import TorqueHistory, TorquePlot
-from .window_status import Piece, status_pieces
-from .window_timeline import TimeLine, time_text
+from .window_plot import TorquePlot
+from .window_timeline import TimeLine
 
 _MESSAGE_TIME = 3.0  # s
 _HINT = "F1 help"
@@ -109,6 +111,11 @@ class Window:
         """Shows frames until the user closes the window."""
         while self.frame():
             pass
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the user has not closed the window."""
+        return not self.gl.is_closing
 
     @property
     def is_due(self) -> bool:

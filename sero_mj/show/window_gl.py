@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import glfw
 import mujoco
@@ -14,10 +13,10 @@ import mujoco
 from ..assemble.world import World
 from ..decor.font import Font, nearest_font_scale
 from ..errors import RenderError
+from .events import LEFT, MIDDLE, RIGHT, Event
 from .font_scale import font_scale
 from .offscreen import offscreen_size
 
-LEFT, RIGHT, MIDDLE = 0, 1, 2
 _SAMPLES = 4  # per pixel, against jagged edges
 _HUD_TEXT = 18.0  # pixels, of the window's own text at content scale 1
 _SMALLEST = (320, 240)
@@ -32,31 +31,6 @@ _NAMED_KEYS = {
     glfw.KEY_F3: "f3",
     glfw.KEY_F11: "f11",
 }
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that the user did.
-
-    Attributes:
-        kind: `press` and `release` of a button, `move`, `scroll`, `key`.
-        x: pixels of the framebuffer from its left edge; notches to the right for `scroll`.
-        y: pixels up from its lower edge; notches away from the user for `scroll`.
-        time: on the clock of `time.monotonic`, s.
-        button: `LEFT`, `RIGHT`, `MIDDLE`.
-        key: a character in lower case, or a name: `f1`, `left`, `escape`.
-        shift: whether Shift or Control was held.
-        is_repeat: whether a key is just held down.
-    """
-
-    kind: Literal["press", "release", "move", "scroll", "key"]
-    x: float = 0.0
-    y: float = 0.0
-    time: float = 0.0
-    button: int = LEFT
-    key: str = ""
-    shift: bool = False
-    is_repeat: bool = False
 
 
 class GlWindow:

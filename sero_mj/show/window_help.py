@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, Gesture
+from .interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, OF_BROWSER, Gesture
 
 Row = tuple[str, str]
 
@@ -27,13 +27,18 @@ _KINDS = {
 }
 
 
-def help_columns() -> list[list[Row]]:
-    """Columns of rows: what to press and what that does; headings have no words."""
+def help_columns(*, on_page: bool = False) -> list[list[Row]]:
+    """Columns of rows: what to press and what that does; headings have no words.
+
+    Args:
+        on_page: without what a browser does itself.
+    """
+    of_host = {key: said for key, said in HOST_KEYS.items() if not (on_page and key in OF_BROWSER)}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]
     view += [("", ""), ("Window and time", "")]
-    view += [(_KEY_NAMES.get(key, key), words) for key, (_, words) in HOST_KEYS.items()]
-    view += [("Ctrl+Q", "close")]
+    view += [(_KEY_NAMES.get(key, key), words) for key, (_, words) in of_host.items()]
+    view += [] if on_page else [("Ctrl+Q", "close")]
     shown: list[Row] = [("What is shown", "")]
     shown += [(key, words) for key, (words, _) in KEYS.items()]
     shown += [("", ""), ("Clicks", "")]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import mujoco
 
 from ..decor.font import Font
+from .status_line import Mood, Piece
 from .window_gl import GlWindow
-from .window_status import Mood, Piece
 from .window_timeline import TimeLine
 
 Rgba = tuple[float, float, float, float]

@@ -9,13 +9,14 @@ import mujoco
 
 from ..assemble.world import World
 from ..errors import SeroError
+from .clock import Clock
+from .events import Event
 from .interaction import HOST_KEYS, MORE_KEYS
 from .picking import Picked
+from .torque_history import joint_name
 from .window_camera import Navigator
-from .window_clock import Clock
 from .window_film import Camera
-from .window_gl import Event, GlWindow
-from .window_plot import joint_name
+from .window_gl import GlWindow
 
 _HELD = ("step", "step_back", "back", "on", "slower", "faster", "next_joint", "last_joint")
 _JUMP = 1.0  # s

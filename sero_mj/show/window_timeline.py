@@ -37,14 +37,3 @@ class TimeLine:
         """Where a time is, pixels."""
         share = min(max(time / self.end, 0.0), 1.0) if self.end > 0 else 0.0
         return self.left + share * self.width
-
-
-def time_text(time: float) -> str:
-    """A time as people write it: `3.42 s`, or `12:03.4` from a minute on."""
-    if time < 60:
-        return f"{time:.2f} s"
-    minutes, seconds = divmod(time, 60)
-    if minutes < 60:
-        return f"{minutes:.0f}:{seconds:04.1f}"
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours:.0f}:{minutes:02.0f}:{seconds:02.0f}"

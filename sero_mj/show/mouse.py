@@ -1,12 +1,12 @@
-"""Tells drags from clicks: what the buttons and the pointer of a window mean."""
+"""Tells drags from clicks: what the buttons and the pointer of a live host mean."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
+from .events import LEFT, MIDDLE, RIGHT, Event
 from .interaction import DOUBLE_CLICK_TIME
-from .window_gl import LEFT, MIDDLE, RIGHT, Event
 
 _STILL = 4.0  # pixels within which a press and its release are a click
 _TOGETHER = 8.0  # pixels between the clicks of a double click

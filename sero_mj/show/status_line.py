@@ -7,8 +7,7 @@ from typing import Any, Literal
 
 from ..receive.receiver import Receiver
 from ..receive.report import report
-from .window_clock import Clock
-from .window_timeline import time_text
+from .clock import Clock, time_text
 
 Mood = Literal["good", "quiet", "bad", "plain"]
 Piece = tuple[str, Mood]

@@ -170,3 +170,14 @@ def step_of(mirror: Mirror) -> float:
         if isinstance(source, SimulatedSource):
             return float(source.simulation.scenario.run.timestep)
     return _STEP
+
+
+def time_text(time: float) -> str:
+    """A time as people write it: `3.42 s`, or `12:03.4` from a minute on."""
+    if time < 60:
+        return f"{time:.2f} s"
+    minutes, seconds = divmod(time, 60)
+    if minutes < 60:
+        return f"{minutes:.0f}:{seconds:04.1f}"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours:.0f}:{minutes:02.0f}:{seconds:02.0f}"

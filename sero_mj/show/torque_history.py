@@ -1,0 +1,72 @@
+"""The last seconds of every joint's commanded and measured torque, for the plots of live hosts."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.world import World
+from ..decor.quantities import joint_values
+
+Array = NDArray[np.float64]
+
+SPAN = 8.0  # s that are shown
+_MOST = 1000  # samples; an MjvFigure has room for 1001 points
+_SHOWN = ("torques", "commanded_torques")
+
+
+class TorqueHistory:
+    """The last seconds of all joints' torques, a sample for every frame or every few ms.
+
+    Going back in time forgets what came later.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._times = np.full(_MOST, np.nan)
+        self._values = np.full((len(_SHOWN), len(world.joints.names), _MOST), np.nan)
+        self._count = 0  # samples ever taken; the newest is at (count - 1) % MOST
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._count = 0
+
+    def add(self, data: mujoco.MjData) -> None:
+        """Takes a sample at `data.time`, if that has moved on by enough to be seen."""
+        time = float(data.time)
+        if self._count:
+            last = self._times[(self._count - 1) % _MOST]
+            if time < last - 1e-9:
+                self.clear()
+            elif time - last < 0.9 * SPAN / _MOST:
+                return
+        values = joint_values(self._world, data)
+        at = self._count % _MOST
+        self._times[at] = time
+        for row, key in zip(self._values, _SHOWN, strict=True):
+            row[:, at] = values[key]
+        self._count += 1
+
+    def of(self, joint: int) -> tuple[Array, Array]:
+        """The samples of a joint, oldest first.
+
+        Returns:
+            times (k,), s before the newest (0 and below), and values (2, k): measured and
+            commanded, Nm or N, NaN where there is no data.
+        """
+        k = min(self._count, _MOST)
+        order = np.arange(self._count - k, self._count) % _MOST
+        times = self._times[order]
+        if not k:
+            return times, self._values[:, joint, order]
+        times = times - times[-1]
+        kept = times >= -SPAN
+        return times[kept], self._values[:, joint, order[kept]]
+
+
+def joint_name(world: World, joint: int) -> str:
+    """A joint with its robot or double: `lwr/A4`."""
+    owner = list(world.owners)[int(world.joints.owner[joint])]
+    name = world.joints.names[joint]
+    return name if name.startswith(f"{owner}/") else f"{owner}/{name}"

@@ -1,0 +1,1 @@
+"""The web page: MuJoCo Studio's `WebViewer` with our plugins."""

@@ -1,0 +1,119 @@
+"""Studio's own user interface, with mouse and keys by our one table."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+from mujoco.studio import app as studio_app
+from mujoco.studio import ux
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+
+from ..events import LEFT, RIGHT, Event
+from ..mouse import Clicked, Mouse
+
+_FIRST_LETTER, _FIRST_DIGIT = ord("a"), ord("0")
+_BUTTONS = ((LEFT, imgui.MouseButton.Left), (RIGHT, imgui.MouseButton.Right))
+# Names of our keys, and Studio's; those that a browser keeps to itself (F1, F3, F11) have others.
+_NAMED = {
+    " ": imgui.Key.Space,
+    ".": imgui.Key.Period,
+    ",": imgui.Key.Comma,
+    "-": imgui.Key.Minus,
+    "=": imgui.Key.Equal,
+    "[": imgui.Key.LeftBracket,
+    "]": imgui.Key.RightBracket,
+    "?": imgui.Key.Slash,
+    "backspace": imgui.Key.Backspace,
+    "home": imgui.Key.Home,
+    "left": imgui.Key.LeftArrow,
+    "right": imgui.Key.RightArrow,
+    "f1": imgui.Key.F1,
+}
+_LETTERS = {chr(_FIRST_LETTER + i): getattr(imgui.Key, chr(ord("A") + i)) for i in range(26)}
+_DIGITS = {chr(_FIRST_DIGIT + i): getattr(imgui.Key, f"N{i}") for i in range(10)}
+_HELD = (".", ",", "-", "=", "left", "right", "[", "]")  # go on while they are held down
+KEYS = {**_NAMED, **_LETTERS, **_DIGITS}
+
+
+class Pointed(Protocol):
+    """What mouse and keys act on."""
+
+    def click(self, clicked: Clicked) -> None:
+        """Takes a click, pixels with y up."""
+
+    def point(self, at: tuple[float, float] | None) -> None:
+        """Takes where the pointer is, pixels with y up; None for nowhere over the scene."""
+
+    def press(self, key: str) -> None:
+        """Takes a key, by its name in our table."""
+
+
+class StudioApp(studio_app.App):
+    """Studio's menus, tool bar and panels; the rest of the page is ours.
+
+    Studio's own keys and its perturbation of bodies are not for a mirrored robot: what is shown
+    comes from elsewhere. The browser moves the camera by itself.
+
+    Args:
+        target: gets clicks and keys.
+    """
+
+    def __init__(self, target: Pointed) -> None:
+        super().__init__(
+            studio_app.Config(
+                show_options=False,
+                show_inspector=False,
+                show_status_bar=False,
+                show_view_gizmo=True,
+            )
+        )
+        self._target = target
+        self._mouse = Mouse()
+
+    def reset_camera_index(self, index: int) -> None:
+        """Tells Studio which of its cameras is looked through."""
+        self.ux_state.camera_index = index
+
+    def align_camera(self) -> None:
+        """The camera stays where the scene has it."""
+        self.ux_state.camera_index = ux.TUMBLE_CAMERA_IDX
+
+    def handle_mouse_events(self) -> None:
+        """Tells clicks from the drags with which the browser moves its camera."""
+        io = imgui.GetIO()
+        height = io.DisplaySize.y
+        over_scene = not io.WantCaptureMouse and imgui.IsMousePosValid()
+        at = (io.MousePos.x, height - io.MousePos.y)
+        now = time.monotonic()
+
+        def event(kind: str, button: int = LEFT) -> Event:
+            return Event(kind, *at, time=now, button=button, shift=io.KeyShift or io.KeyCtrl)  # type: ignore[arg-type]
+
+        found = [self._mouse.take(event("move"))]
+        for ours, theirs in _BUTTONS:
+            if over_scene and imgui.IsMouseClicked(int(theirs)):
+                found.append(self._mouse.take(event("press", ours)))
+            if imgui.IsMouseReleased(int(theirs)):
+                found.append(self._mouse.take(event("release", ours)))
+        for each in found:
+            if isinstance(each, Clicked):
+                self._target.click(each)
+        self._target.point(at if over_scene and not self._mouse.is_down else None)
+
+    def handle_keyboard_events(self) -> None:
+        """Takes the keys of our table."""
+        io = imgui.GetIO()
+        if io.WantCaptureKeyboard or io.KeyCtrl or io.KeyAlt or io.KeySuper:
+            return
+        for name, key in KEYS.items():
+            if imgui.IsKeyPressed(key, name in _HELD):
+                if name == "=" and io.KeyShift:
+                    self._target.press("+")
+                elif name == "?" and not io.KeyShift:
+                    continue
+                else:
+                    self._target.press(name)
+
+    def apply_perturb(self) -> None:
+        """Pushes nothing: a mirrored robot is not in this model's physics."""

@@ -1,0 +1,338 @@
+"""`WebHost`: a mirror on a web page."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from mujoco.studio import launch_thread, messages, sim_history, ux, viewer_handle
+from numpy.typing import NDArray
+
+from ...decor.toggles import Toggles
+from ...drive.mirror import Mirror
+from ...errors import RenderError, SeroError
+from ..camera import find_camera, list_cameras
+from ..clock import Clock
+from ..interaction import HOST_KEYS, KEYS, MORE_KEYS, Pointer, hover
+from ..mouse import Clicked
+from ..picking import Picked
+from ..torque_history import TorqueHistory, joint_name
+from .app import StudioApp
+from .decor import WebDecor
+from .greying import Greying
+from .panels import Panels
+from .studio import LOOPBACK, StudioViewer, quiet
+from .time_control import TimeControl
+
+_RATE = 60.0  # pictures/s, Studio's
+_MESSAGE_TIME = 3.0  # s
+_OF_JOINTS = ("link", "double", "arrow", "billboard")
+OnClick = Callable[[Picked | None, str], None]
+
+
+class WebHost:
+    """Shows a mirror on a web page, drawn by the browser.
+
+    Any number of browsers may look; one at a time has control: its mouse, keys and panels act.
+
+    Args:
+        mirror: must be open; is driven by the page's clock.
+        camera: see `find_camera`.
+        host: address to listen on.
+        port: 0 for the first free one from 8080 on.
+
+    Attributes:
+        toggles: what is shown.
+        clock: pause, speed and time line.
+        joint: the joint of the world whose torques are plotted.
+        history: the torques of the last seconds.
+        work: our own work for the last frame, s: sources, input, panels and decor.
+        message: what the user is told, whether it is bad, and until when.
+        on_click: called with what was clicked on and the gesture.
+
+    Raises:
+        RenderError: the page cannot be served there.
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(
+        self,
+        mirror: Mirror,
+        *,
+        camera: str | None = None,
+        host: str = LOOPBACK,
+        port: int = 0,
+    ) -> None:
+        world = mirror.world
+        self.mirror, self.world, self.data = mirror, world, mirror.data
+        self.toggles = Toggles(world)
+        self.clock = Clock(mirror)
+        self.joint = 0
+        self.history = TorqueHistory(world)
+        self.work = 0.0
+        self.message: tuple[str, bool, float] = ("", False, 0.0)
+        self.on_click: OnClick | None = None
+        self.decor = WebDecor(world, self.toggles)
+        self._pointer = Pointer(world, self.toggles)
+        self._under: tuple[float, float] | None = None
+        self._start_camera = camera
+        self._app = StudioApp(self)
+        self._panels = Panels(self)
+        check_address(host)
+        viewer_end, sim_end = launch_thread.make_thread_endpoints()
+        try:
+            self.viewer = StudioViewer(
+                viewer_end,
+                world.model,
+                address=host,
+                port=port,
+                title=f"{world.scene.name} - sero-mj",
+                plugins=[self._app, self._panels],
+                camera=find_camera(world, camera),
+            )
+        except (RuntimeError, OSError) as error:
+            where = f"{host}:{port}" if port else host
+            raise RenderError(f"no page at {where}: {error}") from error
+        self._handle = viewer_handle.ViewerHandle(
+            sim_end, sim_plugins=[TimeControl(self.clock), sim_history.SimHistory()]
+        )
+        with quiet():
+            self._handle.set_model(world.model, data=self.data)
+            for event in self.viewer.get_sim_events():
+                self.viewer.dispatch(event)
+        self._greying = Greying(self.viewer)
+        self._begin = time.monotonic()
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return page_url(self.viewer.address, self.viewer.port)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return self.viewer.port
+
+    @property
+    def is_private(self) -> bool:
+        """Whether only browsers on this machine reach it."""
+        return self.viewer.address in (LOOPBACK, "::1", "localhost")
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nobody has chosen File, Quit in the page."""
+        return bool(self.viewer.is_running())
+
+    @property
+    def is_due(self) -> bool:
+        """Whether it is time for the next frame."""
+        return time.monotonic() - self._begin >= 1.0 / _RATE - 1e-3
+
+    def run(self) -> None:
+        """Serves frames until the page is closed with File, Quit."""
+        while self.frame():
+            pass
+
+    def frame(self, *, wait: bool = True) -> bool:
+        """Serves one frame, when it is time for it.
+
+        Args:
+            wait: until it is; else it returns at once where it is not.
+
+        Returns:
+            whether the page is still served.
+        """
+        if not self.is_open:
+            return False
+        if not (wait or self.is_due):
+            return True
+        viewer = self.viewer
+        is_next = viewer.prepare_next_frame()  # sleeps until then
+        self._begin = begin = time.monotonic()
+        self._advance()
+        for event in viewer.get_sim_events():
+            viewer.dispatch(event)
+        if not viewer.is_running():
+            return False
+        for snapshot in viewer.get_sim_snapshots():
+            viewer.dispatch(snapshot)
+        if is_next:
+            viewer.dispatch(messages.UpdateEvent())
+            viewer.dispatch(messages.BuildGuiEvent())
+            self.decor.lay_out(self.data, viewer, self._panels.inset)
+            self._greying.show(self.decor.grey)
+            viewer.sync()
+        self.work = time.monotonic() - begin
+        return self.is_open
+
+    def _advance(self) -> None:
+        self.clock.on_moment = self._sample
+        try:
+            self._handle.sync()
+        except SeroError as error:  # a file that is gone, say: what is shown stays
+            self.clock.is_paused = True
+            self.say(str(error), is_bad=True)
+        if not self.clock.is_paused:
+            self._sample()
+
+    def _sample(self) -> None:
+        self.history.add(self.data)
+
+    def say(self, text: str, *, is_bad: bool = False) -> None:
+        """Writes a line into the page for a few seconds."""
+        times = 3.0 if is_bad else 1.0
+        self.message = (text, is_bad, time.monotonic() + times * _MESSAGE_TIME)
+
+    def click(self, clicked: Clicked) -> None:
+        """Does what a click means, by the table of `interaction`."""
+        at = (clicked.x, clicked.y)
+        picked = self.decor.pick(self.data, *at)
+        if clicked.centre:
+            self._centre(at, picked)
+            return
+        gesture = self._pointer.press(picked, at, clicked.time, shift=clicked.shift)
+        if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
+            self.joint = picked.index
+        if picked is not None and picked.kind == "object" and gesture == "double":
+            self._centre(at, picked)
+        if self.on_click is not None:
+            self.on_click(picked, gesture)
+
+    def point(self, at: tuple[float, float] | None) -> None:
+        """Writes the name of what is under the pointer beside it."""
+        self._under = at
+        if at is None:
+            self.toggles.hover = None
+        else:
+            hover(self.toggles, self.decor.pick(self.data, *at), at)
+
+    def _centre(self, at: tuple[float, float], picked: Picked | None) -> None:
+        view, camera = self.decor.view, self.viewer.camera
+        if view is None:
+            return
+        direction = view.at(np.array(at), 1.0) - view.position
+        direction /= np.linalg.norm(direction)
+        if picked is not None:
+            distance = picked.distance
+        else:
+            geom = np.full(1, -1, np.int32)
+            distance = mujoco.mj_ray(
+                self.world.model, self.data, view.position, direction, None, 1, -1, geom, None
+            )
+            if geom[0] < 0:
+                return
+        camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
+        camera.lookat[:] = view.position + distance * direction
+        self._app.reset_camera_index(ux.TUMBLE_CAMERA_IDX)
+
+    def press(self, key: str) -> None:
+        """Does what a key means, by the table of `interaction`."""
+        if key in KEYS:
+            words, act = KEYS[key]
+            act(self.toggles)
+            self.say(f"{key}: {words}")
+            return
+        name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
+        clock, seek = self.clock, self.clock.seek
+        actions: dict[str, Callable[[], str | None]] = {
+            "pause": clock.pause,
+            "step": clock.step,
+            "step_back": lambda: clock.step(-1),
+            "slower": lambda: clock.faster(-1),
+            "faster": lambda: clock.faster(1),
+            "reset": clock.reset,
+            "back": lambda: seek(clock.time - 1.0),
+            "on": lambda: seek(clock.time + 1.0),
+            "camera": lambda: self.choose_camera(int(key)),
+            "follow": self._follow,
+            "plot": self._panels.flip_plots,
+            "next_joint": lambda: self._select(1),
+            "last_joint": lambda: self._select(-1),
+            "status_line": self._panels.flip_status,
+            "help": self._panels.flip_help,
+        }
+        if name in actions:
+            said = actions[name]()
+            if said:
+                self.say(said)
+
+    def _select(self, places: int) -> str:
+        names = self.world.joints.names
+        if not names:
+            return "no joint"
+        self.joint = (self.joint + places) % len(names)
+        return f"selected: {joint_name(self.world, self.joint)}"
+
+    def choose_camera(self, number: int) -> str:
+        """Looks through a camera by its number, 1 for the first; 0 is the scene's own view."""
+        names = list_cameras(self.world)
+        if number > len(names):
+            return f"no camera {number}: the scene has {len(names) or 'none'}"
+        camera = find_camera(self.world, self._start_camera if number == 0 else names[number - 1])
+        ours = self.viewer.camera
+        ours.type, ours.fixedcamid, ours.trackbodyid = camera.type, camera.fixedcamid, -1
+        if number == 0:
+            ours.lookat[:], ours.distance = camera.lookat, camera.distance
+            ours.azimuth, ours.elevation = camera.azimuth, camera.elevation
+        is_fixed = camera.type == mujoco.mjtCamera.mjCAMERA_FIXED
+        self._app.reset_camera_index(camera.fixedcamid if is_fixed else ux.TUMBLE_CAMERA_IDX)
+        return f"camera {names[number - 1]}" if number else "the view of the start"
+
+    def _follow(self) -> str:
+        picked = None if self._under is None else self.decor.pick(self.data, *self._under)
+        camera = self.viewer.camera
+        frames = self.world.frames
+        if picked is None or picked.name not in frames.names:
+            camera.type, camera.trackbodyid = int(mujoco.mjtCamera.mjCAMERA_FREE), -1
+            self._app.reset_camera_index(ux.TUMBLE_CAMERA_IDX)
+            return "follows nothing"
+        site = frames.site[frames.names.index(picked.name)]
+        camera.type = int(mujoco.mjtCamera.mjCAMERA_TRACKING)
+        camera.trackbodyid = int(self.world.model.site_bodyid[site])
+        self._app.reset_camera_index(ux.TRACKING_CAMERA_IDX)
+        return f"follows {picked.name}"
+
+    def picture(self, width: int = 1280, height: int = 800) -> NDArray[np.uint8]:
+        """What is seen, (height, width, 3), drawn here by the classic renderer."""
+        from ..headless import HeadlessRenderer
+
+        with HeadlessRenderer(self.world, width, height) as renderer:
+            renderer.camera, renderer.toggles = self.viewer.camera, self.toggles
+            return renderer.render(self.data)
+
+    def close(self) -> None:
+        """Ends the page; browsers are told."""
+        with contextlib.suppress(RuntimeError):  # closed from the page already
+            self._handle.close()
+        with quiet():
+            self.viewer.close()
+
+    def __enter__(self) -> WebHost:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def check_address(host: str) -> None:
+    """Raises RenderError where this machine has no such address."""
+    try:
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as trial:
+            trial.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise RenderError(
+            f"no page at {host!r}: this machine has no such address ({error}); "
+            f"{LOOPBACK} is for browsers here, 0.0.0.0 for those everywhere"
+        ) from error
+
+
+def page_url(address: str, port: int) -> str:
+    """The address that a browser on this machine opens."""
+    if address in ("", "0.0.0.0", "::", LOOPBACK, "::1"):
+        address = "localhost"
+    return f"http://[{address}]:{port}/" if ":" in address else f"http://{address}:{port}/"

@@ -1,0 +1,248 @@
+"""The page's own windows: sources, robots, time, torques, help."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from mujoco.studio import messages, plugin
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+
+from ...decor.pen import MAX_GEOMS
+from ...receive.receiver import Receiver
+from ...receive.report import describe, report
+from ..clock import SPEEDS, time_text
+from ..status_line import Mood, clock_text, source_text
+from ..window_help import help_columns
+from .plots import TorquePlots
+from .robot_panel import RobotPanel
+
+if TYPE_CHECKING:
+    from .host import WebHost
+
+_ONCE = int(imgui.Cond.FirstUseEver)
+_ALWAYS = int(imgui.Cond.Always)
+_MARGIN = 12.0
+_WIDTH = 318.0
+_TOP = 34.0  # below Studio's menu bar
+_BAR_FLAGS = int(imgui.WindowFlags.NoTitleBar) | int(imgui.WindowFlags.NoResize)
+_BAR_FLAGS |= int(imgui.WindowFlags.NoScrollbar) | int(imgui.WindowFlags.NoDocking)
+_BAR_FLAGS |= int(imgui.WindowFlags.NoMove) | int(imgui.WindowFlags.NoSavedSettings)
+_NOTE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
+_NOTE_FLAGS |= int(imgui.WindowFlags.NoInputs) | int(imgui.WindowFlags.NoFocusOnAppearing)
+_PANEL_FLAGS = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
+_OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
+_TALL = 0.35  # of the page's height; what is less tall covers little
+# Told apart by lightness as well, on Studio's light and its dark theme.
+MOODS: dict[Mood, tuple[float, float, float] | None] = {
+    "good": (0.10, 0.55, 0.24),
+    "quiet": (0.45, 0.47, 0.50),
+    "bad": (0.85, 0.28, 0.05),
+    "plain": None,
+}
+
+
+def tell(text: str, mood: Mood = "plain") -> None:
+    """Writes a line in the colour of a mood, broken where the window ends."""
+    rgb = MOODS[mood]
+    if rgb is None:
+        imgui.TextWrapped(text)
+        return
+    imgui.PushStyleColor(int(imgui.Col.Text), imgui.Vec4(*rgb, 1.0))
+    imgui.TextWrapped(text)
+    imgui.PopStyleColor(1)
+
+
+class Panels(plugin.ViewerPlugin):
+    """What the page has beside Studio's own menus.
+
+    Args:
+        host: whose page it is.
+    """
+
+    def __init__(self, host: WebHost) -> None:
+        self._host = host
+        self._robots = RobotPanel(host.world, host.toggles)
+        self._plots = TorquePlots(host.world)
+        self.shows_status = True
+        self.shows_plots = False
+        self.shows_help = False
+        # What the windows at the edges of the page cover, see `View.inset`.
+        self.inset = (0.0, 0.0, 0.0, 0.0)
+
+    def flip_plots(self) -> str:
+        """Shows or hides the torques."""
+        self.shows_plots = not self.shows_plots
+        return "" if self._host.world.joints.names else "no joint to plot"
+
+    def flip_status(self) -> None:
+        """Shows or hides the panel."""
+        self.shows_status = not self.shows_status
+
+    def flip_help(self) -> None:
+        """Shows or hides the help."""
+        self.shows_help = not self.shows_help
+
+    @messages.handler
+    def on_build_gui(self, event: messages.BuildGuiEvent) -> None:
+        """Builds all windows of a frame."""
+        size = imgui.GetIO().DisplaySize
+        self.inset = (0.0, 0.0, 0.0, imgui.GetFrameHeight())
+        self._menu()
+        self._time(size)
+        if self.shows_status:
+            self._panel(size.y)
+        if self.shows_plots and self._host.world.joints.names:
+            self._torques(size)
+        if self.shows_help:
+            self._help(size)
+        self._message(size)
+
+    def _menu(self) -> None:
+        if not imgui.BeginMainMenuBar():
+            return
+        if imgui.BeginMenu("Robot"):
+            if imgui.MenuItem("Panel", "T", self.shows_status):
+                self.flip_status()
+            if imgui.MenuItem("Torques", "P", self.shows_plots):
+                self.flip_plots()
+            if imgui.MenuItem("Mouse and keys", "H", self.shows_help):
+                self.flip_help()
+            imgui.EndMenu()
+        imgui.EndMainMenuBar()
+
+    def _panel(self, height: float) -> None:
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ONCE)
+        room = max(height - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
+        imgui.SetNextWindowSizeConstraints(imgui.Vec2(_WIDTH, 0.0), imgui.Vec2(_WIDTH, room))
+        shown, self.shows_status = imgui.Begin(
+            f"{self._host.world.scene.name}###sero", self.shows_status, _PANEL_FLAGS
+        )
+        self._cover(height)
+        if shown:
+            self._sources()
+            self._robots.build()
+            self._decor()
+        imgui.End()
+
+    def _cover(self, height: float) -> None:
+        """Keeps decor clear of the window that is being built, where it is at an edge."""
+        place, size = imgui.GetWindowPos(), imgui.GetWindowSize()
+        width = imgui.GetIO().DisplaySize.x
+        left, below, right, above = self.inset
+        if size.y < _TALL * height or imgui.IsWindowCollapsed():
+            return
+        if place.x < 2 * _MARGIN:
+            left = max(left, place.x + size.x)
+        elif place.x + size.x > width - 2 * _MARGIN:
+            right = max(right, width - place.x)
+        if left + right < 0.7 * width:
+            self.inset = (left, below, right, above)
+
+    def _sources(self) -> None:
+        host = self._host
+        if not imgui.CollapsingHeader("Sources", _OPEN):
+            return
+        tell(*clock_text(host.clock))
+        if not host.mirror.sources:
+            tell("none: the scene stands as it is declared", "quiet")
+        for source in host.mirror.sources.values():
+            if not isinstance(source, Receiver):
+                continue
+            error = getattr(source, "error", None)
+            if error is not None:
+                tell(f"{source.name}: {error}", "bad")
+                continue
+            found = report(source)
+            tell(*source_text(found, is_live=source.is_live))
+            if found["trouble"]:
+                tell(f"  {found['trouble']}", "bad")
+            if source.is_live and imgui.TreeNode(f"counters of {source.name}"):
+                for what, count, meaning in describe(found):
+                    imgui.TextUnformatted(f"{what}: {count}")
+                    if meaning:
+                        imgui.SetItemTooltip(meaning)
+                imgui.TreePop()
+
+    def _decor(self) -> None:
+        decor = self._host.decor
+        tell(f"decor: {decor.count} of {MAX_GEOMS} geoms", "quiet")
+        if decor.left_out:
+            tell(
+                f"{decor.left_out} more found no room: a browser takes {MAX_GEOMS}. "
+                "Switch something off.",
+                "bad",
+            )
+
+    def _time(self, size: imgui.Vec2) -> None:
+        """The time line of what has one; Studio's tool bar has the rest."""
+        clock = self._host.clock
+        if clock.is_live or not self._host.mirror.sources:
+            return
+        height = imgui.GetFrameHeight() + 2 * 8.0
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, size.y - height - _MARGIN), _ALWAYS)
+        imgui.SetNextWindowSize(imgui.Vec2(max(size.x - 2 * _MARGIN, 200.0), height), _ALWAYS)
+        imgui.Begin("Time###time", True, _BAR_FLAGS)
+        left, _, right, above = self.inset
+        self.inset = (left, height + _MARGIN, right, above)
+        if imgui.Button("play" if clock.is_paused or clock.is_at_end else "pause"):
+            if clock.is_at_end and not clock.is_paused:
+                clock.seek(0.0)
+            else:
+                clock.pause()
+        for label, what in (("|<", clock.reset), ("<", lambda: clock.step(-1)), (">", clock.step)):
+            imgui.SameLine()
+            if imgui.Button(label):
+                what()
+        imgui.SameLine()
+        imgui.SetNextItemWidth(74.0)
+        nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - clock.speed))
+        changed, chosen = imgui.Combo("##speed", nearest, [f"x {speed:g}" for speed in SPEEDS])
+        if changed:
+            clock.faster(chosen - nearest)
+        if clock.end:
+            imgui.SameLine()
+            imgui.SetNextItemWidth(-1.0)
+            text = f"{time_text(clock.time)} / {time_text(clock.end)}"
+            moved, wanted = imgui.SliderFloat("##time", clock.time, 0.0, clock.end, text)
+            if moved:
+                clock.seek(wanted)
+        imgui.End()
+
+    def _torques(self, size: imgui.Vec2) -> None:
+        width = min(460.0, max(size.x / 2 - 2 * _MARGIN, 240.0))
+        imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), _ONCE)
+        imgui.SetNextWindowSize(imgui.Vec2(width, min(520.0, max(size.y - 220.0, 240.0))), _ONCE)
+        shown, self.shows_plots = imgui.Begin("Torques###torques", self.shows_plots)
+        self._cover(size.y)
+        if shown:
+            host = self._host
+            host.joint = self._plots.build(host.history, host.joint)
+        imgui.End()
+
+    def _help(self, size: imgui.Vec2) -> None:
+        imgui.SetNextWindowPos(
+            imgui.Vec2(size.x / 2, size.y / 2), int(imgui.Cond.Appearing), imgui.Vec2(0.5, 0.5)
+        )
+        flags = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
+        _, self.shows_help = imgui.Begin("Mouse and keys###help", self.shows_help, flags)
+        if imgui.BeginTable("##help", 2):
+            imgui.TableNextRow()
+            for column in help_columns(on_page=True):
+                imgui.TableNextColumn()
+                for how, words in column:
+                    if how and not words:
+                        imgui.SeparatorText(how)
+                    elif how:
+                        imgui.TextUnformatted(f"{how}:  {words}")
+            imgui.EndTable()
+        imgui.End()
+
+    def _message(self, size: imgui.Vec2) -> None:
+        text, is_bad, until = self._host.message
+        if time.monotonic() >= until:
+            return
+        imgui.SetNextWindowPos(imgui.Vec2(size.x / 2, size.y - 90.0), _ALWAYS, imgui.Vec2(0.5, 1.0))
+        imgui.Begin("##message", True, _NOTE_FLAGS)
+        tell(text, "bad" if is_bad else "plain")
+        imgui.End()

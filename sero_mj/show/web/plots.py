@@ -1,0 +1,123 @@
+"""Commanded, measured and error torques of the selected joint, with limits, in ImPlot."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+from mujoco.studio.implot import implot
+from numpy.typing import NDArray
+
+from ...assemble.world import World
+from ..torque_history import SPAN, TorqueHistory, joint_name
+
+Array = NDArray[np.float64]
+
+# A plot of a thousand points anew in every frame would be most of what goes to the browser.
+_INTERVAL = 1.0 / 15.0  # s
+_POINTS = 320
+# Studio's ImPlot cannot be told the colours of lines; its own begin with blue, then orange.
+_LIMIT_RGB = (0.80, 0.20, 0.10)
+_NEAR = 0.6  # of the limit, from which on it is in the picture
+_LEAST = 0.5  # Nm or N, half the height of a plot
+
+
+def thin_out(times: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
+    """Fewer samples that look the same: of every piece the lowest and the highest, in order.
+
+    Args:
+        times: (k,).
+        values: (k,), NaN where there is no data.
+        points: how many are left at most.
+    """
+    there = np.isfinite(values)
+    times, values = times[there], values[there]
+    size = int(np.ceil(2 * len(values) / points))
+    if size <= 2:
+        return times, values
+    whole = len(values) // size * size
+    pieces = values[:whole].reshape(-1, size)
+    first = np.arange(len(pieces)) * size
+    ends = np.stack([first + pieces.argmin(axis=1), first + pieces.argmax(axis=1)], axis=1)
+    kept = np.concatenate([np.unique(ends), np.arange(whole, len(values))])
+    return times[kept], values[kept]
+
+
+class TorquePlots:
+    """The plots of one world.
+
+    Args:
+        world: the compiled scene.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._lines: dict[str, tuple[list[float], list[float]]] = {}
+        self._when = float("-inf")
+        self._joint = -1
+
+    def build(self, history: TorqueHistory, joint: int) -> int:
+        """Builds the plots of a joint of the world; returns the joint to be shown next."""
+        names = [joint_name(self._world, i) for i in range(len(self._world.joints.names))]
+        imgui.SetNextItemWidth(160.0)
+        changed, chosen = imgui.Combo("##joint", joint, names)
+        joint = chosen if changed else joint
+        self._refresh(history, joint)
+        joints = self._world.joints
+        unit = "Nm" if joints.revolute[joint] else "N"
+        limit = float(joints.torque_limit[joint])
+        imgui.SameLine()
+        imgui.TextUnformatted(f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit")
+        room = imgui.GetContentRegionAvail()
+        upper = max(0.58 * room.y - 4.0, 60.0)
+        self._plot(f"torque [{unit}]", ("measured", "commanded"), limit, upper)
+        self._plot(f"error [{unit}]", ("commanded - measured",), np.inf, room.y - upper - 8.0)
+        return joint
+
+    def _refresh(self, history: TorqueHistory, joint: int) -> None:
+        now = time.monotonic()
+        if joint == self._joint and now - self._when < _INTERVAL:
+            return
+        self._joint, self._when = joint, now
+        times, (measured, commanded) = history.of(joint)
+        lines = {
+            "measured": measured,
+            "commanded": commanded,
+            "commanded - measured": commanded - measured,
+        }
+        self._lines = {}
+        for name, values in lines.items():
+            x, y = thin_out(times, values)
+            self._lines[name] = (x.tolist(), y.tolist())
+
+    def _plot(self, title: str, names: tuple[str, ...], limit: float, height: float) -> None:
+        if not implot.BeginPlot(f"##{title}", imgui.Vec2(-1.0, max(height, 50.0))):
+            return
+        implot.SetupAxes("s", title)
+        implot.SetupAxisLimits(int(implot.Axis.X1), -SPAN, 0.0, int(implot.Cond.Always))
+        low, high = self._range(names, limit)
+        implot.SetupAxisLimits(int(implot.Axis.Y1), low, high, int(implot.Cond.Always))
+        for name in names:
+            x, y = self._lines[name]
+            implot.PlotLine(name, x, y)
+        for number, bound in enumerate((limit, -limit)):
+            if low <= bound <= high:
+                flags = int(implot.DragToolFlags.NoInputs) | int(implot.DragToolFlags.NoFit)
+                implot.DragLineY(number, bound, imgui.Vec4(*_LIMIT_RGB, 1.0), 1.5, flags)
+                implot.TagY(bound, imgui.Vec4(*_LIMIT_RGB, 1.0), "limit")
+        implot.EndPlot()
+
+    def _range(self, names: tuple[str, ...], limit: float) -> tuple[float, float]:
+        """The ends of the axis; it moves by leaps, so that the plot stands still meanwhile."""
+        values = [value for name in names for value in self._lines[name][1]]
+        low, high = (min(values), max(values)) if values else (0.0, 0.0)
+        if np.isfinite(limit):
+            high = limit if high > _NEAR * limit else high
+            low = -limit if low < -_NEAR * limit else low
+        middle, half = (low + high) / 2, max((high - low) / 2 * 1.15, _LEAST)
+        step = 10.0 ** np.floor(np.log10(half)) / 2
+        return (
+            float(np.floor((middle - half) / step) * step),
+            float(np.ceil((middle + half) / step) * step),
+        )

@@ -1,0 +1,80 @@
+"""Studio's simulation controls and history act on the clock of a mirror instead of on physics."""
+
+from __future__ import annotations
+
+import time
+
+from mujoco.studio import messages, plugin, sim, sim_history
+
+from ..clock import Clock
+
+_RUNS = sim.PauseState.UNPAUSED
+_PAUSED = sim.PauseState.NORMAL_PAUSED
+
+
+class TimeControl(plugin.SimPlugin):
+    """Stands where Studio's `StepControl` would: what is shown comes from the mirror.
+
+    Args:
+        clock: of the mirror.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._last = time.monotonic()
+        self._is_scrubbed = False
+
+    def snapshot(self) -> messages.StepControlSnapshot:
+        """What Studio's controls are to show."""
+        control = sim.StepControl()
+        control.set_pause_state(_PAUSED if self._clock.is_paused else _RUNS)
+        control.set_speed(100.0 * self._clock.speed)
+        return messages.StepControlSnapshot.from_step_control(control)
+
+    @messages.handler
+    def on_step_control(self, event: messages.StepControlSnapshot) -> bool:
+        """Pause and speed, set in the page."""
+        wanted = event.pause_state != _RUNS
+        if wanted != self._clock.is_paused:
+            self._clock.pause()
+        if not self._clock.is_live:
+            self._clock.speed = self._clock.real_speed = max(event.speed / 100.0, 1e-3)
+        return True
+
+    @messages.handler
+    def on_single_step(self, event: messages.SingleStepEvent) -> bool:
+        """A single step on."""
+        self._clock.step()
+        return True
+
+    @messages.handler
+    def on_pause(self, event: messages.RequestPauseEvent) -> bool:
+        """A pause that Studio asks for: its history is being looked at."""
+        self._clock.is_paused = event.pause_state != _RUNS
+        return True
+
+    @messages.handler
+    def on_reset(self, event: messages.ResetEvent) -> bool:
+        """Back to the start; not to zero, as Studio would."""
+        self._clock.reset()
+        return True
+
+    @messages.handler
+    def on_history(self, event: sim_history.SimHistorySnapshot) -> None:
+        """A moment of the past was chosen; Studio's `SimHistory` puts it into the data."""
+        self._is_scrubbed = True
+
+    @messages.handler
+    def on_step(self, event: messages.StepEvent) -> None:
+        """Brings the mirror to now."""
+        now = time.monotonic()
+        passed, self._last = now - self._last, now
+        clock = self._clock
+        with self.handle.send_if_changes(self.snapshot):
+            if self._is_scrubbed and clock.is_live and not clock.is_paused:
+                self._is_scrubbed = False
+                clock.reset()  # the present, not what the history has put there
+            if self._is_scrubbed and not clock.is_live:
+                self._is_scrubbed = False
+                clock.seek(event.data.time)
+            clock.advance(passed)
