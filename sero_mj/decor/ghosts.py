@@ -17,6 +17,9 @@ from .geoms import GEOM, set_geom, struct_view
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _ALL = int(mujoco.mjtCatBit.mjCAT_DYNAMIC) | int(mujoco.mjtCatBit.mjCAT_STATIC)
+# How much farther from the eye a double is drawn than it is: where its surface is that of the
+# robot, as on a link that has only turned about itself, the two would flicker in stripes.
+_BEHIND = 0.002
 _MORE = 16  # places for geoms that are none of the model's
 
 
@@ -57,6 +60,8 @@ class GhostPainter:
         rows["category"] = _DECOR  # without a shadow
         rows["matid"] = rows["texid"] = rows["segid"] = -1
         rows["reflectance"] = 0.0
+        eye = (np.array(scene.camera[0].pos) + scene.camera[1].pos) / 2
+        rows["pos"] += _BEHIND * (rows["pos"] - eye)
         start = scene.ngeom
         count = min(len(rows), scene.maxgeom - start)
         if view is not None:

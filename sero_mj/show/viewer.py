@@ -150,9 +150,10 @@ def view(
     if not web:
         options = {"size": size, "camera": camera, "full_screen": full_screen}
         return Viewer(mirror, open_window, **options)
-    if mirror.world.is_borrowed and mirror.world.doubles:
-        log.warning("a page shows no doubles of an overlay; a window and pictures do")
     page = {"camera": camera, "port": port, **({} if host is None else {"host": host})}
     viewer = Viewer(mirror, open_page, **page)
+    if mirror.world.is_borrowed and mirror.world.doubles:  # Studio draws no meshes of ours
+        log.warning("a page shows no doubles of an overlay; a window and pictures do")
+        viewer.host.toggles.doubles[:] = False
     print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
     return viewer
