@@ -248,6 +248,19 @@ def test_singularity_is_shown_of_the_serial_part() -> None:
         assert (box["rgba"][2] > box["rgba"][0]) == blue
 
 
+def test_a_joint_without_torque_limit_is_as_wide_as_others_at_the_singularity() -> None:
+    model, data = arm()
+    overlay = sero_mj.overlay(model, data, robots={"arm": {"torque_limits": None}})
+    overlay.toggles.arrow_quantity[:] = 2
+    joints = overlay.world.joints
+    assert np.isinf(joints.torque_limit).all() and np.isfinite(joints.acceleration_limit).all()
+    overlay.set("arm.joint_accelerations", joints.acceleration_limit / 4)
+    pen = drawn(overlay)
+    for item in range(3):  # half the radius at a quarter of the limit
+        width = 2 * belonging(pen, Kind.ARROW, item)[0]["size"][2]
+        assert width == pytest.approx(joints.arrow_radius[item] / 2, rel=1e-5)
+
+
 def test_a_drawn_frame_costs_little() -> None:
     import time
 

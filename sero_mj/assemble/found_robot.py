@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInfo, field_validator
 
 from ..errors import DeclarationError, Problem, did_you_mean
 from .declaration import Array, numbers
-from .model_sizes import Sizes
+from .model_sizes import GRAVITY, Sizes
 from .model_trees import Tree
 from .parts import Ints, RobotPart
 from .robot import SerialRobot
@@ -35,7 +35,7 @@ FIELDS = (
     "inputs",
     "enable_touch_sensor",
 )
-FULL_WIDTH = 0.01  # `arrow_width_scale` of a joint with a limit: its arrow is as wide as its radius
+_FULL_WIDTH_G = 5.0  # accelerations are at full width at this many times free fall
 
 
 def _positive(value: Any) -> Any:
@@ -65,26 +65,31 @@ class FoundRobot(SerialRobot):
         joint_names: as the model has them, of any characters.
         torque_limits: (n,), inf where nothing is known.
         arrow_radius: (n,) or one for all, m.
-        arrow_width_scale: (n,) or one for all; with a torque limit times 0.01 is full width.
     """
 
     joint_names: Annotated[list[str], AfterValidator(list)] = []
     torque_limits: PerJoint | None = None
     arrow_radius: PerJoint = np.array(0.1)  # type: ignore[assignment]
-    arrow_width_scale: PerJoint = np.array(FULL_WIDTH)  # type: ignore[assignment]
 
     @field_validator("dh_params")
     @classmethod
     def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
         return rows  # as many as the model has
 
-    @field_validator("arrow_radius", "arrow_width_scale")
+    @field_validator("arrow_radius")
     @classmethod
     def _one_or_all(cls, value: Array, info: ValidationInfo) -> Array:
         rows = info.data.get("dh_params")
         if rows is not None and value.ndim and len(value) != len(rows):
             raise ValueError(f"found {len(value)} entries; expected {len(rows)}, one per joint")
         return value
+
+    _loads: Array | None = PrivateAttr(None)
+
+    @property
+    def arrow_loads(self) -> Array:
+        """At which torque an arrow without limit is as wide as its radius (n,), Nm or N."""
+        return super().arrow_loads if self._loads is None else self._loads
 
     @property
     def arrow_radii(self) -> Array:
@@ -158,6 +163,7 @@ def found_robot(
         "show_arrows": True,
         "billboard_lines": ["joint_angles", "torques"],
         "torque_limits": limits,
+        "acceleration_limits": _FULL_WIDTH_G * GRAVITY / np.where(revolute, sizes.link, 1.0),
         "arrow_radius": sizes.arrow_radius,
         "axes_size": sizes.axes,
         **said,
@@ -175,10 +181,8 @@ def found_robot(
             torques=np.zeros(n),  # comes from the model, which billboards must know
             **fields,
         )
-        if "arrow_width_scale" not in said:  # without a limit: as wide as its radius at its load
-            without = robot.arrow_radii / sizes.load
-            limited = robot.torque_limits is not None and np.isfinite(robot.torque_limits)
-            robot.arrow_width_scale = np.where(limited, FULL_WIDTH, without)
+        if "arrow_width_scale" not in said:
+            robot._loads = sizes.load
     except DeclarationError as error:
         raise DeclarationError([p.inside(f"robots.{tree.name}") for p in error.problems]) from None
     return robot

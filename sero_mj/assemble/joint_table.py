@@ -42,6 +42,8 @@ class JointTable:
         arrow_dead_band: share of the limit.
         arrow_radius: m.
         arrow_width_scale: m per Nm.
+        arrow_load: Nm or N at which one without a limit is as wide as its radius; inf where
+            `arrow_width_scale` says how wide it is.
         arrow_alpha: opacity of its arrow.
     """
 
@@ -60,6 +62,7 @@ class JointTable:
     arrow_dead_band: Array
     arrow_radius: Array
     arrow_width_scale: Array
+    arrow_load: Array
     arrow_alpha: Array
 
     def angles(self, data: mujoco.MjData) -> Array:
@@ -130,6 +133,7 @@ def joint_table(
             ]
         ),
         arrow_width_scale=gather([robot.arrow_width_scale for robot in robots]),
+        arrow_load=gather([robot.arrow_loads for robot in robots]),
         arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
     )
 

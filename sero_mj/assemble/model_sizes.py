@@ -22,7 +22,7 @@ _SECTORS = 12
 _MOST_POINTS = 1500  # of a mesh
 _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _AT_ONE_PLACE = 0.02  # of the robot's extent
-_GRAVITY = 9.81  # m/s2
+GRAVITY = 9.81  # m/s2
 _LEAST_SHARE = 0.02  # of the largest load of a robot, that any joint's is taken for
 _ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
 _RING = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
@@ -130,7 +130,7 @@ def _loads(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, link: float) 
     mass = model.body_subtreemass[bodies]
     lever = np.linalg.norm(data.subtree_com[bodies] - data.xanchor[tree.joints], axis=1)
     hinge = model.jnt_type[tree.joints] == mujoco.mjtJoint.mjJNT_HINGE
-    load = _GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
+    load = GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
     for kind in (hinge, ~hinge):
         if kind.any():
             load[kind] = np.maximum(load[kind], _LEAST_SHARE * load[kind].max())
