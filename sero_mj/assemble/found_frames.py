@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import UnknownName
 from .double import Double
-from .found_robot import FoundPart
+from .found_robot import FoundPart, FoundRobot
 from .model_trees import Tree, without_scope
 from .named_frames import NamedFrame
 
@@ -61,18 +61,19 @@ def list_found_frames(
         frames[frame.name], places[frame.name] = frame, place
 
     for name, part in robots.items():
-        look = (name, name, part.robot.axes_length, 1.0 - part.robot.axes_transparency)
+        alpha = 1.0 - part.robot.axes_transparency
         for body, label in body_labels(model, part.tree).items():
             frame = f"{name}/{label}"
-            add(NamedFrame(frame, frame, *look), Place("", body))
+            size = _axes_length(model, part, body)
+            add(NamedFrame(frame, frame, name, name, size, alpha), Place("", body))
     for name, double in doubles.items():
         part = robots[double.of]
         alpha = _DOUBLE_ALPHA * (1.0 - part.robot.axes_transparency)
         if double.path is None:
             for body, label in list(body_labels(model, part.tree).items())[1:]:
                 frame = f"{name}/{label}"
-                look = (name, name, part.robot.axes_length, alpha)
-                add(NamedFrame(frame, frame, *look), Place(name, body))
+                size = _axes_length(model, part, body)
+                add(NamedFrame(frame, frame, name, name, size, alpha), Place(name, body))
     size = max([part.robot.axes_length for part in robots.values()], default=0.2)
     for name in wanted:
         add(NamedFrame(name, name, "", "", size, 1.0), Place("", _find(model, name)))
@@ -88,6 +89,16 @@ def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
         label = name.strip("/") or f"body{body}"
         labels[body] = f"{label}_{body}" if label in labels.values() else label
     return labels
+
+
+def _axes_length(model: mujoco.MjModel, part: FoundPart, body: int) -> float:
+    """Length of a body's axes, m: that of the joint that moves it, the first one's for a base."""
+    robot = part.robot
+    moved = model.jnt_bodyid[part.tree.joints]
+    while body and body not in moved:
+        body = int(model.body_parentid[body])
+    joint = int(np.flatnonzero(moved == body)[-1]) if body else 0
+    return float(robot.axes_lengths[joint] if isinstance(robot, FoundRobot) else robot.axes_length)
 
 
 def _find(model: mujoco.MjModel, name: str) -> int:

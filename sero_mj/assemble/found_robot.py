@@ -85,6 +85,7 @@ class FoundRobot(SerialRobot):
         return value
 
     _loads: Array | None = PrivateAttr(None)
+    _axes: Array | None = PrivateAttr(None)
 
     @property
     def arrow_loads(self) -> Array:
@@ -100,6 +101,11 @@ class FoundRobot(SerialRobot):
     def axes_length(self) -> float:
         """Length of the axes, m."""
         return self.axes_size
+
+    @property
+    def axes_lengths(self) -> Array:
+        """Length of the axes of what each joint moves (n,), m: a finger's are smaller."""
+        return np.full(self.n, self.axes_size) if self._axes is None else self._axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +171,7 @@ def found_robot(
         "torque_limits": limits,
         "acceleration_limits": _FULL_WIDTH_G * GRAVITY / np.where(revolute, sizes.link, 1.0),
         "arrow_radius": sizes.arrow_radius,
-        "axes_size": sizes.axes,
+        "axes_size": float(np.median(sizes.axes)),
         **said,
     }
     n = len(tree.joints)
@@ -183,6 +189,8 @@ def found_robot(
         )
         if "arrow_width_scale" not in said:
             robot._loads = sizes.load
+        if "axes_size" not in said:
+            robot._axes = sizes.axes
     except DeclarationError as error:
         raise DeclarationError([p.inside(f"robots.{tree.name}") for p in error.problems]) from None
     return robot

@@ -15,7 +15,7 @@ Ints = NDArray[np.intp]
 
 _CLEAR = 1.45  # radius of an arrow over that of the housing it goes round
 _SMALLEST, _LARGEST = 0.12, 0.5  # radius of an arrow, of the length of a link
-_AXES = 0.3  # length of axes, of the length of a link
+_AXES = 2.0  # length of axes over the radius of arrows: they look out of the housings
 _OF_PARENT = 1.4  # how much larger than what turns that may be in which it turns
 _SLAB = 0.2  # of the length of a link: how far from a joint its housing is measured
 _SECTORS = 12
@@ -36,14 +36,14 @@ class Sizes:
     Attributes:
         link: typical distance of neighbouring joints, m.
         arrow_radius: (n,), m; clear of the housing that the arrow goes round.
-        axes: length of coordinate axes, m.
+        axes: length of the coordinate axes of what each joint moves, (n,), m.
         load: what gravity asks of each joint at most, about (n,), Nm or N: the weight behind it
             times its distance.
     """
 
     link: float
     arrow_radius: Array
-    axes: float
+    axes: Array
     load: Array
 
 
@@ -71,7 +71,7 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
         housing = max(own, min(other, _OF_PARENT * own)) if own > 0 else other
         most = _LARGEST * max(links[i], link)
         radius[i] = np.clip(_CLEAR * housing, _SMALLEST * links[i], most)
-    return Sizes(link, radius, _AXES * link, _loads(model, data, tree, link))
+    return Sizes(link, radius, _AXES * radius, _loads(model, data, tree, link))
 
 
 def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Array) -> Array:
