@@ -6,7 +6,6 @@ import logging
 
 import mujoco
 import numpy as np
-from mujoco.studio import viewer_protocol
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
@@ -18,6 +17,7 @@ from ...decor.pen import MAX_GEOMS, Host
 from ...decor.toggles import Toggles
 from ...decor.view import View
 from ..picking import Picked, pick
+from .studio import StudioViewer
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ class WebDecor:
     def lay_out(
         self,
         data: mujoco.MjData,
-        viewer: viewer_protocol.Viewer,
+        viewer: StudioViewer,
         inset: tuple[float, float, float, float],
     ) -> None:
         """Gives the viewer the decor of this moment.
@@ -81,6 +81,8 @@ class WebDecor:
         if width < 1 or height < 1:
             return
         if self._font is None:
+            if not viewer.has_ui:  # outside of its frames Studio's text has no size
+                return
             self._font = studio_font()
         mujoco.mjv_updateCamera(self._world.model, data, viewer.camera, self._camera)
         self.view = View.of_scene(self._camera, width, height, self._font, inset, _PANEL_ALPHA)

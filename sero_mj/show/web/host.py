@@ -25,10 +25,9 @@ from .app import StudioApp
 from .decor import WebDecor
 from .greying import Greying
 from .panels import Panels
-from .studio import LOOPBACK, StudioViewer, quiet
+from .studio import LOOPBACK, RATE, StudioViewer, quiet
 from .time_control import TimeControl
 
-_RATE = 60.0  # pictures/s, Studio's
 _MESSAGE_TIME = 3.0  # s
 _OF_JOINTS = ("link", "double", "arrow", "billboard")
 OnClick = Callable[[Picked | None, str], None]
@@ -130,7 +129,7 @@ class WebHost:
     @property
     def is_due(self) -> bool:
         """Whether it is time for the next frame."""
-        return time.monotonic() - self._begin >= 1.0 / _RATE - 1e-3
+        return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
     def run(self) -> None:
         """Serves frames until the page is closed with File, Quit."""
@@ -151,7 +150,7 @@ class WebHost:
         if not (wait or self.is_due):
             return True
         viewer = self.viewer
-        is_next = viewer.prepare_next_frame()  # sleeps until then
+        viewer.prepare_next_frame()  # sleeps until then
         self._begin = begin = time.monotonic()
         self._advance()
         for event in viewer.get_sim_events():
@@ -160,12 +159,12 @@ class WebHost:
             return False
         for snapshot in viewer.get_sim_snapshots():
             viewer.dispatch(snapshot)
-        if is_next:
+        if viewer.has_ui:
             viewer.dispatch(messages.UpdateEvent())
             viewer.dispatch(messages.BuildGuiEvent())
-            self.decor.lay_out(self.data, viewer, self._panels.inset)
-            self._greying.show(self.decor.grey)
-            viewer.sync()
+        self.decor.lay_out(self.data, viewer, self._panels.inset)
+        self._greying.show(self.decor.grey)
+        viewer.sync()
         self.work = time.monotonic() - begin
         return self.is_open
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
@@ -32,6 +32,7 @@ _NOTE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
 _NOTE_FLAGS |= int(imgui.WindowFlags.NoInputs) | int(imgui.WindowFlags.NoFocusOnAppearing)
 _PANEL_FLAGS = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
+_READABLE = 0.25  # s that a number stands
 _TALL = 0.35  # of the page's height; what is less tall covers little
 # Told apart by lightness as well, on Studio's light and its dark theme.
 MOODS: dict[Mood, tuple[float, float, float] | None] = {
@@ -67,6 +68,7 @@ class Panels(plugin.ViewerPlugin):
         self.shows_status = True
         self.shows_plots = False
         self.shows_help = False
+        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # when, and what it was
         # What the windows at the edges of the page cover, see `View.inset`.
         self.inset = (0.0, 0.0, 0.0, 0.0)
 
@@ -153,7 +155,7 @@ class Panels(plugin.ViewerPlugin):
             if error is not None:
                 tell(f"{source.name}: {error}", "bad")
                 continue
-            found = report(source)
+            found = self._report(source)
             tell(*source_text(found, is_live=source.is_live))
             if found["trouble"]:
                 tell(f"  {found['trouble']}", "bad")
@@ -163,6 +165,15 @@ class Panels(plugin.ViewerPlugin):
                     if meaning:
                         imgui.SetItemTooltip(meaning)
                 imgui.TreePop()
+
+    def _report(self, source: Receiver) -> dict[str, Any]:
+        """What came in, a few times a second: what changes in every frame nobody can read."""
+        now = time.monotonic()
+        when, found = self._reports.get(source.name, (float("-inf"), {}))
+        if now - when >= _READABLE:
+            found = report(source)
+            self._reports[source.name] = now, found
+        return found
 
     def _decor(self) -> None:
         decor = self._host.decor

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import socket
 import time
 from typing import Any
 
@@ -13,6 +14,10 @@ from mujoco.studio import endpoints, viewer_protocol, web_viewer
 from mujoco.studio.web import web_server
 
 LOOPBACK = "127.0.0.1"
+_SEND_BUFFER = 48 * 1024  # bytes on their way to a browser
+_BRIDGE_BUFFER = 16 * 1024  # bytes of user interface on their way to the server
+RATE = 60.0  # pictures/s
+_UI_RATE = 30.0  # user interfaces/s
 _ALIVE = 0.5  # s after which a state is sent although nothing has changed
 
 
@@ -41,6 +46,45 @@ class QuietServer(web_server.WebServer):
         super().update_state(payload)
 
 
+class CalmUi:
+    """Studio's user interface, fewer times a second than the scene.
+
+    A browser takes a bounded number of its frames per picture; one that draws slowly would lag
+    behind, and more so with every second.
+
+    Args:
+        ui: Studio's.
+
+    Attributes:
+        is_due: whether the frame of now has one.
+    """
+
+    def __init__(self, ui: Any) -> None:
+        self._ui = ui
+        self.is_due = False
+        self._next = self._next_ui = 0.0
+
+    def new_frame(self) -> bool:
+        """Sleeps until the next picture and begins its user interface, if it has one."""
+        time.sleep(max(self._next - time.monotonic(), 0.0))
+        now = time.monotonic()
+        self._next = max(self._next, now - 0.5 / RATE) + 1.0 / RATE  # late once is not late ever
+        self.is_due = now >= self._next_ui
+        if self.is_due:
+            self._next_ui = now + 1.0 / _UI_RATE - 0.5 / RATE
+            self.is_due = bool(self._ui.new_frame())  # not while a browser is being connected
+        return True
+
+    def end_frame(self) -> None:
+        """Ends the user interface of the frame, if it has one."""
+        if self.is_due:
+            self._ui.end_frame()
+
+    def upload_image(self, *image: Any) -> int:
+        """See Studio."""
+        return int(self._ui.upload_image(*image))
+
+
 class StudioViewer(web_viewer.WebViewer):
     """Studio's `WebViewer` on one address; Studio 4.0 binds to all of them and cannot be told.
 
@@ -59,6 +103,7 @@ class StudioViewer(web_viewer.WebViewer):
     """
 
     _web_server: QuietServer | None
+    _headless_ui: Any
 
     def __init__(
         self,
@@ -75,6 +120,7 @@ class StudioViewer(web_viewer.WebViewer):
         config = viewer_protocol.ViewerConfig(title=title, http_port=port)
         with quiet():  # its banner does not know what is shown, nor who asked for which address
             super().__init__(config, endpoint, model=model, plugins=plugins, camera=camera)
+        self._headless_ui = CalmUi(self._headless_ui)
         # Who connects and leaves is told by the panel; CI logs need not repeat it.
         logging.getLogger("WebServer").setLevel(logging.WARNING)
 
@@ -87,11 +133,19 @@ class StudioViewer(web_viewer.WebViewer):
         """Studio's constructor wants all interfaces; the user's choice stands."""
 
     def _start_server(self) -> None:
+        # What waits in sockets is shown late: a browser that is slow is to skip frames instead.
+        self._http_sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        self._tcp_sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BRIDGE_BUFFER)
         self._web_server = QuietServer(
             http_sock=self._http_sock, tcp_sock=self._tcp_sock, drop_queue=self._drop_queue
         )
         self._update_model()
         self._web_server.start()
+
+    @property
+    def has_ui(self) -> bool:
+        """Whether the frame of now has a user interface."""
+        return bool(self._headless_ui.is_due)
 
     @property
     def port(self) -> int:
