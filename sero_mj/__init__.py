@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from .show.capture import render_film as render_film
     from .show.capture import render_picture as render_picture
     from .show.headless import HeadlessRenderer as HeadlessRenderer
+    from .show.overlay import Overlay as Overlay
+    from .show.overlay import overlay as overlay
     from .show.viewer import Viewer as Viewer
     from .show.viewer import view as view
     from .simulate.plant import Plant as Plant
@@ -103,6 +105,8 @@ _HOME = {
     "render_film": "show.capture",
     "render_picture": "show.capture",
     "HeadlessRenderer": "show.headless",
+    "Overlay": "show.overlay",
+    "overlay": "show.overlay",
     "Viewer": "show.viewer",
     "view": "show.viewer",
 }

@@ -90,7 +90,7 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         for process in background:
             process.terminate()
             process.wait()
-    assert ran == {"bash": 15, "python": 8, "toml": 12}
+    assert ran == {"bash": 15, "python": 9, "toml": 12}
     made = {path.name for path in (tmp_path / "out").iterdir()}
     assert made == {
         "now.png",

@@ -12,6 +12,11 @@ from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
 
 # Green for commanded positions, as in the paper's section 4.2.
 COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
+# A link nearer to the robot's than this is hidden: it would only flicker in its surface.
+HIDDEN_DISTANCE = 0.002  # m
+HIDDEN_ANGLE = np.deg2rad(0.5)
+# Opacity of a path's first and last double: the row must not hide the robot.
+PATH_FADE = (0.12, 0.6)
 
 
 class Double(Declaration):

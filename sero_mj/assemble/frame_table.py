@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_table import site_ids
 from .named_frames import WORLD, NamedFrame
 from .scene import Scene
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
+Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +41,7 @@ class FrameTable:
 
 
 def frame_table(
-    model: mujoco.MjModel, scene: Scene, owners: Sequence[str], flags: dict[str, int]
+    scene: Scene, owners: Sequence[str], flags: dict[str, int], sites: Sites
 ) -> FrameTable:
     """Lists all named frames of a compiled scene."""
     rows = scene.named_frames().values()
@@ -57,7 +56,7 @@ def frame_table(
         owner=np.array(
             [owners.index(row.shown_with) if row.shown_with else -1 for row in rows], np.intp
         ),
-        site=site_ids(model, [row.site for row in rows]),
+        site=sites([row.site for row in rows]),
         size=np.array([row.size for row in rows], np.float64),
         alpha=np.array([row.alpha for row in rows], np.float64),
         shown=np.array([row.shown for row in rows], bool),
@@ -98,21 +97,21 @@ class ArrowTable:
 
 
 def arrow_table(
-    model: mujoco.MjModel, scene: Scene, slots: dict[str, slice], flags: dict[str, int]
+    scene: Scene, slots: dict[str, slice], flags: dict[str, int], sites: Sites
 ) -> ArrowTable:
     """Lists all smart arrows of a compiled scene."""
     arrows = scene.arrows.values()
     frames = scene.named_frames()
 
     def components(name: str) -> int:
-        return -1 if name == WORLD else int(site_ids(model, [frames[name].site])[0])
+        return -1 if name == WORLD else int(sites([frames[name].site])[0])
 
     rows = {name: i for i, name in enumerate(frames)} | {WORLD: -1}
     used = [(rows.get(a.at, -1) if a.site is None else -1, rows[a.components_in]) for a in arrows]
     starts = np.array([slots[f"{name}.vector"].start for name in scene.arrows], np.intp)
     return ArrowTable(
         names=list(scene.arrows),
-        site=site_ids(model, [arrow.site or frames[arrow.at].site for arrow in arrows]),
+        site=sites([arrow.site or frames[arrow.at].site for arrow in arrows]),
         components_site=np.array([components(arrow.components_in) for arrow in arrows], np.intp),
         frames=np.array(used, np.intp).reshape(-1, 2),
         slots=starts[:, None] + np.arange(3),

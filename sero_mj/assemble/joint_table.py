@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,8 @@ class JointTable:
         owner: index in the world's `owners`.
         of_robot: how many are robots' joints; the rest are doubles'.
         revolute: whether it turns.
-        centre_site: site whose z is the joint's axis, where its arrow and billboard stand.
+        centre_site: site whose z is the joint's axis, where its arrow and billboard stand; a row
+            of `site_xpos` in what `World.state` returns.
         qpos: index in `qpos` of the robots' joints, (of_robot,).
         angle_slots: index in `userdata` of the doubles' joint angles, (N - of_robot,).
         slots: for each per-joint input, index in `userdata` of its value; -1 where the joint's
@@ -41,6 +42,8 @@ class JointTable:
         arrow_dead_band: share of the limit.
         arrow_radius: m.
         arrow_width_scale: m per Nm.
+        arrow_load: Nm or N at which one without a limit is as wide as its radius; inf where
+            `arrow_width_scale` says how wide it is.
         arrow_alpha: opacity of its arrow.
     """
 
@@ -59,6 +62,7 @@ class JointTable:
     arrow_dead_band: Array
     arrow_radius: Array
     arrow_width_scale: Array
+    arrow_load: Array
     arrow_alpha: Array
 
     def angles(self, data: mujoco.MjData) -> Array:
@@ -67,12 +71,19 @@ class JointTable:
 
 
 def joint_table(
-    model: mujoco.MjModel,
     owners: Mapping[str, Owner],
     slots: Mapping[str, slice],
     flags: Mapping[str, int],
+    sites: Callable[[Sequence[str]], Ints],
 ) -> JointTable:
-    """Lists all joints of a compiled scene."""
+    """Lists all joints of a compiled scene.
+
+    Args:
+        owners: robots, then doubles, by name.
+        slots: place of every input in userdata.
+        flags: likewise, of what says that it came.
+        sites: ids of sites by name.
+    """
     parts = list(owners.values())
     robots = [part.robot for part in parts]
     counts = [robot.n for robot in robots]
@@ -103,9 +114,7 @@ def joint_table(
         owner=gather(range(len(parts)), np.intp),
         of_robot=sum(len(q) for q in qpos),
         revolute=gather([part.dh.revolute for part in parts], bool),
-        centre_site=site_ids(
-            model, [f"{p.scope}centre{i + 1}" for p in parts for i in range(p.robot.n)]
-        ),
+        centre_site=sites([f"{p.scope}centre{i + 1}" for p in parts for i in range(p.robot.n)]),
         qpos=np.concatenate([*qpos, []]).astype(np.intp),
         angle_slots=np.concatenate([*doubled, []]).astype(np.intp),
         slots={key: gather(slots_of(key), np.intp) for key in keys},
@@ -124,6 +133,7 @@ def joint_table(
             ]
         ),
         arrow_width_scale=gather([robot.arrow_width_scale for robot in robots]),
+        arrow_load=gather([robot.arrow_loads for robot in robots]),
         arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from dm_control import mjcf
 
-from .double import Double
+from .double import PATH_FADE, Double
 from .mjcf_geoms import SITE_GROUP, joint_centre, mesh_asset, set_pose, shape_geom
 from .robot import SerialRobot
 from .shapes import grow_links
@@ -18,8 +18,6 @@ OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
 # A double is a little smaller than its robot, so that where they nearly coincide its surface lies
 # inside and does not flicker through the robot's.
 _SHRINK = 0.985
-# Opacity of a path's first and last double: the row must not hide the robot.
-_PATH_FADE = (0.12, 0.6)
 
 
 def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
@@ -44,7 +42,7 @@ def add_double(root: mjcf.RootElement, double: Double, robot: SerialRobot) -> No
     a kilometre large and scale near plane, far plane and shadows by it.
     """
     rows = body_names(double, robot)
-    fade = np.linspace(*_PATH_FADE, len(rows)) if len(rows) > 1 else np.ones(1)
+    fade = np.linspace(*PATH_FADE, len(rows)) if len(rows) > 1 else np.ones(1)
     grown = [] if robot.filenames else grow_links(robot.dh, robot.flange_frame, robot.strokes)
     at_zero = robot.dh.frames(np.zeros(robot.n), robot.base_frame)
     for names, share in zip(rows, fade, strict=True):

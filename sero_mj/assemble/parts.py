@@ -60,6 +60,32 @@ class RobotPart:
         """What its billboards say, where declared."""
         return self.robot.billboard_lines
 
+    @property
+    def base_name(self) -> str:
+        """Name of the frame of its base."""
+        return f"{self.robot.name}/base"
+
+    @property
+    def flange_name(self) -> str:
+        """Name of the frame of its flange."""
+        return f"{self.robot.name}/flange"
+
+    @property
+    def link_names(self) -> list[str]:
+        """Names of its base and links, n + 1."""
+        name = self.robot.name
+        return [self.base_name] + [f"{name}/link{i + 1}" for i in range(self.robot.n)]
+
+    @property
+    def chain(self) -> Ints:
+        """Which of its joints move the flange, in order from the base."""
+        return np.arange(self.robot.n)
+
+    @property
+    def reach(self) -> float:
+        """The sum of all lengths in its table, m; 1 where that is zero."""
+        return float(np.abs(self.dh.a).sum() + np.abs(self.dh.d).sum()) or 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class DoublePart:
@@ -103,6 +129,21 @@ class DoublePart:
     def scope(self) -> str:
         """What the names of its sites start with."""
         return f"double-{self.double.name}-"
+
+    @property
+    def flange_name(self) -> str:
+        """Name of the frame of its flange."""
+        return f"{self.double.name}/{self.of.flange_name.partition('/')[2]}"
+
+    @property
+    def chain(self) -> Ints:
+        """Which of its joints move the flange, in order from the base."""
+        return self.of.chain
+
+    @property
+    def reach(self) -> float:
+        """The reach of the robot it doubles, m."""
+        return self.of.reach
 
     @property
     def arrow_quantity(self) -> str:

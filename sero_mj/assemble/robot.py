@@ -271,6 +271,14 @@ class SerialRobot(Declaration):
         return _CLEAR_OF_HOUSING * housing_radii(self.dh, self.flange_frame)
 
     @property
+    def arrow_loads(self) -> Array:
+        """At which torque an arrow without limit is as wide as its radius (n,), Nm or N.
+
+        Infinite where `arrow_width_scale` says how wide it is.
+        """
+        return np.full(self.n, np.inf)
+
+    @property
     def axes_length(self) -> float:
         """Length of the axes, m: as declared, else in proportion to grown shapes."""
         if self.filenames or "axes_size" in self.model_fields_set:

@@ -7,6 +7,7 @@ copies, history and recordings carry it. `mj_resetData` zeroes it: apply the lat
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from ..errors import DeclarationError, Problem, UnknownName
 from .declaration import numbers
 from .frame_table import arrow_table, frame_table
 from .frames import frame_from, inverse
+from .ghost import Ghost
 from .inputs import Input, list_inputs, userdata_slots
-from .joint_table import joint_table
+from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
 from .mjcf import build_mjcf, moved_body, xml_text
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
@@ -56,10 +58,13 @@ class World:
         slots: name to slice of `userdata`, e.g. `lwr.torques`, `sources.udp`.
         flags: name of an input to the index in `userdata` that says whether something came.
         placed: index in `mocap_pos` of what a `frame` or `base_frame` input places, by name.
+        is_borrowed: whether the model is somebody else's (`ModelWorld`).
 
     Raises:
         DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
     """
+
+    is_borrowed = False
 
     def __init__(self, scene: Scene, *, dynamic: bool = False) -> None:
         self.scene = scene
@@ -88,9 +93,10 @@ class World:
         self.doubles = self._find_doubles()
         single = {name: part for name, part in self.doubles.items() if part.path is None}
         self.owners: dict[str, Owner] = {**self.robots, **single}
-        self.joints = joint_table(self.model, self.owners, self.slots, self.flags)
-        self.frames = frame_table(self.model, scene, list(self.owners), self.flags)
-        self.arrows = arrow_table(self.model, scene, self.slots, self.flags)
+        sites = partial(site_ids, self.model)
+        self.joints = joint_table(self.owners, self.slots, self.flags, sites)
+        self.frames = frame_table(scene, list(self.owners), self.flags, sites)
+        self.arrows = arrow_table(scene, self.slots, self.flags, sites)
         self.placed = {name: part.mocap for name, part in self.robots.items()}
         for name in [*scene.frames, *(item.name for item in scene.objects), *scene.cameras]:
             body = f"frame-{name}" if name in scene.frames else moved_body(name)
@@ -103,6 +109,22 @@ class World:
         data = mujoco.MjData(self.model)
         self.reset(data)
         return data
+
+    def state(self, data: mujoco.MjData) -> Any:
+        """What decor reads of `data`: here `data` itself, which has a site for all that it needs.
+
+        A `ModelWorld` returns an object with the same fields.
+        """
+        return data
+
+    def ghosts(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+        """Doubles that are drawn and not compiled in: none here, those of a `ModelWorld`.
+
+        Args:
+            state: what `state` returned.
+            shown: which doubles are switched on, (D,).
+        """
+        return []
 
     def reset(self, data: mujoco.MjData) -> None:
         """Puts every robot at its declared joint angles and shows what the scene declares."""
@@ -190,6 +212,7 @@ class World:
         if robot not in self.robots:
             raise UnknownName("robot", robot, self.robots)
         part = self.robots[robot]
+        data = self.state(data)
         T_world_base, T_world_flange = np.eye(4), np.eye(4)
         for T, body in ((T_world_base, part.bodies[0]), (T_world_flange, part.flange_body)):
             T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
@@ -203,6 +226,7 @@ class World:
         """
         if name not in self.frames.names:
             raise UnknownName("frame", name, self.frames.names)
+        data = self.state(data)
         site = self.frames.site[self.frames.names.index(name)]
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]

@@ -118,7 +118,7 @@ def _tinted(part: object) -> Array:
 
 def _declared_heights(world: World) -> Array:
     """Height of every joint where the scene declares it, a double's where its robot's is, (N,)."""
-    data = world.make_data()
+    data = world.state(world.make_data())
     joints = world.joints
     heights = np.array(data.site_xpos[joints.centre_site, 2])
     for part in world.doubles.values():

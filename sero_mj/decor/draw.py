@@ -57,10 +57,12 @@ class Decor:
             view: from where, and how large the picture is.
         """
         pen, world = self.pen, self._world
+        data = world.state(data)
         pen.clear()
         toggles.follow(data)
         shown = toggles.shown(data)
         pen.hidden = toggles.hidden_geoms()
+        pen.ghosts = world.ghosts(data, toggles.doubles)
         stale = self._staleness.find(data)
         for name, on in zip(world.doubles, toggles.doubles, strict=True):
             if not on:

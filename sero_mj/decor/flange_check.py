@@ -132,8 +132,8 @@ class FlangeCheck:
         part: RobotPart = world.robots[name]
         received = _received(world, data, name)
         assert received is not None
-        base = world.frame(data, f"{name}/base")
-        own = world.frame(data, f"{name}/flange")[:3, 3]
+        base = world.frame(data, part.base_name)
+        own = world.frame(data, part.flange_name)[:3, 3]
         T = base @ received
         length = np.array([_AXES_SHARE * part.robot.axes_length])
         rgb = (AXIS_RGB + _PALE * (1.0 - AXIS_RGB))[None]

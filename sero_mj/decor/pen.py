@@ -9,7 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.ghost import Ghost
 from .geoms import GEOM, set_geom, struct_view
+from .ghosts import GhostPainter
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 MAX_GEOMS = 1024  # MuJoCo Studio's web viewer silently drops what is over it
@@ -43,6 +45,7 @@ class Pen:
         left_out: how many found no room in this frame.
         grey: which geoms of the model are to be shown grey, (ngeom,) bool; None for none.
         hidden: which geoms of the model are not to be shown, (ngeom,) bool; None for none.
+        ghosts: doubles to be drawn that are not compiled in.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -58,6 +61,7 @@ class Pen:
         self.items = np.zeros(capacity, np.intp)
         self.grey: NDArray[np.bool_] | None = None
         self.hidden: NDArray[np.bool_] | None = None
+        self.ghosts: list[Ghost] = []
         self._labelled: list[slice] = []
         self.count = 0
         self.left_out = 0
@@ -110,6 +114,7 @@ class Host:
     def __init__(self, scene: mujoco.MjvScene) -> None:
         self._scene = scene
         self._view = struct_view(scene)
+        self._painter: GhostPainter | None = None
 
     def add(self, pen: Pen) -> int:
         """Appends the pen's geoms to the scene.
@@ -120,9 +125,14 @@ class Host:
         scene = self._scene
         if pen.hidden is not None:
             self._hide(pen.hidden)
-        start = scene.ngeom
         if pen.grey is not None:
-            self._grey(pen.grey, start)
+            self._grey(pen.grey, scene.ngeom)
+        left_out = 0
+        if pen.ghosts:
+            if self._painter is None:
+                self._painter = GhostPainter(pen.ghosts[0].model)
+            left_out = sum(self._painter.add(ghost, scene, self._view) for ghost in pen.ghosts)
+        start = scene.ngeom
         count = min(pen.count, scene.maxgeom - start)
         if self._view is not None:
             self._view[start : start + count] = pen.rows[:count]
@@ -130,7 +140,7 @@ class Host:
             for geom, row in zip(scene.geoms[start : start + count], pen.rows, strict=False):
                 set_geom(geom, row)
         scene.ngeom = start + count
-        return int(pen.count - count)
+        return int(pen.count - count) + left_out
 
     def _hide(self, hidden: NDArray[np.bool_]) -> None:
         """Takes geoms of the model out of the scene."""

@@ -23,6 +23,7 @@ def joint_values(world: World, data: mujoco.MjData) -> dict[str, Array]:
         name to (N,): everything that can be received, `joint_angles`, and `torque_error`
         (commanded - measured); NaN where there is no data.
     """
+    data = world.state(data)
     joints, userdata = world.joints, data.userdata
     values: dict[str, Array] = {"joint_angles": joints.angles(data)}
     for key, slots in joints.slots.items():

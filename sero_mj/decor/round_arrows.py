@@ -82,9 +82,9 @@ class RoundArrows:
             others: how many geoms axes and cards need.
         """
         joints = self._world.joints
-        widths = arrow_widths(
-            values, limit, joints.arrow_radius, joints.arrow_width_scale, joints.arrow_dead_band
-        )
+        by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
+        scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
+        widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
         visible = shown.arrows & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
         over = np.abs(values) > limit  # false for NaN
         rgba = np.where((values > 0)[:, None], POSITIVE_RGBA, NEGATIVE_RGBA)

@@ -35,29 +35,33 @@ def towards_singularity(world: World, data: mujoco.MjData, part: Owner) -> Array
         (n,), -1 to 1: the sign is the direction of motion that leads nearer; the largest
         magnitude is the nearness, 0 at `FAR` and above, 1 at the singularity.
     """
+    towards = np.zeros(part.robot.n)
+    if not len(part.chain):
+        return towards
     c, gradient = inverse_condition(jacobian(world, data, part))
     nearness = np.clip(1.0 - c / FAR, 0.0, 1.0)
     largest = np.abs(gradient).max()
-    if largest < 1e-12:
-        return np.zeros(len(gradient))
-    return np.asarray(-gradient / largest * nearness)
+    if largest >= 1e-12:
+        towards[part.chain] = -gradient / largest * nearness
+    return towards
 
 
 def jacobian(world: World, data: mujoco.MjData, part: Owner) -> Array:
-    """Geometric Jacobian (6, n) of the flange, lengths in units of the robot's reach.
+    """Geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
 
-    It is made from the sites at the joints, for a double has no degrees of freedom in MuJoCo.
+    Its columns are those joints that move the flange, all n of a serial robot. It is made from the
+    sites at the joints, for a double has no degrees of freedom in MuJoCo.
     """
-    sites = world.joints.centre_site[part.joints]
+    chain = part.chain
+    sites = world.joints.centre_site[part.joints][chain]
     rotation = data.site_xmat[sites].reshape(-1, 3, 3)
     axis = rotation[:, :, 2]
     # The site is moved from the axis by `offsets_to_center_of_joints`.
-    on_axis = data.site_xpos[sites] - np.einsum("nij,nj->ni", rotation, part.robot.offsets)
-    flange = world.frames.names.index(f"{part.declared.name}/flange")
+    on_axis = data.site_xpos[sites] - np.einsum("nij,nj->ni", rotation, part.robot.offsets[chain])
+    flange = world.frames.names.index(part.flange_name)
     lever = data.site_xpos[world.frames.site[flange]] - on_axis
-    reach = float(np.abs(part.dh.a).sum() + np.abs(part.dh.d).sum()) or 1.0
-    turns = part.dh.revolute[:, None]
-    linear = np.where(turns, np.cross(axis, lever), axis) / reach
+    turns = part.dh.revolute[chain][:, None]
+    linear = np.where(turns, np.cross(axis, lever), axis) / part.reach
     return np.concatenate([linear, np.where(turns, axis, 0.0)], axis=1).T
 
 

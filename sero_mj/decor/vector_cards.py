@@ -22,7 +22,7 @@ class VectorCards:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        heights = world.make_data().site_xpos[world.arrows.site, 2]
+        heights = world.state(world.make_data()).site_xpos[world.arrows.site, 2]
         self._rank = heights_in_order(heights)
 
     def cards(

@@ -6,16 +6,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE
 from ..assemble.frames import frame, rotation_from_quat
 from ..assemble.mjcf_double import OUT_OF_SIGHT
 from ..assemble.parts import DoublePart
 from ..assemble.world import World
 
 Array = NDArray[np.float64]
-
-# A link nearer to the robot's than this is hidden: it would only flicker in its surface.
-HIDDEN_DISTANCE = 0.002  # m
-HIDDEN_ANGLE = np.deg2rad(0.5)
 
 
 def pose_doubles(world: World, data: mujoco.MjData) -> None:

@@ -55,9 +55,13 @@ def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
     What a route hangs on a robot's flange is where the robot has it.
     """
     model, data = world.model, world.make_data()
-    with contextlib.suppress(DeclarationError):  # wrong routes are told by who follows them
-        Placer(world).place(data)
     solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+    if world.is_borrowed:  # its surroundings may be a whole house
+        bases = [part.bodies[0] for part in world.robots.values()]
+        solid &= np.isin(model.body_rootid[model.geom_bodyid], bases)
+    else:
+        with contextlib.suppress(DeclarationError):  # wrong routes are told by who follows them
+            Placer(world).place(data)
     solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles that are nowhere yet
     if not solid.any():
         return np.zeros(3), 1.0

@@ -20,7 +20,9 @@ from ..errors import RenderError
 from .camera import find_camera
 from .font_scale import font_scale
 from .interaction import Gesture, click, hover
+from .offscreen import offscreen_size
 from .picking import Picked, pick
+from .picture import Picture
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +43,9 @@ class HeadlessRenderer:
         toggles: what is shown.
         camera: may be moved between frames.
         view: of the frame laid out last.
+        pen: its decor.
+        left_out: how many geoms found no room in it.
+        size: width and height, pixels.
 
     Raises:
         RenderError: no OpenGL, or the size is out of range.
@@ -59,7 +64,10 @@ class HeadlessRenderer:
         self.world = world
         self.toggles = Toggles(world)
         self.camera = find_camera(world, camera)
+        self.size = (width, height)
         self.view: View | None = None
+        self.pen: Pen | None = None
+        self.left_out = 0
         self._decor = Decor(world)
         self._renderer = _make_renderer(world, width, height)
         self._font = Font.of_context(self._renderer._mjr_context)
@@ -76,21 +84,22 @@ class HeadlessRenderer:
             out: (height, width, 3), written to when given.
 
         Returns:
-            (height, width, 3), 0 to 255.
+            (height, width, 3), 0 to 255; a notebook shows it.
         """
         _, pen = self._lay_out(data)
-        left_out = pen.left_out + self._host.add(pen)
-        if left_out and not self._complained:
+        self.left_out = pen.left_out + self._host.add(pen)
+        if self.left_out and not self._complained:
             self._complained = True
-            log.warning("%d decor geoms found no room and are not shown", left_out)
+            log.warning("%d decor geoms found no room and are not shown", self.left_out)
         pixels: NDArray[np.uint8] = self._renderer.render(out=out)
-        return pixels
+        return pixels if out is not None else pixels.view(Picture)
 
     def _lay_out(self, data: mujoco.MjData) -> tuple[View, Pen]:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
         self.view = View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
-        return self.view, self._decor.draw(data, self.toggles, self.view)
+        self.pen = self._decor.draw(data, self.toggles, self.view)
+        return self.view, self.pen
 
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
@@ -155,10 +164,10 @@ def _from_below(view: View, x: float, y: float) -> tuple[float, float]:
 
 def _make_renderer(world: World, width: int, height: int) -> Any:
     model = world.model
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{font_scale(world, height)}")
     try:
-        return mujoco.Renderer(model, height, width, font_scale=font)
+        with offscreen_size(model, width, height):
+            return mujoco.Renderer(model, height, width, font_scale=font)
     except Exception as error:  # every GL backend raises its own
         advice = "`sero-mj doctor` says what is missing"
         if not os.environ.get("MUJOCO_GL"):

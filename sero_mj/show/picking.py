@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.parts import RobotPart
 from ..assemble.world import World
 from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
 from ..decor.view import View
@@ -145,7 +146,10 @@ def _pick_solid(
     world: World, data: mujoco.MjData, pen: Pen, origin: Array, direction: Array
 ) -> Picked | None:
     model = world.model
-    hit, distance = _ray(model, data, pen, origin, direction)
+    hit, distance = _ray(model, data, pen.hidden, origin, direction)
+    ghost = _pick_ghost(world, pen, origin, direction)
+    if ghost is not None and (hit < 0 or ghost.distance < distance):
+        return ghost
     if hit < 0 or model.geom_type[hit] == mujoco.mjtGeom.mjGEOM_PLANE:
         return None
     body = int(model.geom_bodyid[hit])
@@ -155,22 +159,49 @@ def _pick_solid(
             label = f"{name}/link{link}" if link else f"{name}/base"
             joint = -1 if name not in world.owners else double.joints.start + max(link - 1, 0)
             return Picked("double", label, name, joint, distance)
-    while body:  # children of a link belong to it
-        for name, part in world.robots.items():
-            found = (part.bodies == body).nonzero()[0]
-            if body == part.flange_body:
-                return Picked("link", f"{name}/flange", name, part.joints.stop - 1, distance)
-            if len(found):
-                link = int(found[0])
-                label = f"{name}/link{link}" if link else f"{name}/base"
-                joint = part.joints.start + max(link - 1, 0)
-                return Picked("link", label, name, joint, distance)
-        body = int(model.body_parentid[body])
+    for name, part in world.robots.items():
+        of_robot = _link_of(world, part, body)
+        if of_robot is not None:
+            label, joint = of_robot
+            return Picked("link", label, name, part.joints.start + joint, distance)
     return Picked("object", model.geom(hit).name, "", -1, distance)
 
 
+def _link_of(world: World, part: RobotPart, body: int) -> tuple[str, int] | None:
+    """Name of a robot's link that a body belongs to, and the joint that moves it, from 0."""
+    while body:  # children of a link belong to it
+        found = (part.bodies == body).nonzero()[0]
+        if len(found):
+            link = int(found[0])
+            return part.link_names[link], max(link - 1, 0)
+        if body == part.flange_body:
+            return part.flange_name, int(part.chain[-1])
+        body = int(world.model.body_parentid[body])
+    return None
+
+
+def _pick_ghost(world: World, pen: Pen, origin: Array, direction: Array) -> Picked | None:
+    """The nearest double along a ray of those that are not compiled in."""
+    nearest = None
+    for ghost in pen.ghosts:
+        double = world.doubles[ghost.double]
+        hit, distance = _ray(ghost.model, ghost.data, ~ghost.geoms, origin, direction)
+        if hit < 0 or (nearest is not None and nearest.distance <= distance):
+            continue
+        link = _link_of(world, double.of, int(world.model.geom_bodyid[hit]))
+        if link is not None:
+            label = f"{ghost.double}/{link[0].partition('/')[2]}"
+            joint = -1 if double.path is not None else double.joints.start + link[1]
+            nearest = Picked("double", label, ghost.double, joint, distance)
+    return nearest
+
+
 def _ray(
-    model: mujoco.MjModel, data: mujoco.MjData, pen: Pen, origin: Array, direction: Array
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    hidden: NDArray[np.bool_] | None,
+    origin: Array,
+    direction: Array,
 ) -> tuple[int, float]:
     """The first geom along a ray, those that are hidden left out; -1 for none."""
     geom = np.full(1, -1, np.int32)
@@ -182,7 +213,7 @@ def _ray(
         if hit < 0:
             return -1, 0.0
         travelled += distance
-        if pen.hidden is None or not pen.hidden[hit]:
+        if hidden is None or not hidden[hit]:
             return hit, travelled
         travelled += _STEP
     return -1, 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,14 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..drive.mirror import Mirror, load_scene
+from ..drive.watch import Watch
 from .display import has_display
 from .headless import DEFAULT_SIZE
 from .live import LiveHost, open_page, open_window
+from .overlay import Overlay
 from .picking import Picked
+
+log = logging.getLogger(__name__)
 
 
 class Viewer:
@@ -104,7 +109,7 @@ class Viewer:
 
 
 def view(
-    scene: Scene | Path | str,
+    scene: Scene | Overlay | Path | str,
     *,
     web: bool | None = None,
     camera: str | None = None,
@@ -122,7 +127,8 @@ def view(
                 viewer.set("lwr.torques", my_torques())
 
     Args:
-        scene: a scene, a TOML file, or a shipped scene's name.
+        scene: a scene, a TOML file, a shipped scene's name, or an `overlay`, whose data the caller
+            steps.
         web: whether it is a page, and its address is printed; None for a page where there is no
             screen for a window.
         camera: see `find_camera`.
@@ -135,14 +141,19 @@ def view(
         SeroError: what is wrong with the scene, its sources or the camera, no display for a
             window, or no such address for a page.
     """
-    if not isinstance(scene, Scene):
-        scene = load_scene(scene)
+    if isinstance(scene, Overlay):
+        mirror: Mirror = Watch(scene.world)
+    else:
+        mirror = Mirror(scene if isinstance(scene, Scene) else load_scene(scene))
     if web is None:
         web = not has_display()
     if not web:
         options = {"size": size, "camera": camera, "full_screen": full_screen}
-        return Viewer(Mirror(scene), open_window, **options)
+        return Viewer(mirror, open_window, **options)
     page = {"camera": camera, "port": port, **({} if host is None else {"host": host})}
-    viewer = Viewer(Mirror(scene), open_page, **page)
-    print(f"{scene.name} is at {viewer.url}", flush=True)
+    viewer = Viewer(mirror, open_page, **page)
+    if mirror.world.is_borrowed and mirror.world.doubles:  # Studio draws no meshes of ours
+        log.warning("a page shows no doubles of an overlay; a window and pictures do")
+        viewer.host.toggles.doubles[:] = False
+    print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
     return viewer

@@ -15,6 +15,7 @@ from ..decor.font import Font, nearest_font_scale
 from ..errors import RenderError
 from .events import LEFT, MIDDLE, RIGHT, Event
 from .font_scale import font_scale
+from .offscreen import offscreen_size
 
 _SAMPLES = 4  # per pixel, against jagged edges
 _HUD_TEXT = 18.0  # pixels, of the window's own text at content scale 1
@@ -79,8 +80,8 @@ class GlWindow:
         self._least_scale = nearest_font_scale(height)
         self._scale = max(font_scale(world, self.size[1]), self._least_scale)
         # The window's own buffer is drawn to, and the one for pictures without one is not.
-        world.model.vis.global_.offwidth = world.model.vis.global_.offheight = 16
-        self.context = mujoco.MjrContext(world.model, self._scale)
+        with offscreen_size(world.model, 16, 16):
+            self.context = mujoco.MjrContext(world.model, self._scale)
         empty = mujoco.MjModel.from_xml_string("<mujoco/>")
         empty.vis.global_.offwidth = empty.vis.global_.offheight = 16
         empty.vis.quality.shadowsize = empty.vis.quality.offsamples = 0

@@ -1,0 +1,183 @@
+"""How large decor must be on a robot that nobody declared: from its links' shapes and masses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from .model_trees import Tree
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+_CLEAR = 1.45  # radius of an arrow over that of the housing it goes round
+_SMALLEST, _LARGEST = 0.12, 0.5  # radius of an arrow, of the length of a link
+_AXES = 2.0  # length of axes over the radius of arrows: they look out of the housings
+_OF_PARENT = 1.4  # how much larger than what turns that may be in which it turns
+_SLAB = 0.2  # of the length of a link: how far from a joint its housing is measured
+_SECTORS = 12
+_MOST_POINTS = 1500  # of a mesh
+_SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
+_AT_ONE_PLACE = 0.02  # of the robot's extent
+GRAVITY = 9.81  # m/s2
+_LEAST_SHARE = 0.02  # of the largest load of a robot, that any joint's is taken for
+_ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+_RING = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
+_TYPES = mujoco.mjtGeom
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Sizes of a robot's decor.
+
+    Attributes:
+        link: typical distance of neighbouring joints, m.
+        arrow_radius: (n,), m; clear of the housing that the arrow goes round.
+        axes: length of the coordinate axes of what each joint moves, (n,), m.
+        load: what gravity asks of each joint at most, about (n,), Nm or N: the weight behind it
+            times its distance.
+    """
+
+    link: float
+    arrow_radius: Array
+    axes: Array
+    load: Array
+
+
+def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
+    """Measures a robot.
+
+    Args:
+        model: compiled.
+        data: with frames up to date (`mj_fwdPosition`) in the pose to be measured.
+        tree: the robot.
+    """
+    anchors, axes = data.xanchor[tree.joints], data.xaxis[tree.joints]
+    points, of_body = _surface(model, data, tree.bodies)
+    bodies = model.jnt_bodyid[tree.joints]
+    parents = model.body_parentid[bodies]
+    links = _link_lengths(model, tree, anchors, points)
+    link = float(np.median(links))
+    radius = np.empty(len(tree.joints))
+    for i in range(len(tree.joints)):
+        own, other = (
+            _housing_radius(points[of_body == around] - anchors[i], axes[i], _SLAB * links[i])
+            for around in (bodies[i], parents[i])
+        )
+        # A finger is not as thick as its palm; a body without a surface is part of its parent.
+        housing = max(own, min(other, _OF_PARENT * own)) if own > 0 else other
+        most = _LARGEST * max(links[i], link)
+        radius[i] = np.clip(_CLEAR * housing, _SMALLEST * links[i], most)
+    return Sizes(link, radius, _AXES * radius, _loads(model, data, tree, link))
+
+
+def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Array) -> Array:
+    """For every joint, how far it is to the farther of its neighbours in the tree, (n,), m.
+
+    Joints at one place, as those of a wrist or a hip, are taken for one.
+    """
+    extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    row = {int(body): i for i, body in enumerate(model.jnt_bodyid[tree.joints])}
+    before = np.full(len(anchors), -1)  # the joint that each hangs on
+    for i, body in enumerate(model.jnt_bodyid[tree.joints]):
+        at = int(body)
+        while at and before[i] < 0:
+            at = int(model.body_parentid[at])
+            k = row.get(at, -1)
+            if k >= 0 and np.linalg.norm(anchors[i] - anchors[k]) > _AT_ONE_PLACE * extent:
+                before[i] = k
+    links = np.zeros(len(anchors))
+    for i in (before >= 0).nonzero()[0].tolist():
+        step = float(np.linalg.norm(anchors[i] - anchors[before[i]]))
+        links[i], links[before[i]] = max(links[i], step), max(links[before[i]], step)
+    for i in range(len(anchors)):  # those at one place share the longest
+        beside = np.linalg.norm(anchors - anchors[i], axis=1) <= _AT_ONE_PLACE * extent
+        links[i] = max(links[i], float(links[beside].max()))
+    known = links > 0
+    links[~known] = np.median(links[known]) if known.any() else extent / 2 or 0.2
+    return links
+
+
+def _housing_radius(points: Array, axis: Array, slab: float) -> float:
+    """How far a body reaches from an axis on most sides; a link leads away on one or two.
+
+    Args:
+        points: of its surface, seen from the joint's anchor, (k, 3), m.
+        axis: unit vector (3,).
+        slab: how far along the axis to look, m.
+    """
+    along = points @ axis
+    across = points - along[:, None] * axis
+    near = np.abs(along) <= slab
+    if not near.any():
+        return 0.0
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    angle = np.arctan2(across[near] @ np.cross(axis, side), across[near] @ side)
+    sector = np.floor((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
+    reach = np.zeros(_SECTORS)
+    np.maximum.at(reach, sector, np.linalg.norm(across[near], axis=1))
+    if not reach.any():
+        return 0.0
+    return float(np.median(reach)) or float(reach[reach > 0].min())
+
+
+def _loads(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, link: float) -> Array:
+    bodies = model.jnt_bodyid[tree.joints]
+    mass = model.body_subtreemass[bodies]
+    lever = np.linalg.norm(data.subtree_com[bodies] - data.xanchor[tree.joints], axis=1)
+    hinge = model.jnt_type[tree.joints] == mujoco.mjtJoint.mjJNT_HINGE
+    load = GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
+    for kind in (hinge, ~hinge):
+        if kind.any():
+            load[kind] = np.maximum(load[kind], _LEAST_SHARE * load[kind].max())
+    return np.asarray(np.maximum(load, 1e-9))
+
+
+def _surface(model: mujoco.MjModel, data: mujoco.MjData, bodies: Ints) -> tuple[Array, Ints]:
+    """Points on the visible geoms of bodies (k, 3), m, and which body each belongs to, (k,)."""
+    mine = np.isin(model.geom_bodyid, bodies)
+    shown = mine & (model.geom_group < _SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0)
+    points, owners = [np.empty((0, 3))], [np.empty(0, np.intp)]
+    for geom in (shown if shown.any() else mine).nonzero()[0]:
+        local = _geom_points(model, int(geom))
+        points.append(data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T)
+        owners.append(np.full(len(local), model.geom_bodyid[geom], np.intp))
+    return np.concatenate(points), np.concatenate(owners)
+
+
+def _geom_points(model: mujoco.MjModel, geom: int) -> Array:
+    """Points on the surface of a geom in its own frame, (k, 3), m."""
+    kind, size = _TYPES(int(model.geom_type[geom])), np.array(model.geom_size[geom])
+    if kind == _TYPES.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        step = max(count // _MOST_POINTS, 1)
+        return np.array(model.mesh_vert[first : first + count : step], np.float64)
+    ring = _RING
+    if kind in (_TYPES.mjGEOM_SPHERE, _TYPES.mjGEOM_ELLIPSOID):
+        return _ball(np.full(3, size[0]) if kind == _TYPES.mjGEOM_SPHERE else size)
+    if kind in (_TYPES.mjGEOM_CAPSULE, _TYPES.mjGEOM_CYLINDER, _TYPES.mjGEOM_BOX):
+        if kind == _TYPES.mjGEOM_BOX:  # the ring pushed out to a rectangle
+            ring = ring / np.abs(ring).max(axis=1, keepdims=True) * [size[0], size[1], 1.0]
+            half = size[2]
+        else:
+            ring, half = ring * size[0], size[1]
+        heights = np.linspace(-half, half, 15)[:, None, None]
+        points = (ring + heights * [0.0, 0.0, 1.0]).reshape(-1, 3)
+        if kind == _TYPES.mjGEOM_CAPSULE:
+            ends = _ball(np.full(3, size[0]))
+            points = np.concatenate([points, ends + np.sign(ends[:, 2:]) * [0.0, 0.0, half]])
+        return np.asarray(points)
+    return np.empty((0, 3))  # planes, height fields: no part of a robot
+
+
+def _ball(radii: Array) -> Array:
+    """Points on an ellipsoid, (k, 3)."""
+    polar = np.linspace(0.0, np.pi, 13)[:, None, None]
+    return np.asarray(
+        ((np.sin(polar) * _RING + np.cos(polar) * [0.0, 0.0, 1.0]) * radii).reshape(-1, 3)
+    )

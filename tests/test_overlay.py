@@ -1,0 +1,295 @@
+"""`overlay`: what is laid over somebody else's model, in numbers, by a second route."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from decor_tools import GEOM, belonging, look, of_kind
+from foreign_models import arm, compiled, jaco
+
+import sero_mj
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.pen import Kind, Pen
+from sero_mj.decor.toggles import Toggles
+from sero_mj.decor.view import View
+
+EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
+
+
+def drawn(overlay: Any, view: View = EVERYWHERE) -> Pen:
+    """What decor draws of an overlay."""
+    return Decor(overlay.world).draw(overlay.data, overlay.toggles, view)
+
+
+def everything_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, bytes]:
+    """All bytes of a model, and of a state with what follows from it."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    parts = [state, data.xpos, data.xmat, data.qfrc_actuator, data.qacc, data.geom_xpos]
+    return buffer.tobytes(), b"".join(part.tobytes() for part in parts)
+
+
+def test_arrows_stand_at_the_joints_and_turn_about_their_axes() -> None:
+    model, data = arm(turn=0.4, lift=-0.7, elbow=1.1, grip=0.03)
+    overlay = sero_mj.overlay(model, data)
+    pen = drawn(overlay)
+    radius = overlay.world.joints.arrow_radius
+    for item, name in enumerate(("turn", "lift", "elbow")):
+        boxes = belonging(pen, Kind.ARROW, item)
+        joint = data.joint(name)
+        out = boxes["pos"] - joint.xanchor
+        assert np.linalg.norm(out, axis=1) == pytest.approx(radius[item], rel=1e-5)
+        assert out @ joint.xaxis == pytest.approx(0.0, abs=1e-6)  # in the plane of rotation
+        assert boxes["mat"][:, :, 2] == pytest.approx(
+            np.tile(joint.xaxis, (len(boxes), 1)), abs=1e-6
+        )
+        # From tail to head by the right-hand rule, or against it.
+        turn = np.cross(out[:-1], out[1:]) @ joint.xaxis
+        assert (np.sign(turn) == np.sign(joint.qfrc_actuator)).all()
+
+
+def test_widths_and_colours_follow_what_the_drives_put_out() -> None:
+    model, data = arm()
+    overlay = sero_mj.overlay(model, data)
+    torque = np.array([data.joint(name).qfrc_actuator[0] for name in overlay.robots["arm"]])
+    # ctrl -1.5, gear 10; 9 at gear 2; 0.05 at gear 100; no gear
+    assert torque == pytest.approx([-15.0, 18.0, 5.0, 0.4])
+    radius, pen = overlay.world.joints.arrow_radius, drawn(overlay)
+    for item, limit in enumerate((20.0, 60.0, 15.0)):
+        tail = belonging(pen, Kind.ARROW, item)[0]
+        expected = radius[item] * np.sqrt(abs(torque[item]) / limit)
+        assert 2 * tail["size"][2] == pytest.approx(expected, rel=1e-5)
+        assert (tail["rgba"][0] > tail["rgba"][2]) == (torque[item] > 0)  # orange, or blue
+
+
+def test_without_a_limit_full_width_is_the_load_of_gravity() -> None:
+    model, data = arm()
+    overlay = sero_mj.overlay(model, data)
+    overlay.set("arm.torques", [0, 0, 0, 0.1 * 9.81])  # the weight of what slides
+    straight = of_kind(belonging(drawn(overlay), Kind.ARROW, 3), GEOM.mjGEOM_ARROW)[0]
+    radius = overlay.world.joints.arrow_radius[3]
+    assert 4 * straight["size"][0] == pytest.approx(radius, rel=1e-5)
+
+
+def test_the_arrow_of_a_slide_goes_along_with_its_link() -> None:
+    at = []
+    for grip in (0.0, 0.05):
+        model, data = arm(grip=grip)
+        overlay = sero_mj.overlay(model, data)
+        at.append(belonging(drawn(overlay), Kind.ARROW, 3)["pos"][0].astype(float))
+        axis = data.joint("grip").xaxis.copy()
+    assert at[1] - at[0] == pytest.approx(0.05 * axis, abs=1e-6)
+
+
+def test_an_arrow_turns_at_constant_speed_whatever_its_joint_does() -> None:
+    """Seen from the parent, the tail is where time alone has brought it."""
+    tails = []
+    for elbow in (0.0, 0.5, 2.0):
+        model, data = arm(lift=0.3, elbow=elbow)
+        pen = drawn(sero_mj.overlay(model, data))
+        tail = belonging(pen, Kind.ARROW, 2)["pos"][0] - data.joint("elbow").xanchor
+        tails.append(tail @ data.body("upper").xmat.reshape(3, 3))
+    assert tails[1] == pytest.approx(tails[0], abs=1e-6)
+    assert tails[2] == pytest.approx(tails[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("quantity", ["torques", "torque_error", "joint_accelerations"])
+def test_an_overlay_on_our_own_model_draws_what_its_scene_draws(quantity: str) -> None:
+    """The LWR, compiled from its DH table, against the same arrows found in the compiled model."""
+    torques = np.array([30.0, -80.0, 12.0, 250.0, -3.0, 9.0, -6.0])
+    robot = sero_mj.SerialRobot.from_model(
+        "lwr", show_arrows=True, arrow_quantity=quantity, acceleration_limits=[9.0] * 7
+    )
+    world = World(sero_mj.Scene(robots=[robot]))
+    data = world.make_data()
+    data.qpos[:] = (0.3, 0.5, -0.7, -1.1, 0.4, 0.9, -0.2)
+    data.time = 1.7
+    mujoco.mj_forward(world.model, data)
+    overlay = sero_mj.overlay(
+        world.model,
+        data,
+        robots={
+            "lwr": {
+                "arrow_radius": robot.arrow_radius,
+                "offsets_to_center_of_joints": robot.offsets,
+                "torque_limits": robot.torque_limits,
+                "acceleration_limits": robot.acceleration_limits,
+                "arrow_quantity": quantity,
+            }
+        },
+    )
+    for name, value in (("torques", torques), ("commanded_torques", torques[::-1] * 0.7)):
+        world.set_input(data, f"lwr.{name}", value)
+        overlay.set(f"lwr.{name}", value)
+    world.set_input(data, "lwr.joint_accelerations", torques / 10)
+    overlay.set("lwr.joint_accelerations", torques / 10)
+    theirs = Decor(world).draw(data, Toggles(world), EVERYWHERE)
+    ours = drawn(overlay)
+    assert ours.left_out == theirs.left_out == 0
+    for item in range(7):
+        mine, scene = (belonging(pen, Kind.ARROW, item) for pen in (ours, theirs))
+        assert len(mine) == len(scene) > 0
+        for field in ("type", "pos", "mat", "size", "rgba"):
+            assert mine[field] == pytest.approx(scene[field], abs=1e-5), (item, field)
+
+
+def test_the_users_model_and_data_are_not_changed() -> None:
+    model, data = jaco()
+    before = everything_of(model, data)
+    overlay = sero_mj.overlay(
+        model,
+        data,
+        doubles=[sero_mj.Double(name="goal", of="jaco")],
+        frames=["jaco/jaco_hand/hand"],
+    )
+    overlay.set("goal.joint_angles", data.qpos + 0.3)
+    overlay.set("jaco.torques", np.arange(9.0))
+    overlay.toggles.billboards[:] = overlay.toggles.axes[:] = True
+    drawn(overlay)
+    assert everything_of(model, data) == before
+
+
+def test_every_robot_of_a_model_has_its_own_joints() -> None:
+    model, data = jaco(2)
+    overlay = sero_mj.overlay(model, data)
+    assert list(overlay.robots) == ["jaco0", "jaco1"]
+    overlay.set("jaco1.torques", {"joint_2": 20.0})
+    pen = drawn(overlay)
+    assert set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]) == {9 + 1}
+    at = belonging(pen, Kind.ARROW, 10)["pos"].astype(float)
+    distance = np.linalg.norm(at - data.joint("jaco1/joint_2").xanchor, axis=1)
+    assert distance == pytest.approx(overlay.world.joints.arrow_radius[10], rel=1e-5)
+
+
+def test_what_is_set_is_shown_until_it_is_cleared() -> None:
+    model, data = arm()
+    overlay = sero_mj.overlay(model, data)
+    overlay.set("arm.torques", {"lift": -20.0})
+    items = lambda pen: set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])  # noqa: E731
+    assert items(drawn(overlay)) == {1}
+    overlay.clear("arm.torques")
+    assert items(drawn(overlay)) == {0, 1, 2, 3}
+    overlay.toggles.arrow_quantity[:] = 1  # torque error: nothing was commanded
+    assert items(drawn(overlay)) == set()
+    overlay.set("arm.commanded_torques", [0.0, 0.0, 0.0, 0.0])
+    assert items(drawn(overlay)) == {0, 1, 2, 3}
+
+
+def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> None:
+    model, data = arm()
+    double = sero_mj.Double(name="goal", of="arm", joint_angles=np.array([0.5, 0, 0, 0]))
+    overlay = sero_mj.overlay(model, data, doubles=[double])
+    overlay.set("arm.torques", [np.nan, 18.0, np.inf, 0.3])
+    pen = drawn(overlay)
+    assert set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]) == {1, 3}
+    assert overlay.not_finite == 2
+    assert "arm.torques: NaN" in caplog.text
+    kept = overlay.frame("goal/fore")
+    overlay.set("goal.joint_angles", [0.1, np.nan, 0, 0])
+    assert overlay.frame("goal/fore") == pytest.approx(kept)  # its last good pose
+    assert overlay.not_finite == 3
+    data.xpos[:], data.xmat[:], data.xanchor[:], data.xaxis[:] = [np.nan] * 4
+    pen = drawn(overlay)
+    assert np.isfinite(pen.rows["pos"][: pen.count]).all()
+
+
+def test_axes_stand_at_bodies_and_at_wanted_sites() -> None:
+    model, data = arm(turn=0.4, elbow=1.1)
+    overlay = sero_mj.overlay(model, data, frames=["tip", "cube"])
+    assert overlay.world.frames.names == [
+        "arm/base", "arm/upper", "arm/fore", "arm/gripper", "tip", "cube",
+    ]  # fmt: skip
+    overlay.set("arm.show_axes", 1)
+    pen = drawn(overlay)
+    expected = [(data.body(name).xpos, data.body(name).xmat) for name in ("arm", "upper", "fore")]
+    expected += [(data.body("gripper").xpos, data.body("gripper").xmat)]
+    expected += [(data.site("tip").xpos, data.site("tip").xmat)]
+    expected += [(data.body("cube").xpos, data.body("cube").xmat)]
+    for item, (position, rotation) in enumerate(expected):
+        bars = belonging(pen, Kind.AXES, item)
+        assert len(bars) == 3
+        for axis, bar in enumerate(bars):
+            direction = rotation.reshape(3, 3)[:, axis]
+            middle = position + direction * bar["size"][2]
+            assert bar["pos"] == pytest.approx(middle, abs=1e-6)
+        assert overlay.frame(overlay.world.frames.names[item])[:3, 3] == pytest.approx(position)
+
+
+def test_smart_arrows_stand_at_its_frames_and_at_points() -> None:
+    model, data = arm(turn=0.4)
+    arrows = [
+        sero_mj.SmartArrow(name="push", at="arm/fore", expressed_in="world", vector=[0, 0, 30.0]),
+        sero_mj.SmartArrow(name="there", at=[0.5, 0.1, 0.9], vector=[20.0, 0, 0]),
+    ]
+    pen = drawn(sero_mj.overlay(model, data, arrows=arrows))
+    assert belonging(pen, Kind.VECTOR, 0)["pos"][0] == pytest.approx(data.body("fore").xpos)
+    assert belonging(pen, Kind.VECTOR, 0)["mat"][0][:, 2] == pytest.approx([0, 0, 1], abs=1e-6)
+    assert belonging(pen, Kind.VECTOR, 1)["pos"][0] == pytest.approx([0.5, 0.1, 0.9])
+
+
+def test_singularity_is_shown_of_the_serial_part() -> None:
+    """Three joints in a row, stretched out: the elbow's arrow leads there from either side."""
+    model, data = compiled("""<mujoco><worldbody><body name="a">
+      <joint axis="0 1 0"/><geom size=".05"/>
+      <body pos="0 0 1"><joint name="e" axis="0 1 0"/><geom size=".05"/>
+      <body pos="0 0 1"><geom size=".05"/></body></body></body></worldbody></mujoco>""")
+    overlay = sero_mj.overlay(model, data, robots={"a": {"arrow_quantity": "singularity"}})
+    for elbow, blue in ((0.1, True), (-0.1, False)):
+        data.joint("e").qpos = elbow
+        mujoco.mj_forward(model, data)
+        box = belonging(drawn(overlay), Kind.ARROW, 1)[0]
+        assert (box["rgba"][2] > box["rgba"][0]) == blue
+
+
+def test_a_joint_without_torque_limit_is_as_wide_as_others_at_the_singularity() -> None:
+    model, data = arm()
+    overlay = sero_mj.overlay(model, data, robots={"arm": {"torque_limits": None}})
+    overlay.toggles.arrow_quantity[:] = 2
+    joints = overlay.world.joints
+    assert np.isinf(joints.torque_limit).all() and np.isfinite(joints.acceleration_limit).all()
+    overlay.set("arm.joint_accelerations", joints.acceleration_limit / 4)
+    pen = drawn(overlay)
+    for item in range(3):  # half the radius at a quarter of the limit
+        width = 2 * belonging(pen, Kind.ARROW, item)[0]["size"][2]
+        assert width == pytest.approx(joints.arrow_radius[item] / 2, rel=1e-5)
+
+
+def test_a_drawn_frame_costs_little() -> None:
+    import time
+
+    model, data = jaco(2)
+    overlay = sero_mj.overlay(model, data)
+    overlay.set("jaco0.torques", np.ones(9))
+    decor = Decor(overlay.world)
+    best = np.inf
+    for _ in range(50):
+        begin = time.perf_counter()
+        decor.draw(data, overlay.toggles, EVERYWHERE)
+        best = min(best, time.perf_counter() - begin)
+    assert best < 4e-3  # s
+
+
+@pytest.mark.parametrize("name", ["acrobot", "cheetah", "hopper", "humanoid", "humanoid_CMU"])
+def test_models_of_others_have_arrows_that_move(name: str) -> None:
+    from importlib import import_module
+
+    xml, assets = import_module(f"dm_control.suite.{name}").get_model_and_assets()
+    model = mujoco.MjModel.from_xml_string(xml, assets)
+    data = mujoco.MjData(model)
+    overlay = sero_mj.overlay(model, data)
+    single = np.isin(model.jnt_type, (2, 3))
+    assert sum(len(joints) for joints in overlay.robots.values()) == single.sum()
+    data.ctrl[:] = 0.7
+    for _ in range(3):
+        mujoco.mj_step(model, data)
+    pen = drawn(overlay)
+    driven = np.abs(data.qfrc_actuator[overlay.world.robots[next(iter(overlay.robots))].dofs]) > 0
+    arrows = np.unique(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])
+    assert len(arrows) and driven[arrows].all()

@@ -1,0 +1,221 @@
+"""`overlay` in pictures: rendered, clicked on, and shown by notebooks."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from foreign_models import JACO_TORQUES, arm, jaco
+from PIL import Image
+
+import sero_mj
+from sero_mj.assemble.world import World
+from sero_mj.show.headless import HeadlessRenderer
+from sero_mj.show.picture import Picture
+
+pytestmark = pytest.mark.gl
+
+SIZE = (640, 480)
+CAMERA = "60,-14,1.3"
+# Mean difference of two pictures, of 255. Renderers differ by less; a missing arrow is more.
+TOLERANCE = 0.02
+
+
+def difference(one: Any, other: Any) -> float:
+    return float(np.abs(one.astype(float) - other.astype(float)).mean())
+
+
+@pytest.fixture(scope="module")
+def overlay() -> Iterator[Any]:
+    model, data = jaco()
+    double = sero_mj.Double(name="goal", of="jaco")
+    with sero_mj.overlay(model, data, doubles=[double]) as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def as_declared(overlay: Any) -> None:
+    overlay.toggles.reset()
+    overlay.toggles.legend = False
+    overlay.set("jaco.torques", JACO_TORQUES)
+    overlay.clear("goal.joint_angles")
+
+
+def with_their_renderer(overlay: Any, **options: Any) -> Any:
+    """The picture of a user's own loop."""
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(overlay.model, camera)
+    camera.azimuth, camera.elevation, camera.distance = 60, -14, 1.3
+    camera.lookat = (0, 0, 0.35)
+    with mujoco.Renderer(overlay.model, SIZE[1], SIZE[0]) as renderer:
+        renderer.update_scene(overlay.data, camera)
+        assert overlay.draw(renderer, **options) == 0
+        return renderer.render()
+
+
+def test_a_missing_arrow_is_seen_in_the_picture(overlay: Any) -> None:
+    picture = overlay.image(*SIZE, CAMERA)
+    assert difference(picture, overlay.image(*SIZE, CAMERA)) == 0.0
+    for joint in range(6):
+        overlay.toggles.arrows[joint] = False
+        assert difference(picture, overlay.image(*SIZE, CAMERA)) > TOLERANCE, joint
+        overlay.toggles.arrows[joint] = True
+
+
+def test_the_lwr_looks_the_same_as_an_overlay_and_as_a_scene() -> None:
+    torques = [30.0, -80.0, 25.0, 60.0, -30.0, 25.0, -25.0]
+    robot = sero_mj.SerialRobot.from_model("lwr", show_arrows=True, show_axes=True)
+    world = World(sero_mj.Scene(robots=[robot]))
+    data = world.make_data()
+    data.qpos[:] = (0.3, 0.5, -0.7, -1.1, 0.4, 0.9, -0.2)
+    mujoco.mj_forward(world.model, data)
+    world.set_input(data, "lwr.torques", torques)
+    fields = {
+        name: getattr(robot, name)
+        for name in ("torque_limits", "arrow_radius", "axes_size", "show_axes")
+    }
+    fields["offsets_to_center_of_joints"] = robot.offsets
+    camera = "150,-14,2.4"
+    with (
+        HeadlessRenderer(world, *SIZE, camera) as renderer,
+        sero_mj.overlay(world.model, data, robots={"lwr": fields}) as overlay,
+    ):
+        overlay.set("lwr.torques", torques)
+        expected = renderer.render(data)
+        overlay.image(*SIZE, camera)
+        look = renderer.camera
+        assert difference(expected, overlay.image(*SIZE, look)) < TOLERANCE
+        for joint in range(7):
+            overlay.toggles.arrows[joint] = False
+            assert difference(expected, overlay.image(*SIZE, look)) > TOLERANCE, joint
+            overlay.toggles.arrows[joint] = True
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_click_on_a_drawn_arrow_finds_its_joint(overlay: Any, joint: int) -> None:
+    """Pixels that change when the arrow goes are the arrow; what is there is the joint's."""
+    overlay.set("jaco.torques", {f"joint_{joint + 1}": 6.0 if joint > 2 else 28.0})
+    picture = with_their_renderer(overlay)
+    overlay.toggles.arrows[joint] = False
+    without = with_their_renderer(overlay)
+    overlay.toggles.arrows[joint] = True
+    with_their_renderer(overlay)  # what is picked from is the frame drawn last
+    changed = np.abs(picture.astype(int) - without).sum(axis=2) > 150
+    ys, xs = changed.nonzero()
+    assert len(xs) > 60
+    hits = []
+    for k in np.linspace(0, len(xs) - 1, 40).astype(int):
+        picked = overlay.pick(int(xs[k]), int(ys[k]))
+        hits.append(picked is not None and (picked.kind, picked.name))
+    assert hits.count(("arrow", f"jaco/joint_{joint + 1}")) >= 36  # the rest are edges
+
+
+def test_clicks_do_what_they_do_in_a_scene(overlay: Any) -> None:
+    data = overlay.data
+    with_their_renderer(overlay)
+    middle = overlay.view.project((data.body("jaco/b_2").xpos + data.body("jaco/b_3").xpos) / 2)
+    at = (float(middle[0][0]), float(SIZE[1] - middle[0][1]))
+    picked = overlay.click(*at)
+    assert (picked.kind, picked.name, picked.owner) == ("link", "jaco/b_2", "jaco")
+    assert overlay.toggles.billboards.nonzero()[0].tolist() == [1]
+    overlay.click(*at, gesture="double")
+    assert overlay.toggles.axes.sum() == len(overlay.world.robots["jaco"].tree.bodies)
+    overlay.hover(*at)
+    assert overlay.toggles.hover[0] == "jaco/b_2"
+    assert overlay.pick(3, 3) is None
+
+
+def test_a_double_stands_where_its_angles_say_and_is_clicked_on(overlay: Any) -> None:
+    data = overlay.data
+    before = with_their_renderer(overlay)
+    target = data.qpos + np.array([0.9, 0.2, 0.2, 0, 0, 0, 0, 0, 0])
+    overlay.set("goal.joint_angles", target)
+    picture = with_their_renderer(overlay)
+    there = mujoco.MjData(overlay.model)
+    there.qpos[:] = target
+    mujoco.mj_forward(overlay.model, there)
+    assert overlay.frame("goal/b_6")[:3, 3] == pytest.approx(there.body("jaco/b_6").xpos)
+    middle = (there.body("jaco/b_3").xpos + there.body("jaco/b_4").xpos) / 2
+    pixel, _ = overlay.view.project(middle)
+    x, y = round(pixel[0]), round(SIZE[1] - pixel[1])
+    changed = (picture != before).any(axis=2)
+    assert changed[y, x] and changed.sum() > 5000
+    more = (picture.astype(int) - before)[changed].mean(axis=0)
+    assert more[1] > more[0] + 15 and more[1] > more[2] + 10  # greener
+    picked = overlay.click(x, y)
+    assert (picked.kind, picked.name, picked.owner) == ("double", "goal/b_3", "goal")
+    assert overlay.toggles.billboards.nonzero()[0].tolist() == [9 + 2]
+    overlay.toggles.reset()
+    overlay.toggles.legend = False
+    overlay.toggles.doubles[:] = False
+    assert difference(before, with_their_renderer(overlay)) == 0.0
+    overlay.toggles.doubles[:] = True
+    overlay.set("goal.joint_angles", data.qpos)  # where both are, it would only flicker
+    assert difference(before, with_their_renderer(overlay)) == 0.0
+
+
+def test_a_path_is_a_row_of_doubles() -> None:
+    model, data = arm()
+    path = np.array([[0.0, 0, 0, 0], [1.5, 0.5, 0, 0]])
+    double = sero_mj.Double(name="way", of="arm", path=path, path_length=4)
+    with sero_mj.overlay(model, data, doubles=[double]) as overlay:
+        shown = overlay.image(320, 240)
+        overlay.toggles.doubles[:] = False
+        assert difference(shown, overlay.image(320, 240)) > 0.3
+
+
+def test_the_users_model_is_as_it_was_after_pictures(overlay: Any) -> None:
+    model = overlay.model
+    before = model.vis.global_.offwidth, model.vis.global_.offheight
+    overlay.image(800, 700)
+    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == before
+
+
+def test_what_the_user_changes_is_in_the_next_picture(overlay: Any) -> None:
+    first = overlay.image(*SIZE, CAMERA)
+    colours = overlay.model.geom_rgba.copy()
+    overlay.model.geom_rgba[:, :3] = (0.9, 0.2, 0.2)
+    assert difference(first, overlay.image(*SIZE, CAMERA)) > 1.0
+    overlay.model.geom_rgba[:] = colours
+    assert difference(first, overlay.image(*SIZE, CAMERA)) == 0.0
+
+
+def test_a_notebook_shows_an_overlay_and_every_picture(overlay: Any) -> None:
+    picture = overlay.image(200, 100)
+    assert isinstance(picture, Picture) and isinstance(picture, np.ndarray)
+    shown = np.asarray(Image.open(io.BytesIO(picture._repr_png_() or b"")))
+    assert np.array_equal(shown, picture)
+    assert picture[10, 10]._repr_png_() is None  # a pixel is numbers
+    assert (picture / 2)._repr_png_() is None
+    assert Image.open(io.BytesIO(overlay._repr_png_())).size == (960, 600)
+
+
+def test_a_picture_of_a_scene_is_shown_as_well() -> None:
+    world = World(sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr")]))
+    with HeadlessRenderer(world, 64, 48) as renderer:
+        assert renderer.render(world.make_data())._repr_png_()  # type: ignore[attr-defined]
+
+
+def test_a_real_notebook_shows_it(tmp_path: Any) -> None:
+    nbformat = pytest.importorskip("nbformat")
+    client = pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    from foreign_models import ARM
+
+    book = nbformat.v4.new_notebook()
+    book.cells = [
+        nbformat.v4.new_code_cell(
+            "import mujoco, sero_mj\n"
+            f"model = mujoco.MjModel.from_xml_string('''{ARM}''')\n"
+            "data = mujoco.MjData(model); mujoco.mj_forward(model, data)\n"
+            "overlay = sero_mj.overlay(model, data)\noverlay"
+        ),
+        nbformat.v4.new_code_cell("overlay.image(64, 48)"),
+    ]
+    client.NotebookClient(book, timeout=60, resources={"metadata": {"path": tmp_path}}).execute()
+    for cell in book.cells:
+        assert "image/png" in cell.outputs[-1]["data"]
