@@ -305,7 +305,7 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
 def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
-        [sys.executable, "-m", "sero_mj", "view", "lwr"],
+        [sys.executable, "-m", "sero_mj", "view", "lwr", "--window"],
         capture_output=True,
         text=True,
         cwd=ROOT,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from .declaration import Array, Declaration, Frame, Point
+
+Rgb = tuple[float, float, float]
 
 
 def _unit_range(rgb: Array) -> Array:
@@ -56,6 +59,7 @@ class View(Declaration):
         elevation_deg: negative looks down.
         distance: m from the look-at point; None fits the scene.
         look_at: m; None is the middle of the scene.
+        look: `light`, for paper and bright rooms, or `dark`.
     """
 
     camera: str | None = None
@@ -63,6 +67,45 @@ class View(Declaration):
     elevation_deg: float = -14.0
     distance: float | None = Field(None, gt=0)
     look_at: Point | None = None
+    look: Literal["light", "dark"] = "light"
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours of what is about the robots, red, green, blue, 0 to 1.
+
+    Attributes:
+        sky: at the horizon and at the zenith.
+        tiles: of the floor, two shades and the line between them.
+        haze: where the floor ends.
+        headlight: ambient and diffuse.
+        key: of the light that throws shadows.
+    """
+
+    sky: tuple[Rgb, Rgb]
+    tiles: tuple[Rgb, Rgb, Rgb]
+    haze: Rgb
+    headlight: tuple[float, float]
+    key: float
+
+
+PALETTES = {
+    # Together with the key light just short of white on a floor seen from above.
+    "light": Palette(
+        sky=((0.97, 0.98, 0.99), (0.70, 0.76, 0.82)),
+        tiles=((0.83, 0.85, 0.87), (0.86, 0.88, 0.90), (0.78, 0.80, 0.83)),
+        haze=(0.93, 0.95, 0.97),
+        headlight=(0.34, 0.28),
+        key=0.52,
+    ),
+    "dark": Palette(
+        sky=((0.11, 0.13, 0.16), (0.03, 0.04, 0.05)),
+        tiles=((0.15, 0.17, 0.20), (0.17, 0.19, 0.22), (0.24, 0.27, 0.31)),
+        haze=(0.09, 0.11, 0.14),
+        headlight=(0.30, 0.30),
+        key=0.55,
+    ),
+}
 
 
 class Light(Declaration):

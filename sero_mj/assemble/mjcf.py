@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
 from .inputs import moving
+from .looks import PALETTES
 from .mjcf_double import add_double
 from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
 from .mjcf_geoms import (
@@ -219,8 +220,10 @@ def _set_up(root: mjcf.RootElement) -> None:
 
 def _surroundings(root: mjcf.RootElement, scene: Scene, moved: Collection[str]) -> None:
     visual = root.visual
-    # Together with the key light just short of white on a floor seen from above.
-    visual.headlight.ambient, visual.headlight.diffuse = [0.34] * 3, [0.28] * 3
+    palette = PALETTES[scene.view.look]
+    ambient, diffuse = palette.headlight
+    visual.headlight.ambient, visual.headlight.diffuse = [ambient] * 3, [diffuse] * 3
+    visual.rgba.haze = [*palette.haze, 1]
     visual.headlight.specular = [0.05] * 3
     visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
     visual.quality.numslices, visual.quality.numstacks = 24, 10
@@ -228,12 +231,12 @@ def _surroundings(root: mjcf.RootElement, scene: Scene, moved: Collection[str]) 
     visual.map.znear, visual.map.zfar = 0.01, 50.0
     root.asset.add(
         "texture", name="sky", type="skybox", builtin="gradient",
-        rgb1=[0.97, 0.98, 0.99], rgb2=[0.70, 0.76, 0.82], width=64, height=384,
+        rgb1=palette.sky[0], rgb2=palette.sky[1], width=64, height=384,
     )  # fmt: skip
     if scene.floor:
         root.asset.add(
             "texture", name="tiles", type="2d", builtin="checker", mark="edge",
-            rgb1=[0.83, 0.85, 0.87], rgb2=[0.86, 0.88, 0.90], markrgb=[0.78, 0.80, 0.83],
+            rgb1=palette.tiles[0], rgb2=palette.tiles[1], markrgb=palette.tiles[2],
             width=256, height=256,
         )  # fmt: skip
         root.asset.add("material", name="floor", texture="tiles", texrepeat=[2, 2], texuniform=True)
@@ -249,7 +252,7 @@ def _surroundings(root: mjcf.RootElement, scene: Scene, moved: Collection[str]) 
     if not scene.lights:
         root.worldbody.add(
             "light", name="key", pos=[1.5, -1.5, 4], dir=[-0.35, 0.4, -1], directional=True,
-            diffuse=[0.52] * 3, specular=[0.2] * 3, castshadow=True,
+            diffuse=[palette.key] * 3, specular=[0.2] * 3, castshadow=True,
         )  # fmt: skip
     for name, camera in scene.cameras.items():
         body = root.worldbody

@@ -14,10 +14,10 @@ from .arguments import (
     add_command,
     not_negative,
     positive,
-    read_scene_or_model,
     replay_instead,
     size,
 )
+from .scene_options import add_scene_options, read_scene
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -53,19 +53,7 @@ def add_to(commands: Commands) -> None:
         "--duration", type=positive, metavar="S", help="length of a film in s (default 5)"
     )
     parser.add_argument("--fps", type=positive, metavar="N", help="frames per second (default 30)")
-    parser.add_argument(
-        "--camera",
-        metavar="CAM",
-        help="name of a camera, or azimuth,elevation,distance in degrees and m",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="settings",
-        metavar="ROBOT.FIELD=VALUE",
-        help="set a field over the scene's; may be repeated",
-    )
+    add_scene_options(parser)
     parser.add_argument(
         "--click",
         action="append",
@@ -118,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"-o {output}: --duration and --fps are for films (.mp4)")
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.capture").setLevel(logging.INFO)
-    scene = read_scene_or_model(options.scene, options.settings)
+    scene = read_scene(options)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
     elif options.start is not None:

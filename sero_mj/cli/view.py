@@ -15,10 +15,10 @@ from .arguments import (
     add_command,
     not_negative,
     port,
-    read_scene_or_model,
     replay_instead,
     size,
 )
+from .scene_options import add_scene_options, read_scene
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
@@ -56,19 +56,7 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
-    parser.add_argument(
-        "--camera",
-        metavar="CAM",
-        help="name of a camera, or azimuth,elevation,distance in degrees and m",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="settings",
-        metavar="ROBOT.FIELD=VALUE",
-        help="set a field over the scene's; may be repeated",
-    )
+    add_scene_options(parser)
     parser.add_argument(
         "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
     )
@@ -83,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
         os.environ["MUJOCO_GL"] = "glfw"
-    scene = read_scene_or_model(options.scene, options.settings)
+    scene = read_scene(options)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
     elif options.start is not None:

@@ -15,7 +15,8 @@ from .view import View
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-LEADER_RGBA = (0.09, 0.11, 0.14, 0.9)
+# Dark on a light scene, and the other way round.
+LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,7 @@ def lay_out(
     groups: list[Cards],
     points: Array,
     corners: list[Panels],
+    leader_rgba: tuple[float, float, float, float] = LEADER_RGBA["light"],
 ) -> list[Panels]:
     """Gives every card its place, draws the leaders and returns the panels for `draw_panels`.
 
@@ -60,6 +62,7 @@ def lay_out(
         groups: cards of every kind.
         points: of the robots and doubles that are shown, (m, 3), m; cards stand beside them.
         corners: what stands in the corners of the picture, to be kept clear of.
+        leader_rgba: of the leaders.
     """
     groups = [group for group in groups if group.texts]
     if not groups:
@@ -83,7 +86,7 @@ def lay_out(
     centres += low
     edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
     starts = np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
-    draw_leaders(pen, view, starts, anchors, LEADER_RGBA)
+    draw_leaders(pen, view, starts, anchors, leader_rgba)
     panels = []
     first = 0
     for group in groups:

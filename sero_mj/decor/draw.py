@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..assemble.world import World
 from .axes import draw_axes
 from .billboards import Billboards
-from .cards import below, lay_out
+from .cards import LEADER_RGBA, below, lay_out
 from .flange_check import FlangeCheck
 from .frame_names import name_panels
 from .hover import hover_panel
@@ -89,7 +89,7 @@ class Decor:
         panels = [
             right,
             legend,
-            *lay_out(pen, view, groups, points, corners),
+            *lay_out(pen, view, groups, points, corners, LEADER_RGBA[world.scene.view.look]),
             name_panels(world, data, shown.frame_names, view),
             faults,
             self._staleness.panels(pen, data, view, stale),

@@ -34,6 +34,8 @@ _NOTE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
 _NOTE_FLAGS |= int(imgui.WindowFlags.NoInputs) | int(imgui.WindowFlags.NoFocusOnAppearing)
 _PANEL_FLAGS = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
+# Studio 4.0's client cuts labels off that are nearer to the left and upper edge of the page.
+_CUT_OFF = 68.0, 64.0  # pixels
 _READABLE = 0.25  # s that a number stands
 _TALL = 0.35  # of the page's height; what is less tall covers little
 # Told apart by lightness as well, on Studio's light and its dark theme.
@@ -104,7 +106,7 @@ class Panels(plugin.ViewerPlugin):
     def on_build_gui(self, event: messages.BuildGuiEvent) -> None:
         """Builds all windows of a frame."""
         size = imgui.GetIO().DisplaySize
-        self.inset = (0.0, 0.0, 0.0, imgui.GetFrameHeight())
+        self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
         self._menu()
         self._time(size)
         if self.shows_status:
