@@ -192,15 +192,10 @@ def _read_staged(name: str, given: dict[str, Any]) -> Scene:
         SeroError: what is wrong in the file.
     """
     from ..simulate.scenario_file import read_scenario
-    from ..simulate.simulated_source import SimulatedSource
+    from ..simulate.simulated_source import staged
     from ..simulate.simulation import Simulation
-    from ..simulate.staging import add_paths, stage
 
-    simulation = Simulation(read_scenario(name, given))
-    scene = stage(simulation.scenario, simulation.layout, SimulatedSource(simulation=simulation))
-    if simulation.scenario.run.show_paths:
-        add_paths(scene, simulation.scenario, simulation.layout, simulation.rows)
-    return scene
+    return staged(Simulation(read_scenario(name, given)))
 
 
 def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
