@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import os
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -12,7 +10,7 @@ import numpy as np
 
 from .. import __version__
 from ..drive.export_csv import column_names
-from ..errors import CsvError
+from ..drive.write_csv import csv_table
 from ..receive.recording_writer import RecordingWriter
 from .scenario import Scenario
 from .simulation import Simulation
@@ -102,14 +100,7 @@ def write_csv(simulation: Simulation, path: Path) -> None:
     events = simulation.layout.structure.events
     names = column_names({name: tuple(shape) for name, shape in events.items()})
     names[0] = "time"
-    partial = path.with_name(f"{path.name}.part")
-    try:
-        with open(partial, "w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(names)
-            for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
-                table.writerows(part.tolist())
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise CsvError(path, f"cannot be written: {error.strerror}") from error
+    with csv_table(path) as table:
+        table.writerow(names)
+        for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
+            table.writerows(part.tolist())
