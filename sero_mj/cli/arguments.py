@@ -164,7 +164,7 @@ def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
 def _read(name: str, given: dict[str, Any]) -> Scene:
     from ..assemble.scene import Scene
     from ..drive.mirror import load_scene
-    from ..simulate.scenario_file import is_scenario
+    from ..simulate.sections import is_scenario
 
     try:
         path = paths.find_scene(name)
