@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from .recording_format import (
     raw_topic,
     signals_topic,
 )
-from .signals_json import encode_signals, signals_schema
+from .signals_json import encode_signal_rows, encode_signals, signals_schema
 
 
 @dataclass
@@ -196,6 +196,31 @@ class RecordingWriter:
             self.clock.log_time(arrival),
             max(0, channels.number - 1) & 0xFFFFFFFF,
         )
+
+    def write_signal_rows(
+        self,
+        name: str,
+        values: Mapping[str, NDArray[np.float64]],
+        arrivals: NDArray[np.float64],
+        sequences: Sequence[int],
+    ) -> None:
+        """Keeps what many packets mean at once.
+
+        Args:
+            name: their source.
+            values: event name to its array, with one more axis at the front than in `add_source`.
+            arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
+            sequences: the packets' numbers, n, counted from 0.
+
+        Raises:
+            RecordingError: there is no room. What was written before is kept.
+            UnknownName: no such source was added.
+            ValueError: an arrival is not a time.
+        """
+        channel, messages = self._find(name).signals, encode_signal_rows(values)
+        times = self.clock.log_times(arrivals).tolist()
+        for message, time, sequence in zip(messages, times, sequences, strict=True):
+            self._file.add_message(channel, message, time, sequence & 0xFFFFFFFF)
 
     def _find(self, name: str) -> _Channels:
         channels = self._channels.get(name)
