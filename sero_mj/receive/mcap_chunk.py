@@ -78,8 +78,8 @@ class ChunkBuilder:
 
     def __init__(self) -> None:
         self._compressor = zstandard.ZstdCompressor(
-            level=-3, write_checksum=True
-        )  # twice as fast as 1, 6 % larger
+            level=-6, write_checksum=True
+        )  # more than twice as fast as 1, 11 % larger
         # Kept from chunk to chunk: fresh memory costs more than what is written into it.
         self._records = bytearray(1 << 16)
         self.clear()

@@ -69,9 +69,8 @@ class RunRecorder:
         picked = range(-first % self._every, stop - first, self._every) if self._every else ()
         if picked:
             thin = rows[picked.start :: self._every]
-            values = simulation.layout.structure.decode_rows(thin.view(np.uint8))
             numbers = [first + k for k in picked]
-            writer.write_signal_rows(SOURCE, values, begin + thin[:, 0], numbers)
+            writer.write_signal_rows(SOURCE, thin, begin + thin[:, 0], numbers)
 
     def __enter__(self) -> Self:
         return self
