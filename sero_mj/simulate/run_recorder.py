@@ -71,6 +71,7 @@ class RunRecorder:
             thin = rows[picked.start :: self._every]
             numbers = [first + k for k in picked]
             writer.write_signal_rows(SOURCE, thin, begin + thin[:, 0], numbers)
+        writer.flush_if_old()
 
     def __enter__(self) -> Self:
         return self
