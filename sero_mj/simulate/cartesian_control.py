@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import mujoco
 import numpy as np
+from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat
+from numpy import add, multiply, subtract
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 # blocked in a direction, and its mobility is raised by up to as much (as for inverse kinematics:
 # Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity Robustness).
 _BLOCKED = 0.01
+_TINY = 1e-15  # what the pivots of its inverse are at least
 # Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
 _LEAST_STIFFNESS = 1.0
 
@@ -122,56 +124,79 @@ class CartesianImpedanceController:
     ) -> None:
         n = model.n
         self.model = model
-        self.stiffness = stiffness
+        self.stiffness: Array = np.ascontiguousarray(stiffness)
         self.damping: Array = np.zeros((6, 6))
         self._ratio, self._in_flange = damping, in_flange
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0
         self._timestep = timestep
         self._regularise: Array = np.zeros((6, 6))
+        self._is_near = False  # to a singularity
         self._spring = nullspace_stiffness
         self._spring_ratio = nullspace_damping
         self._damper: Array = np.zeros(n)
-        self._error: Array = np.zeros(6)
+        # Fresh arrays and views would cost more than what is computed with them.
+        self._back: Array = np.zeros((6, n))
+        self._back_transposed = self._back.T
+        self._mobility: Array = np.zeros((6, 6))
+        self._error, self._force, self._wrench = np.zeros((3, 6))
+        self._twist, self._solved = np.zeros((2, 6))
+        self._way, self._turn = self._error[:3], self._error[3:]
         self._quaternion: Array = np.zeros(4)
-        self._force: Array = np.zeros(6)
-        self._wrench: Array = np.zeros(6)
-        self._twist: Array = np.zeros(6)
-        self._nullspace: Array = np.zeros(n)
+        self._axis, self._vector = self._quaternion[1:], np.zeros(3)
+        self._between: Array = np.zeros((3, 3))
+        self._between_flat = self._between.reshape(9)
+        self._inner, self._held = np.zeros((2, n))
+        self._look_at(np.eye(4))
+
+    def _look_at(self, pose: Array) -> None:
+        """Takes views of a target's pose, which is the same array at every step."""
+        self._pose = pose
+        self._position, self._rotation = pose[:3, 3], pose[:3, :3]
+        self._rotation_back = self._rotation.T
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         model = self.model
         angles, velocities = sensed.motor_angles, sensed.motor_velocities
         model.update(angles, velocities)
-        jacobian = model.jacobian()
-        back = np.linalg.inv(model.mass()).dot(jacobian.T)  # M^-1 J^T
-        mobility = jacobian.dot(back)
+        jacobian, back = model.jacobian(), self._back
+        model.over_mass(jacobian, back)  # J M^-1
+        mobility = self._mobility
+        jacobian.dot(self._back_transposed, mobility)
         if self._left == 0:
             self._design(mobility, target.pose)
             self._left = self._every
         self._left -= 1
-        mobility += self._regularise
-        felt = np.linalg.inv(mobility)
+        if self._is_near:
+            add(mobility, self._regularise, mobility)
+        mju_cholFactor(mobility, _TINY)  # in its place: it is only ever solved with
 
-        twist, wrench = self._twist, self._wrench
+        twist, wrench, solved = self._twist, self._wrench, self._solved
         jacobian.dot(velocities, twist)
-        np.subtract(target.twist, twist, wrench)
-        wrench[:] = self.damping.dot(wrench)
-        wrench += self.spring_wrench(target.pose)
-        wrench += target.wrench
+        subtract(target.twist, twist, solved)
+        self.damping.dot(solved, wrench)
+        add(wrench, self.spring_wrench(target.pose), wrench)
+        if target.has_torques:
+            add(wrench, target.wrench, wrench)
 
         # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0)
-        held = velocities - back.dot(felt.dot(twist))  # P^T dq
-        inner = self._nullspace
-        np.subtract(target.posture, angles, inner)
-        np.multiply(inner, self._spring, inner)
-        inner -= self._damper * held
-        wrench -= felt.dot(inner.dot(back))
+        inner, held = self._inner, self._held
+        mju_cholSolve(solved, mobility, twist)
+        solved.dot(back, held)
+        subtract(velocities, held, held)  # P^T dq
+        multiply(held, self._damper, held)
+        subtract(target.posture, angles, inner)
+        multiply(inner, self._spring, inner)
+        subtract(inner, held, inner)
+        back.dot(inner, twist)
+        mju_cholSolve(solved, mobility, twist)
+        subtract(wrench, solved, wrench)
         wrench.dot(jacobian, out)
-        out += inner
-        out += model.gravity()
-        out += target.torques
+        add(out, inner, out)
+        add(out, model.gravity(), out)
+        if target.has_torques:
+            add(out, target.torques, out)
 
     def spring_wrench(self, pose: Array) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
@@ -179,17 +204,21 @@ class CartesianImpedanceController:
         Args:
             pose: T_world_flange (4, 4) of the target.
         """
-        error, force = self._error, self._force
-        rotation = pose[:3, :3]
-        turn = rotation.T.dot(self.model.flange_rotation)
-        mujoco.mju_mat2Quat(self._quaternion, turn.reshape(9))
-        np.subtract(pose[:3, 3], self.model.flange_position, error[:3])
-        w = self._quaternion.item(0)
-        np.multiply(self._quaternion[1:], -2.0 if w >= 0 else 2.0, error[3:])
+        if pose is not self._pose:
+            self._look_at(pose)
+        model, error, force, rotation = self.model, self._error, self._force, self._rotation
+        quaternion = self._quaternion
+        self._rotation_back.dot(model.flange_rotation, self._between)
+        mju_mat2Quat(quaternion, self._between_flat)
+        subtract(self._position, model.flange_position, self._way)
+        w = quaternion.item(0)
+        factor = -2.0 if w >= 0 else 2.0
         if self._in_flange:
-            error[:3] = error[:3].dot(rotation)
+            multiply(self._axis, factor, self._turn)
+            self._way[:] = self._rotation_back.dot(self._way)
         else:
-            error[3:] = rotation.dot(error[3:])
+            multiply(self._axis, factor, self._vector)
+            rotation.dot(self._vector, self._turn)
         self.stiffness.dot(error, force)
         _, _, _, ex, ey, ez = error.tolist()
         _, _, _, fx, fy, fz = force.tolist()
@@ -241,6 +270,7 @@ class CartesianImpedanceController:
         least = float(np.linalg.eigvalsh(mobility)[0])
         near = max(1.0 - least / _BLOCKED, 0.0)
         self._regularise[:] = np.eye(6) * (_BLOCKED * near**2)
+        self._is_near = near > 0.0
         felt = np.linalg.inv(mobility + self._regularise)
         symmetric = 0.5 * (felt + felt.T)
         self.damping[:] = design_damping(symmetric, self._in_world(pose), self._ratio)

@@ -15,12 +15,13 @@ import numpy as np
 from mujoco import (
     mj_comPos,
     mj_comVel,
-    mj_crb,
+    mj_factorM,
     mj_fullM,
     mj_jacSite,
     mj_kinematics,
     mj_makeM,
     mj_rne,
+    mj_solveM,
 )
 from numpy.typing import NDArray
 
@@ -118,7 +119,7 @@ class RobotModel:
         self._moving_cdof_dot = moving.cdof_dot
         self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
         self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
-        self._is_moving = self._is_swapped = self._has_mass = False
+        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
 
     @classmethod
     def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
@@ -146,7 +147,7 @@ class RobotModel:
         """
         self._qpos[:] = angles
         self._velocities = velocities
-        self._is_moving = self._is_swapped = self._has_mass = False
+        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
         mj_kinematics(self._model, self._data)
         mj_comPos(self._model, self._data)
 
@@ -214,8 +215,8 @@ class RobotModel:
     def mass(self) -> Array:
         """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
         if not self._has_mass:
-            mj_crb(self._model, self._data)
-            mj_makeM(self._model, self._data)
+            if not self._is_factored:
+                mj_makeM(self._model, self._data)
             mj_fullM(self._model, self._data, self._mass)
             self._has_mass = True
         return self._mass
@@ -225,6 +226,21 @@ class RobotModel:
         self._link_mass[:] = self.mass()
         self._link_diagonal -= self.motor_inertia
         return self._link_mass
+
+    def over_mass(self, rows: Array, out: Array) -> Array:
+        """Rows A as A M^-1, for a sixth of what an inverse of M takes.
+
+        Args:
+            rows: A, (k, n).
+            out: (k, n), to be written.
+        """
+        if not self._is_factored:
+            if not self._has_mass:
+                mj_makeM(self._model, self._data)
+            mj_factorM(self._model, self._data)
+            self._is_factored = True
+        mj_solveM(self._model, self._data, out, rows)
+        return out
 
     def jacobian(self) -> Array:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""

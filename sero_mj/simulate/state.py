@@ -80,7 +80,8 @@ class Target:
         velocities: (n,), per second; the second half of `state`.
         accelerations: (n,), per second squared.
         torques: (n,), Nm or N, added to what the controller computes.
-        has_torques: whether to; false where `torques` are zero all the time, which is faster.
+        has_torques: whether to; false where `torques` and `wrench` are zero all the time, which is
+            faster.
         pose: (4, 4), T_world_flange, m.
         twist: (6,), of the flange in world axes: m/s, then rad/s.
         wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
