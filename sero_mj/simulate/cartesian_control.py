@@ -125,7 +125,6 @@ class CartesianImpedanceController:
         n = model.n
         self.model = model
         self.stiffness: Array = np.ascontiguousarray(stiffness)
-        self.damping: Array = np.zeros((6, 6))
         self._ratio, self._in_flange = damping, in_flange
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0
@@ -135,19 +134,38 @@ class CartesianImpedanceController:
         self._spring = nullspace_stiffness
         self._spring_ratio = nullspace_damping
         self._damper: Array = np.zeros(n)
-        # Fresh arrays and views would cost more than what is computed with them.
-        self._back: Array = np.zeros((6, n))
-        self._back_transposed = self._back.T
-        self._mobility: Array = np.zeros((6, 6))
-        self._error, self._force, self._wrench = np.zeros((3, 6))
-        self._twist, self._solved = np.zeros((2, 6))
-        self._way, self._turn = self._error[:3], self._error[3:]
         self._quaternion: Array = np.zeros(4)
         self._axis, self._vector = self._quaternion[1:], np.zeros(3)
         self._between: Array = np.zeros((3, 3))
         self._between_flat = self._between.reshape(9)
-        self._inner, self._held = np.zeros((2, n))
+        self._error: Array = np.zeros(6)
+        self._way, self._turn = self._error[:3], self._error[3:]
         self._look_at(np.eye(4))
+        self._make_sums()
+
+    def _make_sums(self) -> None:
+        """Makes a product of every sum: numpy takes longer to call than to compute."""
+        n, one = self.model.n, np.eye(self.model.n)
+        # [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0]
+        self._wrench_of: Array = np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)])
+        self.damping: Array = self._wrench_of[:, :6]
+        wrenches: Array = np.zeros(18)
+        slip, self._force, taken = wrenches[:6], wrenches[6:12], wrenches[12:]
+        # [K_0 -D_0 D_0] [q_0 - q; dq; M^-1 J^T L J dq]
+        self._inner_of: Array = np.hstack([np.diag(self._spring), 0 * one, 0 * one])
+        states: Array = np.zeros(3 * n)
+        away, speeds, seen = states[:n], states[n : 2 * n], states[2 * n :]
+        # [wrench tau_0 g] [J; 1; 1]
+        self._torque_of: Array = np.vstack([np.zeros((6, n)), one, one])
+        jacobian: Array = self._torque_of[:6]
+        torques: Array = np.zeros(6 + 2 * n)
+        wrench, inner, gravity = torques[:6], torques[6 : 6 + n], torques[6 + n :]
+        back, mobility = np.zeros((6, n)), np.zeros((6, 6))
+        # What every step needs, in one place: looking things up takes time as well.
+        self._hot = (
+            jacobian, jacobian[:3], jacobian[3:], back, back.T, mobility, np.zeros(6), np.zeros(6),
+            wrenches, slip, taken, states, away, speeds, seen, torques, wrench, inner, gravity,
+        )  # fmt: skip
 
     def _look_at(self, pose: Array) -> None:
         """Takes views of a target's pose, which is the same array at every step."""
@@ -157,13 +175,16 @@ class CartesianImpedanceController:
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
+        (
+            jacobian, linear, angular, back, back_transposed, mobility, twist, solved,
+            wrenches, slip, taken, states, away, speeds, seen, parts, wrench, inner, gravity,
+        ) = self._hot  # fmt: skip
         model = self.model
         angles, velocities = sensed.motor_angles, sensed.motor_velocities
         model.update(angles, velocities)
-        jacobian, back = model.jacobian(), self._back
+        model.write_jacobian(linear, angular)
         model.over_mass(jacobian, back)  # J M^-1
-        mobility = self._mobility
-        jacobian.dot(self._back_transposed, mobility)
+        jacobian.dot(back_transposed, mobility)
         if self._left == 0:
             self._design(mobility, target.pose)
             self._left = self._every
@@ -172,29 +193,23 @@ class CartesianImpedanceController:
             add(mobility, self._regularise, mobility)
         mju_cholFactor(mobility, _TINY)  # in its place: it is only ever solved with
 
-        twist, wrench, solved = self._twist, self._wrench, self._solved
         jacobian.dot(velocities, twist)
-        subtract(target.twist, twist, solved)
-        self.damping.dot(solved, wrench)
-        add(wrench, self.spring_wrench(target.pose), wrench)
+        subtract(target.twist, twist, slip)
+        self.spring_wrench(target.pose)
+
+        # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0), and P^T dq in tau_0
+        mju_cholSolve(solved, mobility, twist)
+        solved.dot(back, seen)
+        speeds[:] = velocities
+        subtract(target.posture, angles, away)
+        self._inner_of.dot(states, inner)
+        back.dot(inner, twist)
+        mju_cholSolve(taken, mobility, twist)
+        self._wrench_of.dot(wrenches, wrench)
         if target.has_torques:
             add(wrench, target.wrench, wrench)
-
-        # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0)
-        inner, held = self._inner, self._held
-        mju_cholSolve(solved, mobility, twist)
-        solved.dot(back, held)
-        subtract(velocities, held, held)  # P^T dq
-        multiply(held, self._damper, held)
-        subtract(target.posture, angles, inner)
-        multiply(inner, self._spring, inner)
-        subtract(inner, held, inner)
-        back.dot(inner, twist)
-        mju_cholSolve(solved, mobility, twist)
-        subtract(wrench, solved, wrench)
-        wrench.dot(jacobian, out)
-        add(out, inner, out)
-        add(out, model.gravity(), out)
+        model.gravity(gravity)
+        parts.dot(self._torque_of, out)
         if target.has_torques:
             add(out, target.torques, out)
 
@@ -277,3 +292,6 @@ class CartesianImpedanceController:
         inertia = np.diagonal(self.model.mass())
         spring = np.maximum(self._spring, _LEAST_STIFFNESS)
         self._damper[:] = 2.0 * self._spring_ratio * np.sqrt(inertia * spring)
+        n = len(inertia)
+        np.fill_diagonal(self._inner_of[:, n : 2 * n], -self._damper)
+        np.fill_diagonal(self._inner_of[:, 2 * n :], self._damper)

@@ -151,10 +151,15 @@ class RobotModel:
         mj_kinematics(self._model, self._data)
         mj_comPos(self._model, self._data)
 
-    def gravity(self) -> Array:
-        """g(q), (n,): the torques that hold the robot still."""
-        mj_rne(self._model, self._data, 0, self._gravity)
-        return self._gravity
+    def gravity(self, out: Array | None = None) -> Array:
+        """g(q), (n,): the torques that hold the robot still.
+
+        Args:
+            out: (n,), to be written instead of the buffer.
+        """
+        result = self._gravity if out is None else out
+        mj_rne(self._model, self._data, 0, result)
+        return result
 
     def coriolis(self) -> Array:
         """C(q, dq) dq, (n,)."""
@@ -166,7 +171,9 @@ class RobotModel:
         """C(q, dq) dq + g(q), (n,)."""
         return np.add(self.coriolis(), self.gravity(), self._bias)
 
-    def inverse_dynamics(self, velocities: Array, accelerations: Array) -> Array:
+    def inverse_dynamics(
+        self, velocities: Array, accelerations: Array, out: Array | None = None
+    ) -> Array:
         """M(q) a + C(q, dq) v + g(q), (n,): what tracking of v and a takes.
 
         C(q, dq) v is linear in both and the same when they change places, so with c(x) = C(q, x) x
@@ -175,8 +182,10 @@ class RobotModel:
         Args:
             velocities: v, (n,), per second.
             accelerations: a, (n,), per second squared.
+            out: (n,), to be written instead of the buffer.
         """
-        moving, qvel, result = self._moving, self._qvel, self._inverse
+        moving, qvel = self._moving, self._qvel
+        result = self._inverse if out is None else out
         self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
         self._qacc[:] = accelerations
         np.add(self._velocities, velocities, qvel)
@@ -244,8 +253,12 @@ class RobotModel:
 
     def jacobian(self) -> Array:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
-        mj_jacSite(self._model, self._data, self._linear, self._angular, 0)
+        self.write_jacobian(self._linear, self._angular)
         return self._jacobian
+
+    def write_jacobian(self, linear: Array, angular: Array) -> None:
+        """Writes both halves of J(q), (3, n) each, to where they are wanted."""
+        mj_jacSite(self._model, self._data, linear, angular, 0)
 
     def flange(self) -> Array:
         """T_world_flange, (4, 4), m; a new array."""
