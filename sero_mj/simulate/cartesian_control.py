@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat
-from numpy import add, multiply, subtract
+from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat, mju_mulQuat
+from numpy import add, negative, subtract
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
@@ -134,23 +134,29 @@ class CartesianImpedanceController:
         self._spring = nullspace_stiffness
         self._spring_ratio = nullspace_damping
         self._damper: Array = np.zeros(n)
-        self._quaternion: Array = np.zeros(4)
-        self._axis, self._vector = self._quaternion[1:], np.zeros(3)
         self._between: Array = np.zeros((3, 3))
         self._between_flat = self._between.reshape(9)
-        self._error: Array = np.zeros(6)
-        self._way, self._turn = self._error[:3], self._error[3:]
-        self._look_at(np.eye(4))
+        # Way and quaternion to a force and a pure quaternion, whose scalar is zero: K in between.
+        self._error: Array = np.zeros(7)
+        self._way, self._quaternion = self._error[:3], self._error[3:]
+        self._spring_of: Array = np.zeros((7, 7))
+        vectors = [0, 1, 2, 4, 5, 6]
+        self._spring_of[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
         self._make_sums()
+        self._look_at(np.eye(4))
 
     def _make_sums(self) -> None:
         """Makes a product of every sum: numpy takes longer to call than to compute."""
         n, one = self.model.n, np.eye(self.model.n)
-        # [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0]
-        self._wrench_of: Array = np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)])
+        # [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0]; f's lower half is the vector of a quaternion.
+        self._wrench_of: Array = np.zeros((6, 23))
+        self._wrench_of[:3, 6:9] = self._wrench_of[3:, 14:17] = np.eye(3)
+        self._wrench_of[:, 17:] = -np.eye(6)
         self.damping: Array = self._wrench_of[:, :6]
-        wrenches: Array = np.zeros(18)
-        slip, self._force, taken = wrenches[:6], wrenches[6:12], wrenches[12:]
+        wrenches: Array = np.zeros(23)
+        slip, taken = wrenches[:6], wrenches[17:]
+        self._pull, self._force = wrenches[6:13], wrenches[6:9]
+        self._pure, self._torque = wrenches[9:13], wrenches[13:17]
         # [K_0 -D_0 D_0] [q_0 - q; dq; M^-1 J^T L J dq]
         self._inner_of: Array = np.hstack([np.diag(self._spring), 0 * one, 0 * one])
         states: Array = np.zeros(3 * n)
@@ -195,7 +201,7 @@ class CartesianImpedanceController:
 
         jacobian.dot(velocities, twist)
         subtract(target.twist, twist, slip)
-        self.spring_wrench(target.pose)
+        self._draw(target.pose)
 
         # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0), and P^T dq in tau_0
         mju_cholSolve(solved, mobility, twist)
@@ -213,44 +219,44 @@ class CartesianImpedanceController:
         if target.has_torques:
             add(out, target.torques, out)
 
+    def _draw(self, pose: Array) -> None:
+        """Computes f from where the model was last updated to.
+
+        With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
+        (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
+        """
+        if pose is not self._pose:
+            self._look_at(pose)
+        model, quaternion, way = self.model, self._quaternion, self._way
+        subtract(self._position, model.flange_position, way)
+        if self._in_flange:
+            self._rotation_back.dot(model.flange_rotation, self._between)
+            way[:] = self._rotation_back.dot(way)
+        else:  # v in the world's axes, in one
+            model.flange_rotation.dot(self._rotation_back, self._between)
+        mju_mat2Quat(quaternion, self._between_flat)
+        if quaternion.item(0) < 0.0:
+            negative(quaternion, quaternion)
+        self._spring_of.dot(self._error, self._pull)
+        mju_mulQuat(self._torque, quaternion, self._pure)
+        if self._in_flange:
+            self._force[:] = self._rotation.dot(self._force)
+            self._torque[1:] = self._rotation.dot(self._torque[1:])
+
     def spring_wrench(self, pose: Array) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
 
         Args:
             pose: T_world_flange (4, 4) of the target.
         """
-        if pose is not self._pose:
-            self._look_at(pose)
-        model, error, force, rotation = self.model, self._error, self._force, self._rotation
-        quaternion = self._quaternion
-        self._rotation_back.dot(model.flange_rotation, self._between)
-        mju_mat2Quat(quaternion, self._between_flat)
-        subtract(self._position, model.flange_position, self._way)
-        w = quaternion.item(0)
-        factor = -2.0 if w >= 0 else 2.0
-        if self._in_flange:
-            multiply(self._axis, factor, self._turn)
-            self._way[:] = self._rotation_back.dot(self._way)
-        else:
-            multiply(self._axis, factor, self._vector)
-            rotation.dot(self._vector, self._turn)
-        self.stiffness.dot(error, force)
-        _, _, _, ex, ey, ez = error.tolist()
-        _, _, _, fx, fy, fz = force.tolist()
-        w, ex, ey, ez = abs(w), -0.5 * ex, -0.5 * ey, -0.5 * ez
-        # (w + S(v)) f_r: the slope of the quaternion's vector part v along rotations.
-        force[3] = w * fx + ey * fz - ez * fy
-        force[4] = w * fy + ez * fx - ex * fz
-        force[5] = w * fz + ex * fy - ey * fx
-        if self._in_flange:
-            force[:3] = rotation.dot(force[:3])
-            force[3:] = rotation.dot(force[3:])
-        return force
+        self._draw(pose)
+        return np.hstack([self._force, self._torque[1:]])
 
     def energy(self, pose: Array) -> float:
         """V, J: what the spring holds where the model was last updated to."""
-        self.spring_wrench(pose)
-        return float(0.5 * self._error @ self.stiffness @ self._error)
+        self._draw(pose)
+        error = np.hstack([self._way, -2.0 * self._quaternion[1:]])
+        return float(0.5 * error @ self.stiffness @ error)
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long.
