@@ -13,12 +13,11 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from mujoco import (
-    mj_comPos,
     mj_comVel,
     mj_factorM,
     mj_fullM,
+    mj_fwdKinematics,
     mj_jacSite,
-    mj_kinematics,
     mj_makeM,
     mj_rne,
     mj_solveM,
@@ -90,8 +89,7 @@ class RobotModel:
         self._weightless.opt.gravity[:] = 0.0
         self._moving = mujoco.MjData(self._weightless)
         self._swapped = mujoco.MjData(self._weightless)
-        mj_kinematics(self._model, self._data)
-        mj_comPos(self._model, self._data)
+        mj_fwdKinematics(self._model, self._data)
         self._take_views()
 
     def _take_views(self) -> None:
@@ -148,8 +146,7 @@ class RobotModel:
         self._qpos[:] = angles
         self._velocities = velocities
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
-        mj_kinematics(self._model, self._data)
-        mj_comPos(self._model, self._data)
+        mj_fwdKinematics(self._model, self._data)
 
     def gravity(self, out: Array | None = None) -> Array:
         """g(q), (n,): the torques that hold the robot still.

@@ -202,8 +202,13 @@ class Sensors:
         self._shifted = self._noisy or bool((errors["bias"] != 0).any())
         self._offset_all()
         coarse = errors["resolution"] > 0
+        # Values, their resolution, and for which of them; None for all.
         self._grids = [
-            (self.measured[row], np.where(coarse[row], errors["resolution"][row], 1.0), coarse[row])
+            (
+                self.measured[row],
+                np.where(coarse[row], errors["resolution"][row], 1.0),
+                None if coarse[row].all() else coarse[row],
+            )
             for row in np.flatnonzero(coarse.any(axis=1))
         ]
         self._faulty = bool(self._dead.any() or self._frozen.any())
@@ -244,11 +249,12 @@ class Sensors:
         if source is actual:
             copyto(measured, actual)
         for values, grid, coarse in self._grids:
-            steps = self._grid_steps
+            steps = values if coarse is None else self._grid_steps
             divide(values, grid, steps)
             rint(steps, steps)
             multiply(steps, grid, steps)
-            copyto(values, steps, where=coarse)
+            if coarse is not None:
+                copyto(values, steps, where=coarse)
         if self._faulty:
             copyto(measured, self._held, where=self._frozen)
             copyto(measured, 0.0, where=self._dead)
