@@ -217,7 +217,7 @@ class Simulation:
             range(first, last + 1),
             arm.plan.rows[first - 1 : last] if moves else repeat(None, last + 1 - first),
             self.rows[first - 1 : last, 0].tolist(),
-            measured_rows,
+            repeat(None, last + 1 - first) if is_perfect else measured_rows,
             self._actual_log[part],
             self._driven_log[part, :n],
             asked,
