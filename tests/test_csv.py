@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from sero_mj.drive.export_csv import Exported, column_names, export_csv
 from sero_mj.drive.read_csv import read_csv
+from sero_mj.drive.write_csv import csv_table
 from sero_mj.errors import CsvError, UnknownName
 from sero_mj.receive.recording import Recording
 from sero_mj.receive.recording_writer import RecordingWriter
@@ -159,3 +161,20 @@ def test_what_is_no_table_is_told(tmp_path: Path) -> None:
     for rate in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="expected rows per s, above 0"):
             read_csv(tmp_path / "b.csv", rate=rate)
+
+
+def test_a_table_goes_where_a_link_leads_and_into_pipes(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "link.csv").symlink_to(tmp_path / "there" / "a.csv")
+    with csv_table(tmp_path / "link.csv") as table:
+        table.writerow(["a", 1])
+        assert [file.name for file in (tmp_path / "there").iterdir()] == ["a.csv.part"]
+    assert (tmp_path / "link.csv").is_symlink()
+    assert (tmp_path / "there" / "a.csv").read_text() == "a,1\n"
+    os.mkfifo(tmp_path / "pipe")
+    end = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    with csv_table(tmp_path / "pipe") as table:
+        table.writerow(["b", 2])
+    assert os.read(end, 100) == b"b,2\n"
+    os.close(end)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["link.csv", "pipe", "there"]

@@ -306,7 +306,8 @@ def test_the_command_sends_a_scenario_as_it_is_simulated(
         '"lwr.torques" = "udp.values1"\n'
     )
     assert send(scene, "--play", "impedance_push", "--duration", 0.05) == 2
-    assert "expect.it_holds_before" not in capsys.readouterr().out
+    refused = capsys.readouterr().err
+    assert "disturbances.push.begin: found 1 s; the run ends at 0.05 s" in refused
     mine = tmp_path / "mine.toml"
     mine.write_text('[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.05\n')
     assert send(scene, "--play", mine) == 0

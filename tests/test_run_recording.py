@@ -1,16 +1,24 @@
 from __future__ import annotations
 
+import json
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import Writer
 from runs import HOME, record_packets, record_run, simulated
 
 from sero_mj.assemble.scene_file import read_scene
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.errors import RecordingError, UsageError
+from sero_mj.receive.mcap_file import FLUSH_AFTER
+from sero_mj.receive.recording import Recording
+from sero_mj.simulate.run_log import event_of
+from sero_mj.simulate.run_recorder import RunRecorder
 from sero_mj.simulate.run_recording import read_run
+from sero_mj.simulate.staging import SOURCE
 
 # Degrees and mNm; outputs of robots go into others.
 SCENE = """\
@@ -229,3 +237,35 @@ def test_packets_that_came_at_once_count_as_one(tmp_path: Path) -> None:
     run = read_run(record_packets(tmp_path / "x.mcap", "7F", rows, times, files))
     np.testing.assert_allclose(run.times, [0.0, 0.1, 0.2], atol=1e-8)
     np.testing.assert_allclose(run.of("lwr", "angles")[:, 0], [0.0, 3.0, 4.0])
+
+
+def test_what_was_recorded_is_in_the_file_half_a_second_later(tmp_path: Path) -> None:
+    simulation = simulated(duration=0.1)
+    path = tmp_path / "run.mcap"
+    with RunRecorder(simulation, path) as recorder:
+        recorder.write(0, 51)
+        time.sleep(FLUSH_AFTER + 0.05)
+        recorder.write(51, 61)
+        with Recording(path) as recording:  # as it is found when the process is killed now
+            assert [at for at, _ in recording.packets(SOURCE)] == pytest.approx(
+                simulation.rows[:61, 0], abs=1e-6
+            )
+
+
+def test_values_as_json_belong_to_their_rows(tmp_path: Path) -> None:
+    simulation = simulated(duration=0.1)
+    path = tmp_path / "run.mcap"
+    with RunRecorder(simulation, path, signals_rate=100.0) as recorder:
+        recorder.write(0, 15)
+        recorder.write(15, 16)  # none of them is its turn
+        recorder.write(16, 101)
+    with open(path, "rb") as file:
+        found = {
+            message.sequence: json.loads(message.data)
+            for _, channel, message in make_reader(file).iter_messages()
+            if channel.message_encoding == "json"
+        }
+    assert list(found) == list(range(0, 101, 10))
+    angles = simulation.layout.columns[event_of("lwr", "angles")]
+    for k, values in found.items():
+        assert values["lwr_angles"] == simulation.rows[k, angles].tolist()

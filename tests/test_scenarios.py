@@ -15,7 +15,8 @@ from sero_mj.paths import list_scenarios
 from sero_mj.simulate.disturbances import Force
 from sero_mj.simulate.run_recorder import RunRecorder
 from sero_mj.simulate.scenario import Scenario
-from sero_mj.simulate.scenario_file import is_scenario, read_scenario
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.sections import is_scenario
 from sero_mj.simulate.simulation import Simulation
 
 HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]

@@ -164,7 +164,7 @@ def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
 def _read(name: str, given: dict[str, Any]) -> Scene:
     from ..assemble.scene import Scene
     from ..drive.mirror import load_scene
-    from ..simulate.scenario_file import is_scenario
+    from ..simulate.sections import is_scenario
 
     try:
         path = paths.find_scene(name)
@@ -192,15 +192,10 @@ def _read_staged(name: str, given: dict[str, Any]) -> Scene:
         SeroError: what is wrong in the file.
     """
     from ..simulate.scenario_file import read_scenario
-    from ..simulate.simulated_source import SimulatedSource
+    from ..simulate.simulated_source import staged
     from ..simulate.simulation import Simulation
-    from ..simulate.staging import add_paths, stage
 
-    simulation = Simulation(read_scenario(name, given))
-    scene = stage(simulation.scenario, simulation.layout, SimulatedSource(simulation=simulation))
-    if simulation.scenario.run.show_paths:
-        add_paths(scene, simulation.scenario, simulation.layout, simulation.rows)
-    return scene
+    return staged(Simulation(read_scenario(name, given)))
 
 
 def replay_instead(scene: Scene, file: Path, start: float | None) -> None:

@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 def add_to(commands: Commands) -> None:
     """Adds the command."""
     parser = add_command(
-        commands, "list", run, "list the shipped robots and scenes", "See also: sero-mj check SCENE"
+        commands,
+        "list",
+        run,
+        "list the shipped robots, scenes, scenarios and environments",
+        "See also: sero-mj check SCENE",
     )
     parser.add_argument(
         "--fields", nargs="?", const="robots", choices=("robots", "scenarios"),
@@ -41,7 +45,19 @@ def run(options: argparse.Namespace) -> int:
     for name in paths.list_scenarios():
         about = tomllib.loads(paths.find_scenario(name).read_text(encoding="utf-8"))
         print(f"  {name:18} {about.get('description', '')}")
+    _print_environments()
     return 0
+
+
+def _print_environments() -> None:
+    from ..environment.make import TASKS
+
+    print("environments, for sero_mj.make_environment (dm_env)")
+    for robot in paths.list_models():
+        for name, task in TASKS.items():
+            about, *_ = (task.__doc__ or "").splitlines()
+            print(f"  {f'{robot}/{name}':18} {about}")
+    print("  and every scenario, with an agent in the place of its controller")
 
 
 def _first_comment(scene: str) -> str:

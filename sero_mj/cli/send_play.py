@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import DeclarationError, UsageError
 from ..paths import list_scenarios
 from .arguments import positive
+from .sink import goes_to_shm
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -67,7 +68,6 @@ def send_file(
     from ..drive.playback import timed
     from ..drive.route import wire
     from ..drive.send import send
-    from ..receive.shm import ShmReader
 
     if options.play.suffix.lower() == ".toml" or str(options.play) in list_scenarios():
         return _send_simulation(options)
@@ -78,8 +78,7 @@ def send_file(
         raise DeclarationError(scene.located(wiring.problems))
     source = choose_source(wiring, options.source)
     structure = structure_for(source, options.structure)
-    to_shm = options.shm is not None or (isinstance(source, ShmReader) and options.port is None)
-    playback = _open(options, source, structure, to_shm)
+    playback = _open(options, source, structure, goes_to_shm(options, source))
     told = _tell(playback.notes)
     with sink(options, source, structure) as to:
         print(

@@ -183,12 +183,9 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
 
 def _render(simulation: Simulation, options: argparse.Namespace) -> None:
     from ..show.capture import render_picture
-    from ..simulate.simulated_source import SimulatedSource
-    from ..simulate.staging import add_paths, stage
+    from ..simulate.simulated_source import staged
 
-    scene = stage(simulation.scenario, simulation.layout, SimulatedSource(simulation=simulation))
-    if simulation.scenario.run.show_paths:
-        add_paths(scene, simulation.scenario, simulation.layout, simulation.rows)
+    scene = staged(simulation)
     if options.render.suffix.lower() == ".mp4":
         film_with_progress(
             scene, options.render, quiet=options.quiet, duration=max(simulation.time, 1e-3),

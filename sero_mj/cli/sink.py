@@ -14,6 +14,13 @@ if TYPE_CHECKING:
     from ..receive.structure import Structure
 
 
+def goes_to_shm(options: argparse.Namespace, source: Receiver) -> bool:
+    """Whether packets go to shared memory: said so, or the source reads it and no port is given."""
+    from ..receive.shm import ShmReader
+
+    return options.shm is not None or (isinstance(source, ShmReader) and options.port is None)
+
+
 def make_sink(
     options: argparse.Namespace, source: Receiver, structure: Structure
 ) -> UdpSink | ShmWriter:
@@ -23,7 +30,7 @@ def make_sink(
     from ..receive.shm import ShmReader
     from ..receive.udp import UdpReceiver
 
-    if options.shm is not None or (isinstance(source, ShmReader) and options.port is None):
+    if goes_to_shm(options, source):
         if not isinstance(source, ShmReader):
             return ShmWriter(options.shm, structure)
         if options.host is not None:

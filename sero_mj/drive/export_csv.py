@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import csv
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import CsvError, RecordingError
 from ..receive.recording import Recording
+from .write_csv import csv_table
 
 TIME = "time"
 
@@ -73,8 +70,6 @@ def export_csv(
     """
     packets = recording.packets(name, start, stop)
     events = recording.sources[name].events if name in recording.sources else {}
-    path = Path(path)
-    partial = path.with_name(f"{path.name}.part")
     counted = {"rows": 0, "malformed": 0}
 
     def rows() -> Iterator[list[float]]:
@@ -93,18 +88,9 @@ def export_csv(
             yield row
 
     first = next(rows_of := rows(), None)  # what is wrong with the recording comes before a file
-    try:
-        with open(partial, "w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow([TIME, *column_names(events)])
-            if first is not None:
-                table.writerow(first)
-            table.writerows(rows_of)
-        os.replace(partial, path)
-    except BaseException as error:
-        with contextlib.suppress(OSError):  # it may be its folder that is not there
-            partial.unlink()
-        if isinstance(error, OSError) and not isinstance(error, RecordingError):
-            raise CsvError(path, f"cannot be written: {error.strerror}") from error
-        raise
+    with csv_table(path) as table:
+        table.writerow([TIME, *column_names(events)])
+        if first is not None:
+            table.writerow(first)
+        table.writerows(rows_of)
     return Exported(**counted)

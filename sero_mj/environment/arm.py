@@ -112,9 +112,9 @@ class Arm:
         except ValueError as error:
             raise DeclarationError([Problem("sensors", str(error))]) from None
         world = World(Scene(robots=[robot]), dynamic=True)
+        self._model = RobotModel.of(robot, world)  # before anything is changed about the world
         self.plant = Plant(world, sensors, settings.timestep)
         self._part = world.robots[robot.name]
-        self._model = RobotModel.of(robot)
         self._motors = np.zeros(2 * n) if robot.elastic_joints else None
         self._torques: Array = np.zeros(n)
         self._scratch = world.make_data()

@@ -24,7 +24,6 @@ ALL_DRIVES = 0x7F  # `power` with all seven on
 INVALID = 65535  # -1, for state and quality are unsigned
 STATES = {0: "off", 1: "monitor", 2: "command", INVALID: "invalid"}
 QUALITIES = {0: "unacceptable", 1: "bad", 2: "ok", 3: "perfect", INVALID: "invalid"}
-CONTROLS = {0: "other", 1: "position", 2: "Cartesian impedance", 3: "joint impedance"}
 
 _HEADER = "send_counter:1H reflected_counter:1H packet_size:1H=size datagram_id:1H={}"
 _KRL = "krl_real:16f krl_int:16i krl_bool:1H 2x"

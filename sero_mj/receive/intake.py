@@ -38,13 +38,14 @@ class Intake:
         time: event that says when the packet was sent; empty for none.
         time_scale: s per unit of `time`.
         lossless: whether late packets are applied as well.
+        nan_allowed: events in which NaN means `no data`.
         on_fault: called with a line about the last fault of a batch.
 
     Attributes:
+        nan_allowed: as above.
         on_fault: as above.
         counters: what came in.
         timing: rate, jitter and delay.
-        nan_allowed: events in which NaN means `no data`.
     """
 
     def __init__(
@@ -55,12 +56,13 @@ class Intake:
         time: str = "",
         time_scale: float = 1.0,
         lossless: bool = False,
+        nan_allowed: frozenset[str] = frozenset(),
         on_fault: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.layout = layout
         self.counters = Counters()
         self.timing = Timing()
-        self.nan_allowed: frozenset[str] = frozenset()
+        self.nan_allowed = nan_allowed
         self._sequence, self._time = sequence, time
         self._time_scale = time_scale
         self._lossless = lossless

@@ -73,19 +73,29 @@ class ChunkBuilder:
     """Collects messages until they are sealed into a chunk.
 
     Attributes:
-        data: the message records so far.
+        size: bytes of the message records so far.
     """
 
     def __init__(self) -> None:
         self._compressor = zstandard.ZstdCompressor(
-            level=-3, write_checksum=True
-        )  # twice as fast as 1, 6 % larger
+            level=-6, write_checksum=True
+        )  # more than twice as fast as 1, 11 % larger
+        # Kept from chunk to chunk: fresh memory costs more than what is written into it.
+        self._records = bytearray(1 << 16)
         self.clear()
 
     def clear(self) -> None:
         """Forgets all messages."""
-        self.data = bytearray()
+        self.size = 0
         self._index: dict[int, array[int]] = {}  # channel to time, offset, time, offset, ...
+
+    def _make_room(self, size: int) -> tuple[int, int]:
+        """Counts so many bytes in; returns where they begin and end."""
+        begin, end = self.size, self.size + size
+        if end > len(self._records):
+            self._records += bytes(max(size, len(self._records)))
+        self.size = end
+        return begin, end
 
     def add(self, channel: int, data: bytes, log_time: int, sequence: int) -> None:
         """Adds a message.
@@ -100,12 +110,11 @@ class ChunkBuilder:
         if index is None:
             index = self._index[channel] = array("Q")
         index.append(log_time)
-        index.append(len(self.data))
+        index.append(self.size)
         length = _MESSAGE_FIELDS + len(data)
-        self.data += _MESSAGE_HEAD.pack(
-            Opcode.MESSAGE, length, channel, sequence, log_time, log_time
-        )
-        self.data += data
+        record = _MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence, log_time, log_time)
+        begin, end = self._make_room(len(record) + len(data))
+        self._records[begin:end] = record + data
 
     def add_rows(
         self, channel: int, rows: NDArray[np.uint8], log_times: NDArray[np.uint64], sequence: int
@@ -121,17 +130,18 @@ class ChunkBuilder:
         index = self._index.setdefault(channel, array("Q"))
         count, size = rows.shape
         head = _MESSAGE_HEAD.size
-        records = np.empty((count, head + size), np.uint8)
+        entries = np.empty((count, 2), np.uint64)
+        entries[:, 0] = log_times
+        entries[:, 1] = self.size + np.arange(count) * (head + size)
+        begin, end = self._make_room(count * (head + size))
+        room = np.frombuffer(self._records, np.uint8, end - begin, begin)
+        records = room.reshape(count, head + size)
         fields = records[:, :head].view(_MESSAGE_DTYPE)[:, 0]
         fields["opcode"], fields["length"] = Opcode.MESSAGE, _MESSAGE_FIELDS + size
         fields["channel"], fields["sequence"] = channel, (sequence + np.arange(count)) & 0xFFFFFFFF
         fields["log_time"] = fields["publish_time"] = log_times
         records[:, head:] = rows
-        entries = np.empty((count, 2), np.uint64)
-        entries[:, 0] = log_times
-        entries[:, 1] = len(self.data) + np.arange(count) * (head + size)
         index.frombytes(entries.tobytes())
-        self.data += records.tobytes()
 
     def seal(self, offset: int) -> SealedChunk:
         """Returns the chunk of all messages so far, at least one, and forgets them.
@@ -139,10 +149,10 @@ class ChunkBuilder:
         Args:
             offset: where in the file the chunk will stand.
         """
-        times = [index[::2] for index in self._index.values()]
-        first, last = min(map(min, times)), max(map(max, times))
-        plain = bytes(self.data)
-        packed = self._compressor.compress(plain)
+        times = [np.frombuffer(index, np.uint64)[::2] for index in self._index.values()]
+        first, last = min(int(each.min()) for each in times), max(int(each.max()) for each in times)
+        size = self.size
+        packed = self._compressor.compress(memoryview(self._records)[:size])
         builder = RecordBuilder()
         Chunk(
             compression=_COMPRESSION,
@@ -150,7 +160,7 @@ class ChunkBuilder:
             message_start_time=first,
             message_end_time=last,
             uncompressed_crc=0,  # zstd has a checksum of its own, which is ten times as fast
-            uncompressed_size=len(plain),
+            uncompressed_size=size,
         ).write(builder)
         chunk_length = builder.count
         places = {}
@@ -168,7 +178,7 @@ class ChunkBuilder:
             message_index_length=index_length,
             message_index_offsets=places,
             message_start_time=first,
-            uncompressed_size=len(plain),
+            uncompressed_size=size,
         ).write(builder)
         counts = {channel: len(index) // 2 for channel, index in self._index.items()}
         self.clear()

@@ -193,10 +193,10 @@ class McapFile:
         """
         if self.error is not None:
             raise self.error
-        if not self._chunk.data:
+        if not self._chunk.size:
             self._oldest = time.monotonic()
         self._chunk.add(channel, data, log_time, sequence)
-        if len(self._chunk.data) >= self._chunk_bytes:
+        if self._chunk.size >= self._chunk_bytes:
             self.flush()
 
     def add_rows(
@@ -217,11 +217,11 @@ class McapFile:
             raise self.error
         at_once = max(self._chunk_bytes // max(rows.shape[1], 1), 1)
         for first in range(0, len(rows), at_once):
-            if not self._chunk.data:
+            if not self._chunk.size:
                 self._oldest = time.monotonic()
             part = slice(first, first + at_once)
             self._chunk.add_rows(channel, rows[part], log_times[part], sequence + first)
-            if len(self._chunk.data) >= self._chunk_bytes:
+            if self._chunk.size >= self._chunk_bytes:
                 self.flush()
 
     def flush_if_old(self) -> float:
@@ -230,7 +230,7 @@ class McapFile:
         Raises:
             RecordingError: it cannot be written.
         """
-        if not self._chunk.data:
+        if not self._chunk.size:
             return float("inf")
         remaining = self._oldest + self._flush_after - time.monotonic()
         if remaining > 0.0:
@@ -240,7 +240,7 @@ class McapFile:
 
     def flush(self) -> None:
         """Writes the messages that are not yet in the file; raises RecordingError."""
-        if not self._chunk.data:
+        if not self._chunk.size:
             return
         sealed = self._chunk.seal(self._end)
         before = _Before(self._end, self._summary.totals)

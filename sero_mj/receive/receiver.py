@@ -123,16 +123,15 @@ class Receiver(Declaration):
 
     def _new_intake(self, *, follows: bool = True) -> Intake:
         """What checks packets; it `follows` their numbers, or judges each by itself."""
-        intake = Intake(
+        return Intake(
             self.layout,
             sequence=self.sequence if follows else "",
             time=self.time if follows else "",
             time_scale=self.time_scale,
             lossless=not self.only_latest_packet,
+            nan_allowed=self._nan_allowed,
             on_fault=self._warn,
         )
-        intake.nan_allowed = self._nan_allowed
-        return intake
 
     @property
     def counters(self) -> Counters:
@@ -347,6 +346,5 @@ class Receiver(Declaration):
 
 def _structure_of(text: str, info: ValidationInfo) -> Structure:
     """The structure of a declaration whose fields before it have been read."""
-    known = info.data
-    is_double, alignment = known.get("is_double", True), known.get("alignment", 1)
+    is_double, alignment = info.data.get("is_double", True), info.data.get("alignment", 1)
     return Structure(text, is_double=is_double, alignment=alignment)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,15 +26,16 @@ from .recording_format import (
     raw_topic,
     signals_topic,
 )
-from .signals_json import encode_signals, signals_schema
+from .signals_json import encode_signals, encode_table, signals_schema
 
 
 @dataclass
 class _Channels:
-    """The numbers of a source's two channels, and of the next packet."""
+    """The numbers of a source's two channels, its events, and the number of the next packet."""
 
     raw: int
     signals: int
+    events: Mapping[str, tuple[int, ...]]
     number: int = 0
 
 
@@ -121,7 +122,7 @@ class RecordingWriter:
             f"sero-mj.{name}", SCHEMA_ENCODING, signals_schema(name, events)
         )
         signals = self._file.add_channel(signals_topic(name), SIGNALS_ENCODING, schema, {})
-        self._channels[name] = _Channels(raw, signals)
+        self._channels[name] = _Channels(raw, signals, dict(events))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Puts a file into the recording: the scene, a robot; raises RecordingError.
@@ -196,6 +197,32 @@ class RecordingWriter:
             self.clock.log_time(arrival),
             max(0, channels.number - 1) & 0xFFFFFFFF,
         )
+
+    def write_signal_rows(
+        self,
+        name: str,
+        table: NDArray[np.float64],
+        arrivals: NDArray[np.float64],
+        sequences: Sequence[int],
+    ) -> None:
+        """Keeps what many packets mean at once.
+
+        Args:
+            name: their source.
+            table: (n, k), the numbers of all its events in their order; matrices row by row.
+            arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
+            sequences: the packets' numbers, n, counted from 0.
+
+        Raises:
+            RecordingError: there is no room. What was written before is kept.
+            UnknownName: no such source was added.
+            ValueError: an arrival is not a time.
+        """
+        channels = self._find(name)
+        messages = encode_table(channels.events, table)
+        times = self.clock.log_times(arrivals).tolist()
+        for message, time, sequence in zip(messages, times, sequences, strict=True):
+            self._file.add_message(channels.signals, message, time, sequence & 0xFFFFFFFF)
 
     def _find(self, name: str) -> _Channels:
         channels = self._channels.get(name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ _FRAME = {
     "properties": {"position": _POINT, "rotation": {"type": "array", "items": _NUMBER}},
 }
 _VECTORS, _MATRICES = (3,), (4, 4)  # the shape of one item
+_POINT_TEXT = '{"x":%r,"y":%r,"z":%r}'
+_FRAME_TEXT = f'{{"position":{_POINT_TEXT},"rotation":[{",".join(["%r"] * 9)}]}}'
 
 
 def signals_schema(name: str, events: Mapping[str, tuple[int, ...]]) -> bytes:
@@ -40,30 +43,60 @@ def signals_schema(name: str, events: Mapping[str, tuple[int, ...]]) -> bytes:
 
 def encode_signals(values: Mapping[str, NDArray[np.float64]]) -> bytes:
     """Returns a decoded packet as a JSON message; arrays in the shapes of `signals_schema`."""
-    message = {event: _items(array) for event, array in values.items()}
-    return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
+    table = np.concatenate([array.ravel() for array in values.values()])[None]
+    return encode_table({event: array.shape for event, array in values.items()}, table)[0]
 
 
-def _items(array: NDArray[np.float64]) -> list[Any]:
-    if array.shape[1:] == _VECTORS:
-        return [_point(row) for row in _numbers(array)]
-    if array.shape[1:] == _MATRICES:
-        positions, rotations = _numbers(array[:, :3, 3]), _numbers(array[:, :3, :3].reshape(-1, 9))
-        return [
-            {"position": _point(position), "rotation": rotation}
-            for position, rotation in zip(positions, rotations, strict=True)
-        ]
-    return _numbers(array.ravel())
+def encode_table(events: Mapping[str, tuple[int, ...]], table: NDArray[np.float64]) -> list[bytes]:
+    """Returns many decoded packets at once, each as `encode_signals` does.
+
+    Args:
+        events: event name to its shape.
+        table: (packets, k), the numbers of all events in their order; matrices row by row.
+    """
+    template, order = _template(tuple(events.items()))
+    if order is not None:
+        table = table[:, order]
+    rows: list[list[Any]] = table.tolist()
+    finite = np.isfinite(table)
+    if not finite.all():
+        for row, known in zip(rows, finite.tolist(), strict=True):
+            row[:] = [number if k else _NULL for number, k in zip(row, known, strict=True)]
+    return [(template % tuple(row)).encode() for row in rows]
 
 
-def _point(row: list[float | None]) -> dict[str, float | None]:
-    return {"x": row[0], "y": row[1], "z": row[2]}
+class _Null:
+    def __repr__(self) -> str:
+        return "null"
 
 
-def _numbers(array: NDArray[np.float64]) -> list[Any]:
-    finite = np.isfinite(array)
-    if finite.all():
-        return list(array.tolist())
-    with_none = array.astype(object)
-    with_none[~finite] = None
-    return list(with_none.tolist())
+_NULL = _Null()
+
+
+@cache
+def _template(
+    events: tuple[tuple[str, tuple[int, ...]], ...],
+) -> tuple[str, NDArray[np.intp] | None]:
+    """The message with %r, which writes numbers as JSON does, and which number goes where.
+
+    The latter is None where they go as they come.
+    """
+    members, order, first = [], [], 0
+    for event, shape in events:
+        count = int(np.prod(shape))
+        places = np.arange(first, first + count)
+        first += count
+        if shape[1:] == _VECTORS:
+            items = [_POINT_TEXT] * shape[0]
+        elif shape[1:] == _MATRICES:
+            items = [_FRAME_TEXT] * shape[0]
+            frames = places.reshape(-1, 4, 4)
+            parts = frames[:, :3, 3], frames[:, :3, :3].reshape(-1, 9)
+            places = np.concatenate(parts, axis=1).ravel()
+        else:
+            items = ["%r"] * count
+        members.append(f"{json.dumps(event).replace('%', '%%')}:[{','.join(items)}]")
+        order.append(places)
+    places = np.concatenate(order)
+    as_they_come = np.array_equal(places, np.arange(first))
+    return f"{{{','.join(members)}}}", None if as_they_come else places

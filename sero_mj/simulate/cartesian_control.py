@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import mujoco
 import numpy as np
+from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat, mju_mulQuat
+from numpy import add, negative, subtract
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 # blocked in a direction, and its mobility is raised by up to as much (as for inverse kinematics:
 # Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity Robustness).
 _BLOCKED = 0.01
+_TINY = 1e-15  # what the pivots of its inverse are at least
 # Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
 _LEAST_STIFFNESS = 1.0
 
@@ -122,56 +124,124 @@ class CartesianImpedanceController:
     ) -> None:
         n = model.n
         self.model = model
-        self.stiffness = stiffness
-        self.damping: Array = np.zeros((6, 6))
+        self.stiffness: Array = np.ascontiguousarray(stiffness)
         self._ratio, self._in_flange = damping, in_flange
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0
         self._timestep = timestep
         self._regularise: Array = np.zeros((6, 6))
+        self._is_near = False  # to a singularity
         self._spring = nullspace_stiffness
         self._spring_ratio = nullspace_damping
         self._damper: Array = np.zeros(n)
-        self._error: Array = np.zeros(6)
-        self._quaternion: Array = np.zeros(4)
-        self._force: Array = np.zeros(6)
-        self._wrench: Array = np.zeros(6)
-        self._twist: Array = np.zeros(6)
-        self._nullspace: Array = np.zeros(n)
+        self._between: Array = np.zeros((3, 3))
+        self._between_flat = self._between.reshape(9)
+        # Way and quaternion to a force and a pure quaternion, whose scalar is zero: K in between.
+        self._error: Array = np.zeros(7)
+        self._way, self._quaternion = self._error[:3], self._error[3:]
+        self._spring_of: Array = np.zeros((7, 7))
+        vectors = [0, 1, 2, 4, 5, 6]
+        self._spring_of[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
+        self._make_sums()
+        self._look_at(np.eye(4))
+
+    def _make_sums(self) -> None:
+        """Makes a product of every sum: numpy takes longer to call than to compute."""
+        n, one = self.model.n, np.eye(self.model.n)
+        # [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0]; f's lower half is the vector of a quaternion.
+        self._wrench_of: Array = np.zeros((6, 23))
+        self._wrench_of[:3, 6:9] = self._wrench_of[3:, 14:17] = np.eye(3)
+        self._wrench_of[:, 17:] = -np.eye(6)
+        self.damping: Array = self._wrench_of[:, :6]
+        wrenches: Array = np.zeros(23)
+        slip, taken = wrenches[:6], wrenches[17:]
+        self._pull, self._force = wrenches[6:13], wrenches[6:9]
+        self._pure, self._torque = wrenches[9:13], wrenches[13:17]
+        # [K_0 -D_0 D_0] [q_0 - q; dq; M^-1 J^T L J dq]
+        self._inner_of: Array = np.hstack([np.diag(self._spring), 0 * one, 0 * one])
+        states: Array = np.zeros(3 * n)
+        away, speeds, seen = states[:n], states[n : 2 * n], states[2 * n :]
+        # [wrench tau_0 g] [J; 1; 1]
+        self._torque_of: Array = np.vstack([np.zeros((6, n)), one, one])
+        jacobian: Array = self._torque_of[:6]
+        torques: Array = np.zeros(6 + 2 * n)
+        wrench, inner, gravity = torques[:6], torques[6 : 6 + n], torques[6 + n :]
+        back, mobility = np.zeros((6, n)), np.zeros((6, 6))
+        # What every step needs, in one place: looking things up takes time as well.
+        self._hot = (
+            jacobian, jacobian[:3], jacobian[3:], back, back.T, mobility, np.zeros(6), np.zeros(6),
+            wrenches, slip, taken, states, away, speeds, seen, torques, wrench, inner, gravity,
+        )  # fmt: skip
+
+    def _look_at(self, pose: Array) -> None:
+        """Takes views of a target's pose, which is the same array at every step."""
+        self._pose = pose
+        self._position, self._rotation = pose[:3, 3], pose[:3, :3]
+        self._rotation_back = self._rotation.T
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
+        (
+            jacobian, linear, angular, back, back_transposed, mobility, twist, solved,
+            wrenches, slip, taken, states, away, speeds, seen, parts, wrench, inner, gravity,
+        ) = self._hot  # fmt: skip
         model = self.model
         angles, velocities = sensed.motor_angles, sensed.motor_velocities
         model.update(angles, velocities)
-        jacobian = model.jacobian()
-        back = np.linalg.inv(model.mass()).dot(jacobian.T)  # M^-1 J^T
-        mobility = jacobian.dot(back)
+        model.write_jacobian(linear, angular)
+        model.over_mass(jacobian, back)  # J M^-1
+        jacobian.dot(back_transposed, mobility)
         if self._left == 0:
             self._design(mobility, target.pose)
             self._left = self._every
         self._left -= 1
-        mobility += self._regularise
-        felt = np.linalg.inv(mobility)
+        if self._is_near:
+            add(mobility, self._regularise, mobility)
+        mju_cholFactor(mobility, _TINY)  # in its place: it is only ever solved with
 
-        twist, wrench = self._twist, self._wrench
         jacobian.dot(velocities, twist)
-        np.subtract(target.twist, twist, wrench)
-        wrench[:] = self.damping.dot(wrench)
-        wrench += self.spring_wrench(target.pose)
-        wrench += target.wrench
+        subtract(target.twist, twist, slip)
+        self._draw(target.pose)
 
-        # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0)
-        held = velocities - back.dot(felt.dot(twist))  # P^T dq
-        inner = self._nullspace
-        np.subtract(target.posture, angles, inner)
-        np.multiply(inner, self._spring, inner)
-        inner -= self._damper * held
-        wrench -= felt.dot(inner.dot(back))
-        wrench.dot(jacobian, out)
-        out += inner
-        out += model.gravity()
-        out += target.torques
+        # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0), and P^T dq in tau_0
+        mju_cholSolve(solved, mobility, twist)
+        solved.dot(back, seen)
+        speeds[:] = velocities
+        subtract(target.posture, angles, away)
+        self._inner_of.dot(states, inner)
+        back.dot(inner, twist)
+        mju_cholSolve(taken, mobility, twist)
+        self._wrench_of.dot(wrenches, wrench)
+        if target.has_torques:
+            add(wrench, target.wrench, wrench)
+        model.gravity(gravity)
+        parts.dot(self._torque_of, out)
+        if target.has_torques:
+            add(out, target.torques, out)
+
+    def _draw(self, pose: Array) -> None:
+        """Computes f from where the model was last updated to.
+
+        With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
+        (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
+        """
+        if pose is not self._pose:
+            self._look_at(pose)
+        model, quaternion, way = self.model, self._quaternion, self._way
+        subtract(self._position, model.flange_position, way)
+        if self._in_flange:
+            self._rotation_back.dot(model.flange_rotation, self._between)
+            way[:] = self._rotation_back.dot(way)
+        else:  # v in the world's axes, in one
+            model.flange_rotation.dot(self._rotation_back, self._between)
+        mju_mat2Quat(quaternion, self._between_flat)
+        if quaternion.item(0) < 0.0:
+            negative(quaternion, quaternion)
+        self._spring_of.dot(self._error, self._pull)
+        mju_mulQuat(self._torque, quaternion, self._pure)
+        if self._in_flange:
+            self._force[:] = self._rotation.dot(self._force)
+            self._torque[1:] = self._rotation.dot(self._torque[1:])
 
     def spring_wrench(self, pose: Array) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
@@ -179,34 +249,14 @@ class CartesianImpedanceController:
         Args:
             pose: T_world_flange (4, 4) of the target.
         """
-        error, force = self._error, self._force
-        rotation = pose[:3, :3]
-        turn = rotation.T.dot(self.model.flange_rotation)
-        mujoco.mju_mat2Quat(self._quaternion, turn.reshape(9))
-        np.subtract(pose[:3, 3], self.model.flange_position, error[:3])
-        w = self._quaternion.item(0)
-        np.multiply(self._quaternion[1:], -2.0 if w >= 0 else 2.0, error[3:])
-        if self._in_flange:
-            error[:3] = error[:3].dot(rotation)
-        else:
-            error[3:] = rotation.dot(error[3:])
-        self.stiffness.dot(error, force)
-        _, _, _, ex, ey, ez = error.tolist()
-        _, _, _, fx, fy, fz = force.tolist()
-        w, ex, ey, ez = abs(w), -0.5 * ex, -0.5 * ey, -0.5 * ez
-        # (w + S(v)) f_r: the slope of the quaternion's vector part v along rotations.
-        force[3] = w * fx + ey * fz - ez * fy
-        force[4] = w * fy + ez * fx - ex * fz
-        force[5] = w * fz + ex * fy - ey * fx
-        if self._in_flange:
-            force[:3] = rotation.dot(force[:3])
-            force[3:] = rotation.dot(force[3:])
-        return force
+        self._draw(pose)
+        return np.hstack([self._force, self._torque[1:]])
 
     def energy(self, pose: Array) -> float:
         """V, J: what the spring holds where the model was last updated to."""
-        self.spring_wrench(pose)
-        return float(0.5 * self._error @ self.stiffness @ self._error)
+        self._draw(pose)
+        error = np.hstack([self._way, -2.0 * self._quaternion[1:]])
+        return float(0.5 * error @ self.stiffness @ error)
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long.
@@ -241,9 +291,13 @@ class CartesianImpedanceController:
         least = float(np.linalg.eigvalsh(mobility)[0])
         near = max(1.0 - least / _BLOCKED, 0.0)
         self._regularise[:] = np.eye(6) * (_BLOCKED * near**2)
+        self._is_near = near > 0.0
         felt = np.linalg.inv(mobility + self._regularise)
         symmetric = 0.5 * (felt + felt.T)
         self.damping[:] = design_damping(symmetric, self._in_world(pose), self._ratio)
         inertia = np.diagonal(self.model.mass())
         spring = np.maximum(self._spring, _LEAST_STIFFNESS)
         self._damper[:] = 2.0 * self._spring_ratio * np.sqrt(inertia * spring)
+        n = len(inertia)
+        np.fill_diagonal(self._inner_of[:, n : 2 * n], -self._damper)
+        np.fill_diagonal(self._inner_of[:, 2 * n :], self._damper)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import CsvError
+from ..drive.write_csv import csv_table
 from .align import Pair
 
 if TYPE_CHECKING:
@@ -178,10 +177,6 @@ def write_csv(pair: Pair, path: Path | str) -> None:
             ):  # fmt: skip
                 names.append(f"{signal}_{joint}_{suffix}")
                 columns.append(values[:, k])
-    try:
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(names)
-            table.writerows(np.column_stack(columns).tolist())
-    except OSError as error:
-        raise CsvError(path, f"cannot be written: {error.strerror}") from error
+    with csv_table(path) as table:
+        table.writerow(names)
+        table.writerows(np.column_stack(columns).tolist())

@@ -9,29 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from ..assemble.declaration import Declaration, Frame, Name, Point, Vector
+from ..assemble.declaration import Frame, Name, Point, Vector
 from ..assemble.inertia import not_physical, tensors_from
 from .kinds import by_kind
+from .timed import Timed
 
 Array = NDArray[np.float64]
 
 
-class Disturbance(Declaration):
-    """Something that begins and may end.
-
-    Attributes:
-        begin: s.
-        end: s; None for never.
-    """
-
-    begin: float = Field(0.0, ge=0)
-    end: float | None = None
-
-    @model_validator(mode="after")
-    def _ends_later(self) -> Disturbance:
-        if self.end is not None and self.end <= self.begin:
-            raise ValueError(f"end: found {self.end:g}; expected more than begin, {self.begin:g} s")
-        return self
+class Disturbance(Timed):
+    """What happens to a robot from outside, for a while or from then on."""
 
 
 class Force(Disturbance):

@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
-from ..assemble.declaration import Declaration, Name
+from ..assemble.declaration import Name
 from ..assemble.robot import SerialRobot
 from ..errors import DeclarationError, Problem, did_you_mean
 from .kinds import by_kind
 from .plant import Plant
 from .sensors import Signal
+from .timed import Timed
 
 _INVERTED = -1.0
 
 
-class Fault(Declaration):
-    """Something that breaks at a time and stays broken.
+Part = Literal["sensors", "drives", "friction"]
+
+
+class Fault(Timed):
+    """Something that breaks at a time, and is whole again when that ends.
 
     Attributes:
         robot: whose; may be left out where there is one only.
         joints: names of the joints; all when empty.
-        begin: s.
+        part: what breaks; where one fault of it ends, the others go on.
     """
+
+    part: ClassVar[Part] = "sensors"
 
     robot: Name | None = None
     joints: list[str] = Field(default_factory=list)
-    begin: float = Field(0.0, ge=0)
 
     _rows: list[int] = PrivateAttr(default_factory=list)
 
@@ -173,6 +178,8 @@ class ControllerFault(Fault):
         gain: what torques are multiplied by: -1 is a wrong sign, 0 a drive that is off.
     """
 
+    part: ClassVar[Part] = "drives"
+
     kind: Literal["controller"] = "controller"
     gain: float = _INVERTED
 
@@ -189,6 +196,8 @@ class FrictionFault(Fault):
         coulomb: likewise.
         added_coulomb: Nm, what is added to it.
     """
+
+    part: ClassVar[Part] = "friction"
 
     kind: Literal["friction"] = "friction"
     viscous: float = Field(1.0, ge=0)

@@ -40,6 +40,7 @@ class Happenings:
     is_tampered: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
+        model = self.plant.model
         self.gains = np.ones(self.plant.n)
         self._due: list[tuple[int, Callable[[], None]]] = []
         self._growing: list[tuple[Push, Force, Array]] = []
@@ -53,8 +54,15 @@ class Happenings:
                 self._plan_force(disturbance, times)
             elif isinstance(disturbance, Payload):
                 self._plan_payload(disturbance)
+        self._broken: list[Fault] = []
+        self._friction = {
+            name: (model.dof_damping[part.dofs].copy(), model.dof_frictionloss[part.dofs].copy())
+            for name, part in self.plant.world.robots.items()
+        }
         for fault in self.scenario.faults.values():
             self._at(fault.begin, partial(self._break, fault))
+            if fault.end is not None:
+                self._at(fault.end, partial(self._mend, fault))
         self._due.sort(key=lambda entry: entry[0])
         self._next = 0
 
@@ -168,5 +176,26 @@ class Happenings:
         return frame
 
     def _break(self, fault: Fault) -> None:
+        self._broken.append(fault)
         fault.happen(self.plant, self.gains)
+        self.is_tampered = bool((self.gains != 1.0).any())
+
+    def _mend(self, fault: Fault) -> None:
+        """Ends a fault; others of the same part go on, in the order in which they began."""
+        self._broken = [other for other in self._broken if other is not fault]
+        others = [other for other in self._broken if other.part == fault.part]
+
+        def go_on() -> None:
+            for other in others:
+                other.happen(self.plant, self.gains)
+
+        if fault.part == "sensors":
+            self.plant.sensors.mend(go_on)
+            return
+        if fault.part == "drives":
+            self.gains[:] = 1.0
+        else:
+            for name, (viscous, coulomb) in self._friction.items():
+                self.plant.set_friction(name, viscous, coulomb)
+        go_on()
         self.is_tampered = bool((self.gains != 1.0).any())

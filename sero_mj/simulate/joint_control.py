@@ -183,10 +183,11 @@ class JointImpedanceController:
         self._feed_forward = feed_forward
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0
-        # One product for both: [K D] [e; de].
-        self._gains: Array = np.hstack([self.stiffness, np.zeros((n, n))])
-        self.damping: Array = self._gains[:, n:]
-        self._error: Array = np.zeros(2 * n)
+        # One product for all: [K D 1] [e; de; own torques].
+        self._gains: Array = np.hstack([self.stiffness, np.zeros((n, n)), np.eye(n)])
+        self.damping: Array = self._gains[:, n : 2 * n]
+        self._terms: Array = np.zeros(3 * n)
+        self._error, self._own = self._terms[: 2 * n], self._terms[2 * n :]
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
@@ -197,12 +198,11 @@ class JointImpedanceController:
             self._left = self._every
         self._left -= 1
         np.subtract(target.state, sensed.motor_state, self._error)
-        self._gains.dot(self._error, out)
         if self._feed_forward:
-            own = model.inverse_dynamics(target.velocities, target.accelerations)
+            model.inverse_dynamics(target.velocities, target.accelerations, self._own)
         else:
-            own = model.gravity()
-        np.add(out, own, out)
+            model.gravity(self._own)
+        self._gains.dot(self._terms, out)
         if target.has_torques:
             np.add(out, target.torques, out)
 

@@ -29,7 +29,7 @@ class Plan:
 
     Attributes:
         joints: angles, velocities and accelerations, (T, n) each; None where there is no target.
-        flange: poses and twists, where the controller or the law is Cartesian.
+        flange: poses and twists, where the controller or the law is Cartesian; only with `joints`.
         moves: whether it ever changes.
     """
 
@@ -38,19 +38,20 @@ class Plan:
     moves: bool
 
     @cached_property
-    def _motions(self) -> Array:
-        """Angles, velocities and accelerations side by side, (T, 3n)."""
-        joints = self.joints
-        assert joints is not None
-        return np.hstack([joints.angles, joints.velocities, joints.accelerations])
+    def rows(self) -> Array:
+        """What is asked for at every step as it stands in `Target.planned`, from its beginning."""
+        if self.joints is None:
+            return np.zeros((0, 0))
+        joints, flange = self.joints, self.flange
+        parts = [joints.angles, joints.velocities, joints.accelerations]
+        if flange is not None:
+            parts += [flange.poses.reshape(len(flange.poses), 16), flange.twists]
+        return np.hstack(parts)
 
     def load(self, target: Target, k: int) -> None:
         """Writes what is asked for at a step into a controller's target."""
         if self.joints is not None:
-            target.motion[:] = self._motions[k]
-        if self.flange is not None:
-            target.pose[:] = self.flange.poses[k]
-            target.twist[:] = self.flange.twists[k]
+            target.planned[: self.rows.shape[1]] = self.rows[k]
 
 
 def make_plan(

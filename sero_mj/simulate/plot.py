@@ -100,7 +100,7 @@ def plot_run(
 def spans_of(scenario: Scenario) -> list[Span]:
     """The disturbances and faults of a scenario as bands."""
     spans = [Span(name, each.begin, each.end) for name, each in scenario.disturbances.items()]
-    spans += [Span(name, each.begin, None, True) for name, each in scenario.faults.items()]
+    spans += [Span(name, each.begin, each.end, True) for name, each in scenario.faults.items()]
     return spans
 
 

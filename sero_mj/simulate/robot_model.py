@@ -13,14 +13,14 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from mujoco import (
-    mj_comPos,
     mj_comVel,
-    mj_crb,
+    mj_factorM,
     mj_fullM,
+    mj_fwdKinematics,
     mj_jacSite,
-    mj_kinematics,
     mj_makeM,
     mj_rne,
+    mj_solveM,
 )
 from numpy.typing import NDArray
 
@@ -89,8 +89,7 @@ class RobotModel:
         self._weightless.opt.gravity[:] = 0.0
         self._moving = mujoco.MjData(self._weightless)
         self._swapped = mujoco.MjData(self._weightless)
-        mj_kinematics(self._model, self._data)
-        mj_comPos(self._model, self._data)
+        mj_fwdKinematics(self._model, self._data)
         self._take_views()
 
     def _take_views(self) -> None:
@@ -118,7 +117,7 @@ class RobotModel:
         self._moving_cdof_dot = moving.cdof_dot
         self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
         self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
-        self._is_moving = self._is_swapped = self._has_mass = False
+        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
 
     @classmethod
     def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
@@ -146,14 +145,18 @@ class RobotModel:
         """
         self._qpos[:] = angles
         self._velocities = velocities
-        self._is_moving = self._is_swapped = self._has_mass = False
-        mj_kinematics(self._model, self._data)
-        mj_comPos(self._model, self._data)
+        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
+        mj_fwdKinematics(self._model, self._data)
 
-    def gravity(self) -> Array:
-        """g(q), (n,): the torques that hold the robot still."""
-        mj_rne(self._model, self._data, 0, self._gravity)
-        return self._gravity
+    def gravity(self, out: Array | None = None) -> Array:
+        """g(q), (n,): the torques that hold the robot still.
+
+        Args:
+            out: (n,), to be written instead of the buffer.
+        """
+        result = self._gravity if out is None else out
+        mj_rne(self._model, self._data, 0, result)
+        return result
 
     def coriolis(self) -> Array:
         """C(q, dq) dq, (n,)."""
@@ -165,7 +168,9 @@ class RobotModel:
         """C(q, dq) dq + g(q), (n,)."""
         return np.add(self.coriolis(), self.gravity(), self._bias)
 
-    def inverse_dynamics(self, velocities: Array, accelerations: Array) -> Array:
+    def inverse_dynamics(
+        self, velocities: Array, accelerations: Array, out: Array | None = None
+    ) -> Array:
         """M(q) a + C(q, dq) v + g(q), (n,): what tracking of v and a takes.
 
         C(q, dq) v is linear in both and the same when they change places, so with c(x) = C(q, x) x
@@ -174,8 +179,10 @@ class RobotModel:
         Args:
             velocities: v, (n,), per second.
             accelerations: a, (n,), per second squared.
+            out: (n,), to be written instead of the buffer.
         """
-        moving, qvel, result = self._moving, self._qvel, self._inverse
+        moving, qvel = self._moving, self._qvel
+        result = self._inverse if out is None else out
         self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
         self._qacc[:] = accelerations
         np.add(self._velocities, velocities, qvel)
@@ -214,8 +221,8 @@ class RobotModel:
     def mass(self) -> Array:
         """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
         if not self._has_mass:
-            mj_crb(self._model, self._data)
-            mj_makeM(self._model, self._data)
+            if not self._is_factored:
+                mj_makeM(self._model, self._data)
             mj_fullM(self._model, self._data, self._mass)
             self._has_mass = True
         return self._mass
@@ -226,10 +233,29 @@ class RobotModel:
         self._link_diagonal -= self.motor_inertia
         return self._link_mass
 
+    def over_mass(self, rows: Array, out: Array) -> Array:
+        """Rows A as A M^-1, for a sixth of what an inverse of M takes.
+
+        Args:
+            rows: A, (k, n).
+            out: (k, n), to be written.
+        """
+        if not self._is_factored:
+            if not self._has_mass:
+                mj_makeM(self._model, self._data)
+            mj_factorM(self._model, self._data)
+            self._is_factored = True
+        mj_solveM(self._model, self._data, out, rows)
+        return out
+
     def jacobian(self) -> Array:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
-        mj_jacSite(self._model, self._data, self._linear, self._angular, 0)
+        self.write_jacobian(self._linear, self._angular)
         return self._jacobian
+
+    def write_jacobian(self, linear: Array, angular: Array) -> None:
+        """Writes both halves of J(q), (3, n) each, to where they are wanted."""
+        mj_jacSite(self._model, self._data, linear, angular, 0)
 
     def flange(self) -> Array:
         """T_world_flange, (4, 4), m; a new array."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import os
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -12,7 +10,7 @@ import numpy as np
 
 from .. import __version__
 from ..drive.export_csv import column_names
-from ..errors import CsvError
+from ..drive.write_csv import csv_table
 from ..receive.recording_writer import RecordingWriter
 from .scenario import Scenario
 from .simulation import Simulation
@@ -68,10 +66,12 @@ class RunRecorder:
         simulation, writer, begin = self._simulation, self._writer, self._begin
         rows = simulation.rows[first:stop]
         writer.write_rows(SOURCE, rows.view(np.uint8), begin + rows[:, 0])
-        if self._every:
-            for k in range(-first % self._every, stop - first, self._every):
-                values = simulation.layout.structure.decode(rows[k].tobytes())
-                writer.write_signals(SOURCE, values, begin + float(rows[k, 0]))
+        picked = range(-first % self._every, stop - first, self._every) if self._every else ()
+        if picked:
+            thin = rows[picked.start :: self._every]
+            numbers = [first + k for k in picked]
+            writer.write_signal_rows(SOURCE, thin, begin + thin[:, 0], numbers)
+        writer.flush_if_old()
 
     def __enter__(self) -> Self:
         return self
@@ -102,14 +102,7 @@ def write_csv(simulation: Simulation, path: Path) -> None:
     events = simulation.layout.structure.events
     names = column_names({name: tuple(shape) for name, shape in events.items()})
     names[0] = "time"
-    partial = path.with_name(f"{path.name}.part")
-    try:
-        with open(partial, "w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(names)
-            for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
-                table.writerows(part.tolist())
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise CsvError(path, f"cannot be written: {error.strerror}") from error
+    with csv_table(path) as table:
+        table.writerow(names)
+        for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
+            table.writerows(part.tolist())

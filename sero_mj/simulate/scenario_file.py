@@ -13,19 +13,7 @@ from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ..paths import find_scenario, find_scene
 from .recorded_motion import with_motion
 from .scenario import Run, Scenario
-
-# What a scenario file has beside the sections of a scene.
-SECTIONS = ("controllers", "targets", "sensors", "disturbances", "faults", "expect", "monitor")
-_OTHERS = ("scene", "run", "description")
-
-
-def is_scenario(path: Path) -> bool:
-    """Whether a file declares something to be simulated."""
-    try:
-        tables = read_toml(path)
-    except DeclarationError:
-        return False
-    return bool({*SECTIONS, "run"} & set(tables))
+from .sections import OTHERS, SECTIONS
 
 
 def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Scenario:
@@ -42,7 +30,7 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
     """
     file = find_scenario(str(path))
     tables = read_toml(file)
-    own = {key: tables.pop(key) for key in (*SECTIONS, *_OTHERS) if key in tables}
+    own = {key: tables.pop(key) for key in (*SECTIONS, *OTHERS) if key in tables}
     of_scene: dict[str, Any] = {}
     for key, value in (overrides or {}).items():
         section = key.partition(".")[0]
@@ -58,7 +46,7 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         if "scene" in own:
             scene, problems = _other_scene(file, own["scene"], tables, of_scene)
         else:
-            scene, problems = read_scene_tables(file, tables, of_scene, known=(*SECTIONS, *_OTHERS))
+            scene, problems = read_scene_tables(file, tables, of_scene, known=(*SECTIONS, *OTHERS))
     except DeclarationError as error:
         problems += error.problems
     if scene is None:

@@ -5,7 +5,7 @@ A value goes through gain and bias, noise, quantisation and faults, and then thr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -171,14 +171,35 @@ class Sensors:
         row = _row(signal)
         if steps < 0:
             raise ValueError(f"{signal}: found a delay of {steps} steps; expected 0 or more")
-        delays = self._delays[row]
-        was_late = delays.any()
+        delays = self._delays[row].copy()
         delays[slice(None) if joints is None else joints] = steps
+        self._delay(row, delays)
+        self._plan()
+
+    def _delay(self, row: int, delays: NDArray[np.intp]) -> None:
+        """Sets the delays of a signal's joints, (n,)."""
+        was_late = self._delays[row].any()
+        self._delays[row] = delays
         old, past = self._past[row], np.empty((int(delays.max()) + 1, self.n))
         past[:] = self.measured[row]
         for age in range(min(len(old), len(past)) if was_late else 0):
             past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
         self._past[row] = past
+
+    def mend(self, again: Callable[[], None]) -> None:
+        """Ends all faults and changes but those that go on.
+
+        Args:
+            again: makes these once more; for them it is as if nothing had been.
+        """
+        held, delays, past = self._held, self._delays, list(self._past)
+        self.repair()
+        again()
+        self._held[:] = held
+        wanted, self._delays, self._past = self._delays, delays, past
+        for row in range(len(SIGNALS)):
+            if (wanted[row] != delays[row]).any():
+                self._delay(row, wanted[row])
         self._plan()
 
     def kill(self, signal: Signal, joint: int) -> None:
@@ -202,8 +223,13 @@ class Sensors:
         self._shifted = self._noisy or bool((errors["bias"] != 0).any())
         self._offset_all()
         coarse = errors["resolution"] > 0
+        # Values, their resolution, and for which of them; None for all.
         self._grids = [
-            (self.measured[row], np.where(coarse[row], errors["resolution"][row], 1.0), coarse[row])
+            (
+                self.measured[row],
+                np.where(coarse[row], errors["resolution"][row], 1.0),
+                None if coarse[row].all() else coarse[row],
+            )
             for row in np.flatnonzero(coarse.any(axis=1))
         ]
         self._faulty = bool(self._dead.any() or self._frozen.any())
@@ -244,11 +270,12 @@ class Sensors:
         if source is actual:
             copyto(measured, actual)
         for values, grid, coarse in self._grids:
-            steps = self._grid_steps
+            steps = values if coarse is None else self._grid_steps
             divide(values, grid, steps)
             rint(steps, steps)
             multiply(steps, grid, steps)
-            copyto(values, steps, where=coarse)
+            if coarse is not None:
+                copyto(values, steps, where=coarse)
         if self._faulty:
             copyto(measured, self._held, where=self._frozen)
             copyto(measured, 0.0, where=self._dead)

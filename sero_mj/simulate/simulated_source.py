@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
+from ..assemble.scene import Scene
 from ..errors import SimulationError
 from ..receive.receiver import Receiver
 from ..receive.structure import Structure
 from .simulation import Simulation
+from .staging import add_paths, stage
 
 Array = NDArray[np.float64]
 
@@ -99,3 +101,15 @@ class SimulatedSource(Receiver):
             packets = rows.view(np.uint8).reshape(len(rows), -1)
             self._accept(packets, np.full(len(rows), self.size), rows[:, 0])
             self._shown = row
+
+
+def staged(simulation: Simulation) -> Scene:
+    """Returns the scene of a simulation, which is simulated while it is shown.
+
+    Rows of doubles stand along the targets' paths where `[run]` asks for them.
+    """
+    scenario, layout = simulation.scenario, simulation.layout
+    scene = stage(scenario, layout, SimulatedSource(simulation=simulation))
+    if scenario.run.show_paths:
+        add_paths(scene, scenario, layout, simulation.rows)
+    return scene

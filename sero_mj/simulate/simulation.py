@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,7 +201,8 @@ class Simulation:
         """The loop for one robot while nothing happens, with nothing looked up twice."""
         happenings, plant, controller = self._happenings, self.plant, arm.controller
         step, torques, sensed, target = plant.step, controller.torques, arm.sensed, arm.target
-        moves, looks, load = arm.plan.moves, arm.has_to_look, arm.plan.load
+        moves, looks = arm.plan.moves, arm.has_to_look
+        planned = target.planned[: arm.plan.rows.shape[1]]
         grows, is_tampered = happenings.is_growing, happenings.is_tampered
         surrounded = self._contacts is not None or happenings.carries
         n, data = plant.n, plant.data
@@ -213,22 +215,23 @@ class Simulation:
         asked = np.empty((last + 1 - first, n))
         rows = zip(
             range(first, last + 1),
+            arm.plan.rows[first - 1 : last] if moves else repeat(None, last + 1 - first),
             self.rows[first - 1 : last, 0].tolist(),
-            measured_rows,
+            repeat(None, last + 1 - first) if is_perfect else measured_rows,
             self._actual_log[part],
             self._driven_log[part, :n],
             asked,
             strict=True,
         )
         try:
-            for k, time, measured_row, actual_row, commanded_row, asked_row in rows:
+            for k, planned_row, time, measured_row, actual_row, commanded_row, asked_row in rows:
                 if grows:
                     happenings.before(k - 1)
                 sensed.time = time
                 if looks:
                     arm.sense()
                 if moves:
-                    load(target, k - 1)
+                    planned[:] = planned_row
                 controller.asked = asked_row
                 torques(sensed, target, commanded_row)
                 if is_tampered:

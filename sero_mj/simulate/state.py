@@ -74,13 +74,15 @@ class Target:
         n: number of joints.
 
     Attributes:
-        motion: (3n,), angles, velocities and accelerations, so that one copy sets all.
+        planned: (3n + 22,), `motion`, `pose` and `twist`, so that one copy sets all.
+        motion: (3n,), angles, velocities and accelerations.
         state: (2n,), its first two thirds, like that of `Sensed`.
         angles: (n,), rad or m; the first half of `state`.
         velocities: (n,), per second; the second half of `state`.
         accelerations: (n,), per second squared.
         torques: (n,), Nm or N, added to what the controller computes.
-        has_torques: whether to; false where `torques` are zero all the time, which is faster.
+        has_torques: whether to; false where `torques` and `wrench` are zero all the time, which is
+            faster.
         pose: (4, 4), T_world_flange, m.
         twist: (6,), of the flange in world axes: m/s, then rad/s.
         wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
@@ -92,6 +94,7 @@ class Target:
         "angles",
         "has_torques",
         "motion",
+        "planned",
         "pose",
         "posture",
         "state",
@@ -102,14 +105,16 @@ class Target:
     )
 
     def __init__(self, n: int) -> None:
-        self.motion: Array = np.zeros(3 * n)
+        self.planned: Array = np.zeros(3 * n + 22)
+        self.motion: Array = self.planned[: 3 * n]
         self.state: Array = self.motion[: 2 * n]
         self.angles: Array = self.state[:n]
         self.velocities: Array = self.state[n:]
         self.accelerations: Array = self.motion[2 * n :]
         self.torques: Array = np.zeros(n)
         self.has_torques = True
-        self.pose: Array = np.eye(4)
-        self.twist: Array = np.zeros(6)
+        self.pose: Array = self.planned[3 * n : -6].reshape(4, 4)
+        self.pose[:] = np.eye(4)
+        self.twist: Array = self.planned[-6:]
         self.wrench: Array = np.zeros(6)
         self.posture: Array = np.zeros(n)

@@ -6,12 +6,12 @@ import csv
 import io
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from ..drive.write_csv import csv_table
 from ..errors import CsvError, UsageError
 from .sweep import Sweep
 
@@ -130,16 +130,12 @@ class SweepTable:
         self._file = None
         if len(self.rows) < len(self._sweep.variants):
             return
-        partial = self._path.with_name(f"{self._path.name}.part")
-        try:
-            with open(partial, "w", encoding="utf-8", newline="") as file:
-                file.write(_line(self._columns))
-                for number in sorted(self.rows):
-                    row = self.rows[number]
-                    file.write(_line([_cell(row[column]) for column in self._columns]))
-            os.replace(partial, self._path)
-        except OSError as error:  # the rows are there, in another order
-            raise CsvError(self._path, f"cannot be put in order: {error.strerror}") from error
+        # Where it fails, the rows are there in another order.
+        with csv_table(self._path, "cannot be put in order") as table:
+            table.writerow(self._columns)
+            for number in sorted(self.rows):
+                row = self.rows[number]
+                table.writerow([_cell(row[column]) for column in self._columns])
 
     def __enter__(self) -> Self:
         return self
