@@ -29,6 +29,7 @@ bench: .venv/.installed
 	$(BIN)/python benchmarks/plant.py
 	$(BIN)/python benchmarks/simulate.py
 	$(BIN)/python benchmarks/many.py
+	$(BIN)/python benchmarks/web.py
 
 wheel: .venv/.installed
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .

@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import paths
-from ..errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
+from ..errors import DeclarationError, Problem, UsageError
 
 if TYPE_CHECKING:
-    from ..assemble.robot import SerialRobot
     from ..assemble.scene import Scene
     from ..receive.recording import Recording
 
@@ -143,9 +141,11 @@ def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
         UnknownName: neither a scene nor a robot.
         SeroError: what is wrong in the file, or in what is set.
     """
+    from ..simulate.named_scene import read_named_scene
+
     given = overrides(settings or [])
     try:
-        return _read(name, given)
+        return read_named_scene(name, given)
     except DeclarationError as error:
         raise DeclarationError([_as_set(problem, given) for problem in error.problems]) from None
 
@@ -159,43 +159,6 @@ def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
             if found := re.fullmatch(rf"{key}(\..+)?", problem.key):
                 return Problem(f"--set {target}{found[1] or ''}", problem.message)
     return problem
-
-
-def _read(name: str, given: dict[str, Any]) -> Scene:
-    from ..assemble.scene import Scene
-    from ..drive.mirror import load_scene
-    from ..simulate.sections import is_scenario
-
-    try:
-        path = paths.find_scene(name)
-    except UnknownName as error:
-        if name in paths.list_scenarios():
-            return _read_staged(name, given)
-        try:
-            paths.find_model(name)
-        except UnknownName as no_model:
-            available = [*paths.list_scenes(), *paths.list_scenarios(), *no_model.available]
-            hint = paths.file_hint(name)
-            raise UnknownName("scene or robot", name, available, hint) from error
-        return Scene(robots=[read_model(name, given)], name=name)
-    if _is_robot_file(path):
-        return Scene(robots=[read_model(str(path), given)], name=path.parent.name)
-    if is_scenario(path):
-        return _read_staged(str(path), given)
-    return load_scene(path, given)
-
-
-def _read_staged(name: str, given: dict[str, Any]) -> Scene:
-    """Returns the scene of a scenario, which is simulated while it is shown.
-
-    Raises:
-        SeroError: what is wrong in the file.
-    """
-    from ..simulate.scenario_file import read_scenario
-    from ..simulate.simulated_source import staged
-    from ..simulate.simulation import Simulation
-
-    return staged(Simulation(read_scenario(name, given)))
 
 
 def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
@@ -241,24 +204,3 @@ def check_span(recording: Recording, start: float | None, stop: float | None = N
             raise UsageError(f"--start: {error}") from None
     if start is not None and stop is not None and stop <= start:
         raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
-
-
-def read_model(name: str, settings: dict[str, Any] | None = None) -> SerialRobot:
-    """Returns the robot that `name` means, with fields set over its file's."""
-    from ..assemble.robot import SerialRobot
-
-    fields = {}
-    robot = paths.find_model(name).parent.name
-    for key, value in (settings or {}).items():
-        given, _, field = key.partition(".")
-        if given != robot:
-            near = did_you_mean(given, [robot])
-            raise UsageError(f"--set {key}: no robot '{given}'{near}")
-        if field in ("model", "name"):
-            raise UsageError(f"--set {key}: which robot it is cannot be set")
-        fields[field] = value
-    return SerialRobot.from_model(name, **fields)
-
-
-def _is_robot_file(path: Path) -> bool:
-    return path.name == "robot.toml"

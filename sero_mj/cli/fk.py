@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, numbers, read_model
+from .arguments import Commands, add_command, numbers
 
 _EPILOG = """\
 examples:
@@ -34,6 +34,8 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
+    from ..simulate.named_scene import read_model
+
     robot = read_model(options.robot)
     q = robot.home
     if options.joint_angles is not None:

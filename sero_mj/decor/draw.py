@@ -17,7 +17,7 @@ from .legend import Legend
 from .panels import Panels, draw_panels
 from .pen import CAPACITY, Pen
 from .quantities import arrow_values, joint_values
-from .round_arrows import RoundArrows
+from .round_arrows import FINEST, RoundArrows
 from .smart_arrows import arrow_vectors, draw_smart_arrows, drawn_sizes
 from .staleness import Staleness
 from .status import Status
@@ -32,15 +32,16 @@ class Decor:
     Args:
         world: the compiled scene.
         capacity: how many geoms the host takes.
+        finest: how many of them a round arrow has at most.
 
     Attributes:
         pen: the geoms of the frame that was drawn last.
     """
 
-    def __init__(self, world: World, capacity: int = CAPACITY) -> None:
+    def __init__(self, world: World, capacity: int = CAPACITY, finest: int = FINEST) -> None:
         self.pen = Pen(capacity)
         self._world = world
-        self._arrows = RoundArrows(world)
+        self._arrows = RoundArrows(world, finest)
         self._billboards = Billboards(world)
         self._vector_cards = VectorCards(world)
         self._flange_check = FlangeCheck(world)

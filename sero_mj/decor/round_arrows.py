@@ -32,7 +32,7 @@ WIDEST = 1.5  # of the radius
 
 _STRAIGHT_LENGTH = 2.5  # of the radius: a prismatic joint's arrow
 DARKER = 0.4  # how bright a straight arrow beyond its limit is
-_MOST_SEGMENTS, _FEWEST_SEGMENTS = 34, 10
+FINEST, _FEWEST_SEGMENTS = 34, 10  # boxes of a ribbon
 _GEOMS_FOR_THE_REST = 60  # legend, status, names, smart arrows
 
 
@@ -63,10 +63,16 @@ def arrow_widths(
 
 
 class RoundArrows:
-    """Draws the arrows of one world's joints."""
+    """Draws the arrows of one world's joints.
 
-    def __init__(self, world: World) -> None:
+    Args:
+        world: the compiled scene.
+        finest: how many boxes a ribbon has at most.
+    """
+
+    def __init__(self, world: World, finest: int = FINEST) -> None:
         self._world = world
+        self._finest = finest
 
     def draw(
         self, pen: Pen, data: mujoco.MjData, shown: Shown, values: Array, limit: Array, others: int
@@ -108,7 +114,7 @@ class RoundArrows:
                 rgba=rgba[turning],
                 striped=over[turning],
             )
-            draw_ribbons(pen, Kind.ARROW, ribbons, _segments(shown, others))
+            draw_ribbons(pen, Kind.ARROW, ribbons, _segments(shown, others, self._finest))
         if len(sliding):
             self._draw_straight(pen, data, sliding, (values, widths, over, rgba))
 
@@ -141,11 +147,11 @@ class RoundArrows:
         rows["rgba"] = rgba
 
 
-def _segments(shown: Shown, others: int) -> int:
+def _segments(shown: Shown, others: int, finest: int) -> int:
     """How finely ribbons are drawn, so that everything that is shown finds room in every host.
 
     It depends on what is switched on and not on the values, which would make them flicker.
     """
     room = MAX_GEOMS - _GEOMS_FOR_THE_REST - others
     budget = room // max(int(np.count_nonzero(shown.arrows)), 1)
-    return min(max(budget, _FEWEST_SEGMENTS), _MOST_SEGMENTS)
+    return min(max(budget, _FEWEST_SEGMENTS), finest)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
 from ..assemble.world import World
-from ..drive.mirror import Mirror, load_scene
+from ..drive.mirror import Mirror
 from ..drive.watch import Watch
+from ..simulate.named_scene import read_named_scene
 from .display import has_display
 from .headless import DEFAULT_SIZE
 from .live import LiveHost, open_page, open_window
@@ -127,8 +128,8 @@ def view(
                 viewer.set("lwr.torques", my_torques())
 
     Args:
-        scene: a scene, a TOML file, a shipped scene's name, or an `overlay`, whose data the caller
-            steps.
+        scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
+            `overlay`, whose data the caller steps.
         web: whether it is a page, and its address is printed; None for a page where there is no
             screen for a window.
         camera: see `find_camera`.
@@ -144,7 +145,7 @@ def view(
     if isinstance(scene, Overlay):
         mirror: Mirror = Watch(scene.world)
     else:
-        mirror = Mirror(scene if isinstance(scene, Scene) else load_scene(scene))
+        mirror = Mirror(scene if isinstance(scene, Scene) else read_named_scene(str(scene)))
     if web is None:
         web = not has_display()
     if not web:
