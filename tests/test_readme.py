@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import textwrap
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -43,6 +45,23 @@ def open_window(language: str, text: str, folder: Path, environment: dict[str, s
                 process.wait()
 
 
+def open_page(text: str, folder: Path, environment: dict[str, str]) -> None:
+    """Runs what serves a page, asks for it, and ends it."""
+    for line in text.splitlines():
+        arguments = line.partition("#")[0].split()
+        process = subprocess.Popen(
+            arguments, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout is not None
+        url = re.search(r"http://\S+", process.stdout.readline())
+        assert url, f"{line}: no address"
+        with urllib.request.urlopen(url[0], timeout=10) as answer:
+            assert b"<html" in answer.read().lower()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+        process.stdout.close()
+
+
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.timeout(300)
@@ -69,6 +88,9 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
                 continue  # .ci/run has just run `make`, and the demo is tested below
             if note == "window":
                 open_window(language, text, tmp_path, environment)
+                continue
+            if note == "page":
+                open_page(text, tmp_path, environment)
                 continue
             ran[language] += 1
             if language == "toml" and note:

@@ -54,9 +54,11 @@ class WebHost:
         on_click: called with what was clicked on and the gesture.
 
     Raises:
-        RenderError: the page cannot be served there.
+        RenderError: the page cannot be served there, or this process serves one already.
         UnknownName: no camera of that name.
     """
+
+    _is_any_open = False  # in this process
 
     def __init__(
         self,
@@ -66,6 +68,8 @@ class WebHost:
         host: str = LOOPBACK,
         port: int = 0,
     ) -> None:
+        if WebHost._is_any_open:
+            raise RenderError("no second page: Studio serves one at a time in a process")
         world = mirror.world
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
@@ -75,6 +79,7 @@ class WebHost:
         self.work = 0.0
         self.message: tuple[str, bool, float] = ("", False, 0.0)
         self.on_click: OnClick | None = None
+        self._is_closed = False
         self.decor = WebDecor(world, self.toggles)
         self._pointer = Pointer(world, self.toggles)
         self._under: tuple[float, float] | None = None
@@ -96,6 +101,7 @@ class WebHost:
         except (RuntimeError, OSError) as error:
             where = f"{host}:{port}" if port else host
             raise RenderError(f"no page at {where}: {error}") from error
+        WebHost._is_any_open = True
         self._handle = viewer_handle.ViewerHandle(
             sim_end, sim_plugins=[TimeControl(self.clock), sim_history.SimHistory()]
         )
@@ -305,6 +311,9 @@ class WebHost:
 
     def close(self) -> None:
         """Ends the page; browsers are told."""
+        if self._is_closed:
+            return
+        self._is_closed, WebHost._is_any_open = True, False
         with contextlib.suppress(RuntimeError):  # closed from the page already
             self._handle.close()
         with quiet():

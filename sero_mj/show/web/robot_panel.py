@@ -18,6 +18,7 @@ QUANTITY_NAMES = {
     "singularity": "towards singularity",
 }
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
+_MOST_OPEN = 3  # robots whose switches are seen at once
 _LARGEST = 3.0  # times what is declared
 _FLAG_NAMES = {
     "legend": "legend",
@@ -53,7 +54,9 @@ class RobotPanel:
         world, toggles = self._world, self._toggles
         for index, (name, owner) in enumerate(world.owners.items()):
             imgui.PushID(name)
-            if imgui.CollapsingHeader(name, _OPEN if index < 2 else 0):
+            if imgui.CollapsingHeader(
+                name, _OPEN if index < _MOST_OPEN and name in world.robots else 0
+            ):
                 self._owner(index, name, owner)
             imgui.PopID()
         self._doubles()
@@ -82,7 +85,7 @@ class RobotPanel:
         self._check("arrows", toggles.arrows, joints)
         imgui.SameLine(_SLIDER)
         self._check("billboards", toggles.billboards, joints)
-        self._check("numbers", toggles.details, joints)
+        self._check("precise", toggles.details, joints)
         imgui.SetItemTooltip("precise numbers of every arrow on its billboard")
         if len(frames):
             imgui.SameLine(_SLIDER)

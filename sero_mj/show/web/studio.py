@@ -158,6 +158,12 @@ class StudioViewer(web_viewer.WebViewer):
         assert self._web_server is not None
         return self._web_server
 
+    def close(self) -> None:
+        """Ends the page."""
+        super().close()
+        # A second one in this process crashes where the first one's still exists.
+        self._headless_ui = None
+
     def change_model(self, bundle: bytes, crc32: int) -> None:
         """Makes browsers show a model that has the same joints and other colours."""
         self._model_crc32 = crc32

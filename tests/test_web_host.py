@@ -1,0 +1,152 @@
+"""The page's host without a browser: messages of Studio's controls, keys, address, refusals."""
+
+from __future__ import annotations
+
+import gc
+import socket
+import struct
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mujoco.studio import messages, sim_history
+from polling import until
+
+from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
+from sero_mj.cli.arguments import read_scene_or_model
+from sero_mj.errors import RenderError
+from sero_mj.show.web.host import WebHost
+
+# Studio's server ends without closing the connection of its user interface.
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
+
+
+@pytest.fixture(autouse=True)
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Studio keeps its settings at home."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    yield
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()  # here, and not in a later test
+
+
+@pytest.fixture
+def page() -> Iterator[WebHost]:
+    with Mirror(read_scene_or_model("impedance_push")) as mirror, WebHost(mirror) as page:
+        yield page
+
+
+def test_studios_messages_pause_scrub_step_and_reset_a_simulation(page: WebHost) -> None:
+    """What Studio's controls send, without a browser to click on them."""
+    while page.clock.time < 0.4:
+        assert page.frame()
+    page.viewer.send_to_sim(sim_history.SimHistorySnapshot(index=-10))
+    page.frame()
+    page.frame()
+    assert page.clock.is_paused
+    assert 0 < page.clock.time < 0.4
+    assert page.data.time == pytest.approx(page.clock.time)
+    assert page.viewer.data.time == pytest.approx(page.clock.time)
+    before = page.clock.time
+    page.viewer.send_to_sim(messages.SingleStepEvent())
+    page.frame()
+    assert page.clock.time == pytest.approx(before + page.clock.step_size)
+    page.viewer.send_to_sim(messages.ResetEvent())
+    page.frame()
+    assert page.clock.time == 0.0
+    np.testing.assert_allclose(page.data.qpos, page.world.make_data().qpos, atol=1e-9)
+
+
+def test_a_live_robot_is_scrubbed_too_and_then_shown_as_it_is() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source = UdpReceiver(name="udp", port=port, structure="7F")
+    scene = Scene(
+        robots=[SerialRobot.from_model("lwr")],
+        sources={"udp": source},
+        routes={"lwr.joint_angles": "udp.values0"},
+    )
+    with (
+        Mirror(scene) as mirror,
+        WebHost(mirror) as page,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        receiver = mirror.sources["udp"]
+        for step in range(40):
+            sender.sendto(struct.pack("<7d", *[0.02 * step] * 7), ("127.0.0.1", port))
+            assert until(lambda wanted=step + 1: receiver.counters.received == wanted)
+            page.frame()
+        assert page.data.qpos[0] == pytest.approx(0.78)
+        page.viewer.send_to_sim(sim_history.SimHistorySnapshot(index=-20))
+        page.frame()
+        page.frame()
+        assert page.clock.is_paused
+        assert 0.1 < page.data.qpos[0] < 0.7
+        page.press(" ")
+        page.frame()
+        assert page.data.qpos[0] == pytest.approx(0.78)  # the latest packet, sent long ago
+
+
+def test_keys_of_the_table_act_on_the_page(page: WebHost) -> None:
+    page.press("a")
+    assert not page.toggles.arrows.any()
+    assert page.message[0] == "a: arrows on or off"
+    page.press("]")
+    assert page.joint == 1
+    assert page.message[0] == "selected: lwr/A2"
+    page.press("9")
+    assert page.message[0].startswith("no camera 9: the scene has ")
+    page.press("f")
+    assert page.message[0] == "follows nothing"
+    page.press("-")
+    assert page.clock.speed == 0.5
+    page.press("f2")  # a browser's own
+
+
+def test_a_page_says_where_it_is_and_keeps_its_port(page: WebHost) -> None:
+    assert page.url == f"http://localhost:{page.port}/"
+    assert page.is_private
+    with socket.create_connection(("127.0.0.1", page.port), 5):
+        pass
+
+
+def test_one_page_at_a_time_and_another_after_it() -> None:
+    with Mirror(read_scene_or_model("lwr")) as mirror:
+        for _ in range(3):
+            with WebHost(mirror) as page:
+                for _ in range(5):
+                    assert page.frame()
+                with pytest.raises(RenderError, match="no second page: Studio serves one"):
+                    WebHost(mirror)
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with Mirror(read_scene_or_model("lwr")) as mirror, socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        expected = f"no page at 127.0.0.1:{port}: Port {port} is already in use"
+        with pytest.raises(RenderError, match=expected):
+            WebHost(mirror, port=port)
+
+
+def test_dropped_files_do_not_replace_the_scene(
+    page: WebHost, caplog: pytest.LogCaptureFixture
+) -> None:
+    page.viewer._drop_queue.put({"robot.xml": b"<mujoco/>"})
+    assert page.viewer.get_drop_file() == ""
+    assert "a file was dropped onto the page and left out" in caplog.text
+
+
+def test_doubles_that_are_off_are_out_of_sight_in_browsers_only(page: WebHost) -> None:
+    double = next(iter(page.world.doubles.values()))
+    while page.clock.time < 0.1:
+        page.frame()
+    page.toggles.doubles[:] = False
+    page.decor._hide_doubles(page.viewer.data)
+    assert (page.viewer.data.mocap_pos[double.mocap, 2] < -50).all()
+    assert (page.data.mocap_pos[double.mocap, 2] > -1).all()
