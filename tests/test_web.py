@@ -115,6 +115,30 @@ def test_the_name_of_what_is_under_the_pointer_is_written(served: Served, page: 
     assert served.until("w.toggles.hover and w.toggles.hover[0]") == "lwr/link4"
 
 
+def test_a_finger_taps_once(browser: Any, served: Served, page: Visitor) -> None:
+    page.page.goto("about:blank")  # leaves control to the other
+    finger = Visitor(browser, served.url, has_touch=True)
+    finger.hears("role=controller")
+    finger.hears("First remote draw frame applied")
+    served.ask("w.toggles.arrows.fill(False)")
+    served.settle()
+    count = served.ask("len(clicks)")
+    x, y = served.joint(1)
+    touch = finger.page.context.new_cdp_session(finger.page)
+    touch.send(
+        "Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]}
+    )
+    served.until("w._app._mouse.is_down")
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    served.until(f"len(clicks) > {count}")
+    finger.page.wait_for_timeout(1500)  # in which mouse events would come
+    assert served.ask(f"clicks[{count}:]") == [["click", "lwr/link2"]]
+    finger.close()
+    page.page.goto(served.url)
+    page.said.clear()
+    page.hears("First remote draw frame applied")
+
+
 def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visitor) -> None:
     before, clicks = served.ask("w.viewer.camera.azimuth"), served.ask("len(clicks)")
     mouse = page.page.mouse

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import socket
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -26,6 +27,7 @@ from sero_mj.show.web import app
 from sero_mj.show.web.greying import Greying, greyed
 from sero_mj.show.web.host import check_address, page_url
 from sero_mj.show.web.plots import thin_out
+from sero_mj.show.web.site import make_site, with_head
 from sero_mj.show.web.studio import CalmUi, QuietServer
 from sero_mj.show.web.time_control import TimeControl
 
@@ -235,6 +237,24 @@ def test_what_is_grey_from_the_start_is_at_once() -> None:
     viewer = FakeViewer(model)
     Greying(viewer).show(np.ones(model.ngeom, bool))  # type: ignore[arg-type]
     assert len(viewer.changes) == 1
+
+
+def test_studios_page_gets_a_title_and_fingers_that_click_once() -> None:
+    page = "<html>\n  <head>\n    <title>Studio</title>\n  </head>\n  <body></body></html>"
+    ours = with_head(page, "a <b> - sero-mj")
+    assert "<title>a &lt;b&gt; - sero-mj</title>" in ours
+    assert ours.count("touchend") == 1
+    assert ours.index("touchend") < ours.index("</head>") < ours.index("<body>")
+    assert with_head("<html></html>", "title") == "<html></html>"  # another Studio's
+
+
+def test_the_files_of_the_page_go_with_it() -> None:
+    site = make_site("lwr - sero-mj")
+    folder = Path(site.name)
+    assert "<title>lwr - sero-mj</title>" in (folder / "index.html").read_text("utf-8")
+    assert (folder / "web_client.wasm").is_file()
+    site.cleanup()
+    assert not folder.exists()
 
 
 def test_a_state_is_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:

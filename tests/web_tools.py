@@ -123,8 +123,8 @@ class Visitor:
         page: Playwright's.
     """
 
-    def __init__(self, browser: Any, url: str) -> None:
-        self.page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+    def __init__(self, browser: Any, url: str, **options: Any) -> None:
+        self.page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, **options)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.goto(url)

@@ -13,6 +13,8 @@ import mujoco
 from mujoco.studio import endpoints, viewer_protocol, web_viewer
 from mujoco.studio.web import web_server
 
+from .site import make_site
+
 LOOPBACK = "127.0.0.1"
 _SEND_BUFFER = 48 * 1024  # bytes on their way to a browser
 _BRIDGE_BUFFER = 16 * 1024  # bytes of user interface on their way to the server
@@ -100,6 +102,7 @@ class StudioViewer(web_viewer.WebViewer):
     Raises:
         RuntimeError: the port is taken.
         OSError: there is no such address here.
+        RenderError: this MuJoCo has no files for browsers.
     """
 
     _web_server: QuietServer | None
@@ -117,6 +120,7 @@ class StudioViewer(web_viewer.WebViewer):
         camera: mujoco.MjvCamera,
     ) -> None:
         self.address = address
+        self._site = make_site(title)
         config = viewer_protocol.ViewerConfig(title=title, http_port=port)
         with quiet():  # its banner does not know what is shown, nor who asked for which address
             super().__init__(config, endpoint, model=model, plugins=plugins, camera=camera)
@@ -137,7 +141,10 @@ class StudioViewer(web_viewer.WebViewer):
         self._http_sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._tcp_sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BRIDGE_BUFFER)
         self._web_server = QuietServer(
-            http_sock=self._http_sock, tcp_sock=self._tcp_sock, drop_queue=self._drop_queue
+            http_sock=self._http_sock,
+            tcp_sock=self._tcp_sock,
+            static_files_dir=self._site.name,
+            drop_queue=self._drop_queue,
         )
         self._update_model()
         self._web_server.start()
@@ -163,6 +170,7 @@ class StudioViewer(web_viewer.WebViewer):
         super().close()
         # A second one in this process crashes where the first one's still exists.
         self._headless_ui = None
+        self._site.cleanup()
 
     def change_model(self, bundle: bytes, crc32: int) -> None:
         """Makes browsers show a model that has the same joints and other colours."""

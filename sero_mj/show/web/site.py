@@ -1,0 +1,54 @@
+"""Studio's page with our title, and with fingers that click once."""
+
+from __future__ import annotations
+
+import html
+import shutil
+import tempfile
+from pathlib import Path
+
+from mujoco.studio.web import web_server
+
+from ...errors import RenderError
+
+# After a tap a browser makes mouse events as well, for pages that know no touch. Studio 4.0 takes
+# both, so a tap would be two clicks.
+_HEAD = """\
+    <meta name="viewport" content="width=device-width, initial-scale=1" />
+    <style>canvas { touch-action: none; }</style>
+    <script>
+      document.addEventListener("touchend", (event) => {
+        if (event.cancelable) event.preventDefault();
+      }, { passive: false });
+    </script>
+  </head>"""
+
+
+def with_head(page: str, title: str) -> str:
+    """Studio's page with our title and additions; what is not found in it stays as it is."""
+    start, found, rest = page.partition("<title>")
+    if found:
+        page = start + found + html.escape(title) + rest[rest.find("</title>") :]
+    return page.replace("  </head>", _HEAD, 1)
+
+
+def make_site(title: str) -> tempfile.TemporaryDirectory[str]:
+    """Returns a folder with the files of the page; it goes when it is cleaned up.
+
+    Args:
+        title: of the browser's tab.
+
+    Raises:
+        RenderError: this MuJoCo has no such files.
+    """
+    found = web_server._find_static_files_dir()
+    if found is None:
+        raise RenderError(
+            "no web page: this MuJoCo comes without the files of Studio's web client; "
+            "`sero-mj view SCENE --window` needs none"
+        )
+    folder = tempfile.TemporaryDirectory(prefix="sero-mj-page-")
+    shutil.copytree(found, folder.name, dirs_exist_ok=True)
+    index = Path(folder.name) / "index.html"
+    index.write_text(with_head(index.read_text("utf-8"), title), "utf-8")
+    return folder
