@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import socket
 import struct
+import urllib.request
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from mujoco.studio import messages, sim_history
 from polling import until
+from websockets.sync.client import connect
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
 from sero_mj.cli.arguments import read_scene_or_model
@@ -112,6 +114,31 @@ def test_a_page_says_where_it_is_and_keeps_its_port(page: WebHost) -> None:
     assert page.is_private
     with socket.create_connection(("127.0.0.1", page.port), 5):
         pass
+
+
+def test_a_page_is_for_this_machine_only(page: WebHost) -> None:
+    for listening in (page.viewer._http_sock, page.viewer._tcp_sock):
+        assert listening.getsockname()[0] == "127.0.0.1"
+
+
+def test_a_simulation_waits_for_the_first_browser() -> None:
+    with (
+        Mirror(read_scene_or_model("impedance_push")) as mirror,
+        WebHost(mirror, waits=True) as page,
+    ):
+        for _ in range(10):
+            page.frame()
+        assert page.clock.time == 0.0
+        with urllib.request.urlopen(page.url, timeout=5) as answer:  # somebody looks at the files
+            assert answer.status == 200
+        page.frame()
+        assert page.clock.time == 0.0
+        with connect(f"ws://127.0.0.1:{page.port}/state?sid=test", max_size=None) as browser:
+            while not isinstance(browser.recv(timeout=5), bytes):
+                pass
+            page.frame()
+            page.frame()
+            assert page.clock.time > 0.0
 
 
 def test_one_page_at_a_time_and_another_after_it() -> None:

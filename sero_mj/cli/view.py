@@ -131,7 +131,9 @@ def _serve(scene: Scene, options: argparse.Namespace) -> None:
     host = options.host or _LOOPBACK
     with (
         Mirror(scene) as mirror,
-        open_page(mirror, camera=options.camera, host=host, port=options.port or 0) as page,
+        open_page(
+            mirror, camera=options.camera, host=host, port=options.port or 0, waits=True
+        ) as page,
     ):
         print(f"{scene.name} is at {page.url}  (Ctrl+C ends it)", flush=True)
         if not page.is_private:

@@ -43,6 +43,7 @@ class WebHost:
         camera: see `find_camera`.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
+        waits: whether recordings and simulations begin with the first browser.
 
     Attributes:
         toggles: what is shown.
@@ -67,6 +68,7 @@ class WebHost:
         camera: str | None = None,
         host: str = LOOPBACK,
         port: int = 0,
+        waits: bool = False,
     ) -> None:
         if WebHost._is_any_open:
             raise RenderError("no second page: Studio serves one at a time in a process")
@@ -102,8 +104,10 @@ class WebHost:
             where = f"{host}:{port}" if port else host
             raise RenderError(f"no page at {where}: {error}") from error
         WebHost._is_any_open = True
+        self._time = TimeControl(self.clock)
+        self._time.is_held = waits and not self.clock.is_live
         self._handle = viewer_handle.ViewerHandle(
-            sim_end, sim_plugins=[TimeControl(self.clock), sim_history.SimHistory()]
+            sim_end, sim_plugins=[self._time, sim_history.SimHistory()]
         )
         with quiet():
             self._handle.set_model(world.model, data=self.data)
@@ -176,6 +180,7 @@ class WebHost:
 
     def _advance(self) -> None:
         self.clock.on_moment = self._sample
+        self._time.is_held &= not self.viewer.server.is_watched
         try:
             self._handle.sync()
         except SeroError as error:  # a file that is gone, say: what is shown stays

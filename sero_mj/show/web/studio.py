@@ -29,13 +29,21 @@ class QuietServer(web_server.WebServer):
     Attributes:
         sent: states that were published.
         sent_bytes: what they came to for one browser.
+        is_watched: whether a browser has ever looked.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         self.sent = self.sent_bytes = 0
+        self.is_watched = False
         self._last = b""
         self._last_time = 0.0
+
+    @property
+    def models_generation(self) -> int:
+        """See Studio, which asks for it on behalf of every browser and of nobody else."""
+        self.is_watched = True
+        return int(super().models_generation)
 
     def update_state(self, payload: bytes) -> None:
         """Publishes a state, where it differs from the last one or that is long ago."""

@@ -17,12 +17,16 @@ class TimeControl(plugin.SimPlugin):
 
     Args:
         clock: of the mirror.
+
+    Attributes:
+        is_held: whether time stands still, because nobody looks yet.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._last = time.monotonic()
         self._is_scrubbed = False
+        self.is_held = False
 
     def snapshot(self) -> messages.StepControlSnapshot:
         """What Studio's controls are to show."""
@@ -77,4 +81,4 @@ class TimeControl(plugin.SimPlugin):
             if self._is_scrubbed and not clock.is_live:
                 self._is_scrubbed = False
                 clock.seek(event.data.time)
-            clock.advance(passed)
+            clock.advance(0.0 if self.is_held else passed)
