@@ -327,6 +327,10 @@ def test_doctor_tries_every_backend_and_says_what_to_install() -> None:
     for name, backend in found["backends"].items():
         line = next(line for line in done.stdout.splitlines() if f"  {name} " in line)
         assert ("works: " in line) == backend["works"]
+    assert found["live"]["page"] is None
+    assert "sero-mj view: page can be opened" in done.stdout
+    where = "can be opened" if found["live"]["window"] is None else "not here: neither DISPLAY"
+    assert f"sero-mj view: window {where}" in done.stdout
     if not all(backend["works"] for backend in found["backends"].values()):
         assert "apt install" in done.stdout
 

@@ -1,4 +1,4 @@
-"""`sero-mj doctor`: which OpenGL backends work here, and what to install."""
+"""`sero-mj doctor`: which OpenGL backends and viewers work here, and what to install."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import subprocess
 import sys
 from typing import Any
 
+from ..show.display import has_display
 from ..show.gl import BACKENDS, PACKAGES, osmesa_is_there
 from .arguments import Commands, add_command
 
@@ -58,11 +59,12 @@ def run(options: argparse.Namespace) -> int:
         for name in ("sero-mj", "mujoco", "dm-control", "numpy", "av")
     }
     backends = {name: try_backend(name) for name in BACKENDS}
+    live = {"window": window_problem(), "page": page_problem()}
     chosen = os.environ.get("MUJOCO_GL")
     works = [name for name, found in backends.items() if found["works"]]
     if options.json:
         found = {"versions": versions, "python": platform.python_version(), "backends": backends}
-        print(json.dumps({**found, "chosen": chosen}, indent=2))
+        print(json.dumps({**found, "chosen": chosen, "live": live}, indent=2))
         return 0 if works else 1
     print(
         f"Python {platform.python_version()}, " + ", ".join(f"{k} {v}" for k, v in versions.items())
@@ -74,9 +76,25 @@ def run(options: argparse.Namespace) -> int:
             print(f"  {name:7} does not work: {found['reason']}")
             print(f"  {'':7} Debian, Ubuntu: apt install {PACKAGES[name]}")
     print(f"sero-mj uses {chosen or 'what MuJoCo chooses'}; MUJOCO_GL overrides it")
+    for name, problem in live.items():
+        print(f"sero-mj view: {name} {f'not here: {problem}' if problem else 'can be opened'}")
     if not works:
         print("no backend works: pictures cannot be rendered on this machine")
     return 0 if works else 1
+
+
+def window_problem() -> str | None:
+    """Why no window can be opened; None when one can."""
+    return None if has_display() else "neither DISPLAY nor WAYLAND_DISPLAY is set"
+
+
+def page_problem() -> str | None:
+    """Why no web page can be served; None when one can."""
+    try:
+        from ..show.web import studio  # noqa: F401
+    except ImportError as error:
+        return f"this MuJoCo comes without Studio's web viewer ({error})"
+    return None
 
 
 def try_backend(name: str) -> dict[str, Any]:
