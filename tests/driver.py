@@ -14,13 +14,29 @@ from pathlib import Path
 from typing import Any, Self
 
 ROOT = Path(__file__).resolve().parent.parent
+# Before every program: `answer()` answers what was asked by then.
+_PRELUDE = """
+import json, queue, sys, threading
+import numpy as np
+lines = queue.SimpleQueue()
+def read():
+    for line in sys.stdin:
+        lines.put(line)
+threading.Thread(target=read, daemon=True).start()
+def answer():
+    while not lines.empty():
+        found = eval(lines.get(), globals())
+        if hasattr(found, "tolist"):
+            found = found.tolist()
+        print("=" + json.dumps(found), flush=True)
+"""
 
 
 class Driver:
     """A process that says `ready`, then answers every line, a Python expression, with `=` and JSON.
 
     Args:
-        program: what it runs.
+        program: what it runs; calls `answer()` again and again.
         arguments: its first argument, as JSON.
         folder: where it runs.
         environment: of the process.
@@ -37,7 +53,7 @@ class Driver:
     ) -> None:
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", program, json.dumps(arguments)],
+            [sys.executable, "-c", _PRELUDE + program, json.dumps(arguments)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -30,8 +30,6 @@ ARGUMENTS = [
 ]
 # Serves frames, and answers what is asked about the page on its standard input.
 _PROGRAM = """
-import json, queue, sys, threading
-import numpy as np
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from sero_mj.cli.arguments import read_scene_or_model, replay_instead
 from sero_mj.drive.mirror import Mirror
@@ -50,11 +48,6 @@ for name in ("Button", "Checkbox", "Combo", "SliderFloat", "CollapsingHeader", "
     setattr(imgui, name, noted(getattr(imgui, name)))
 
 scene, settings, replay, options = json.loads(sys.argv[1])
-lines = queue.SimpleQueue()
-def read():
-    for line in sys.stdin:
-        lines.put(line)
-threading.Thread(target=read, daemon=True).start()
 scene = read_scene_or_model(scene, settings)
 if replay:
     replay_instead(scene, Path(replay), None)
@@ -66,11 +59,7 @@ with Mirror(scene) as mirror, open_page(mirror, **options) as w:
     frames = 0
     while w.frame():
         frames += 1
-        while not lines.empty():
-            found = eval(lines.get())
-            if isinstance(found, np.ndarray | np.generic):
-                found = found.tolist()
-            print("=" + json.dumps(found), flush=True)
+        answer()
 print("closed", flush=True)
 """
 

@@ -17,19 +17,13 @@ MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 
 # Shows frames, and answers what is asked about the window on its standard input.
 _DRIVER = """
-import json, os, queue, sys, threading
+import os
 os.environ["MUJOCO_GL"] = "glfw"
-import numpy as np
 from sero_mj.cli.arguments import read_scene_or_model, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.window import Window
 from pathlib import Path
 scene, settings, size, options, replay = json.loads(sys.argv[1])
-lines = queue.SimpleQueue()
-def read():
-    for line in sys.stdin:
-        lines.put(line)
-threading.Thread(target=read, daemon=True).start()
 scene = read_scene_or_model(scene, settings)
 if replay:
     replay_instead(scene, Path(replay), None)
@@ -41,11 +35,7 @@ with Mirror(scene) as mirror, Window(mirror, size=size, folder=Path(), **options
     frames = 0
     while w.frame():
         frames += 1
-        while not lines.empty():
-            found = eval(lines.get())
-            if isinstance(found, np.ndarray | np.generic):
-                found = found.tolist()
-            print("=" + json.dumps(found), flush=True)
+        answer()
 print("closed", flush=True)
 """
 

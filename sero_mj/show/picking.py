@@ -88,6 +88,28 @@ def pick(
     return decor if decor.distance <= solid.distance else solid
 
 
+def point_at(
+    world: World, data: mujoco.MjData, pen: Pen, view: View, pixel: tuple[float, float]
+) -> Array | None:
+    """The point of the world (3,), m, that is seen at a pixel, of the floor too; None for the sky.
+
+    Args:
+        world: the compiled scene.
+        data: its state, frames up to date.
+        pen: see `pick`.
+        view: see `pick`.
+        pixel: see `pick`.
+    """
+    direction = view.at(np.array(pixel, float), 1.0) - view.position
+    direction /= np.linalg.norm(direction)
+    picked = pick(world, data, pen, view, pixel)
+    if picked is not None:
+        return np.asarray(view.position + picked.distance * direction)
+    geom = np.full(1, -1, np.int32)
+    distance = mujoco.mj_ray(world.model, data, view.position, direction, None, 1, -1, geom, None)
+    return None if geom[0] < 0 else np.asarray(view.position + distance * direction)
+
+
 def _pick_decor(
     world: World, pen: Pen, view: View, origin: Array, direction: Array, tolerance: float
 ) -> Picked | None:

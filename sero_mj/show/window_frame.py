@@ -14,7 +14,7 @@ from ..decor.font import Font
 from ..decor.pen import CAPACITY, Host, Pen
 from ..decor.toggles import Toggles
 from ..decor.view import View
-from .picking import Picked, pick
+from .picking import Picked, pick, point_at
 
 log = logging.getLogger(__name__)
 
@@ -95,14 +95,6 @@ class Frame:
 
     def point_at(self, data: mujoco.MjData, x: float, y: float) -> NDArray[np.float64] | None:
         """The point of the world (3,), m, at a pixel of the window: of the floor too."""
-        view, picked = self.view, self.pick(data, x, y)
-        if view is None or not self.contains(x, y):
+        if self.view is None or self._pen is None or not self.contains(x, y):
             return None
-        direction = view.at(np.array(self.to_picture(x, y)), 1.0) - view.position
-        direction /= np.linalg.norm(direction)
-        if picked is not None:
-            return np.asarray(view.position + picked.distance * direction)
-        geom = np.full(1, -1, np.int32)
-        start = view.position
-        distance = mujoco.mj_ray(self._world.model, data, start, direction, None, 1, -1, geom, None)
-        return None if geom[0] < 0 else np.asarray(start + distance * direction)
+        return point_at(self._world, data, self._pen, self.view, self.to_picture(x, y))

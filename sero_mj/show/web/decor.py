@@ -16,7 +16,7 @@ from ...decor.font import Font
 from ...decor.pen import MAX_GEOMS, Host
 from ...decor.toggles import Toggles
 from ...decor.view import View
-from ..picking import Picked, pick
+from ..picking import Picked, pick, point_at
 from .studio import StudioViewer
 
 log = logging.getLogger(__name__)
@@ -107,6 +107,12 @@ class WebDecor:
         for double, on in zip(self._world.doubles.values(), self._toggles.doubles, strict=True):
             if not on:
                 data.mocap_pos[double.mocap] = OUT_OF_SIGHT
+
+    def point_at(self, data: mujoco.MjData, x: float, y: float) -> NDArray[np.float64] | None:
+        """The point of the world (3,), m, at a pixel, y up: of the floor too."""
+        if self.view is None:
+            return None
+        return point_at(self._world, data, self._decor.pen, self.view, (x, y))
 
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0

@@ -200,15 +200,15 @@ class WebHost:
     def click(self, clicked: Clicked) -> None:
         """Does what a click means, by the table of `interaction`."""
         at = (clicked.x, clicked.y)
-        picked = self.decor.pick(self.data, *at)
         if clicked.centre:
-            self._centre(at, picked)
+            self._centre(at)
             return
+        picked = self.decor.pick(self.data, *at)
         gesture = self._pointer.press(picked, at, clicked.time, shift=clicked.shift)
         if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
             self.joint = picked.index
         if picked is not None and picked.kind == "object" and gesture == "double":
-            self._centre(at, picked)
+            self._centre(at)
         if self.on_click is not None:
             self.on_click(picked, gesture)
 
@@ -220,23 +220,12 @@ class WebHost:
         else:
             hover(self.toggles, self.decor.pick(self.data, *at), at)
 
-    def _centre(self, at: tuple[float, float], picked: Picked | None) -> None:
-        view, camera = self.decor.view, self.viewer.camera
-        if view is None:
+    def _centre(self, at: tuple[float, float]) -> None:
+        point, camera = self.decor.point_at(self.data, *at), self.viewer.camera
+        if point is None or not np.isfinite(point).all():
             return
-        direction = view.at(np.array(at), 1.0) - view.position
-        direction /= np.linalg.norm(direction)
-        if picked is not None:
-            distance = picked.distance
-        else:
-            geom = np.full(1, -1, np.int32)
-            distance = mujoco.mj_ray(
-                self.world.model, self.data, view.position, direction, None, 1, -1, geom, None
-            )
-            if geom[0] < 0:
-                return
         camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
-        camera.lookat[:] = view.position + distance * direction
+        camera.lookat[:] = point
         self._app.reset_camera_index(ux.TUMBLE_CAMERA_IDX)
 
     def press(self, key: str) -> None:
