@@ -34,7 +34,9 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from sero_mj.cli.arguments import read_scene_or_model, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.live import open_page
+from sero_mj.show.web import panels
 from pathlib import Path
+panels._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
 
 places = {}  # of what can be clicked on in the panels, by its label
 def noted(build):

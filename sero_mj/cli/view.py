@@ -31,8 +31,8 @@ examples:
   sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
-the page. Browsers on other machines reach it best through `ssh -L 8080:localhost:8080 MACHINE`:
-without https they show it from their own machine only, whatever --host says.
+the page. Browsers on other machines reach it through `ssh -L 8080:localhost:8080 MACHINE`, or with
+--host 0.0.0.0, which asks nobody for a password.
 """
 
 

@@ -37,6 +37,7 @@ _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 # Studio 4.0's client cuts labels off that are nearer to the left and upper edge of the page.
 _CUT_OFF = 68.0, 64.0  # pixels
 _READABLE = 0.25  # s that a number stands
+_NARROW = 2.2 * _WIDTH  # a page on which the panel would cover the robot
 _TALL = 0.35  # of the page's height; what is less tall covers little
 # Told apart by lightness as well, on Studio's light and its dark theme.
 MOODS: dict[Mood, tuple[float, float, float] | None] = {
@@ -133,6 +134,8 @@ class Panels(plugin.ViewerPlugin):
     def _panel(self, height: float) -> None:
         imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ONCE)
         room = max(height - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
+        if imgui.GetIO().DisplaySize.x < _NARROW:
+            imgui.SetNextWindowCollapsed(True, int(imgui.Cond.Once))
         imgui.SetNextWindowSizeConstraints(imgui.Vec2(_WIDTH, 0.0), imgui.Vec2(_WIDTH, room))
         shown, self.shows_status = imgui.Begin(
             f"{self._host.world.scene.name}###sero", self.shows_status, _PANEL_FLAGS

@@ -135,6 +135,8 @@ class StudioViewer(web_viewer.WebViewer):
         self._headless_ui = CalmUi(self._headless_ui)
         # Who connects and leaves is told by the panel; CI logs need not repeat it.
         logging.getLogger("WebServer").setLevel(logging.WARNING)
+        # A browser that is killed, or a port scanner, is no error worth a traceback.
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)
 
     @property
     def _host(self) -> str:
