@@ -161,6 +161,24 @@ def test_a_port_that_is_taken_is_told() -> None:
             WebHost(mirror, port=port)
 
 
+def test_what_a_browser_has_no_room_for_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    fields = {"show_arrows": True, "show_billboards": True, "show_axes": True}
+    robots = [
+        SerialRobot.from_model("lwr", name=f"r{i}", torques=[50.0] * 7, **fields) for i in range(24)
+    ]
+    with Mirror(Scene(robots=robots)) as mirror, WebHost(mirror) as page:
+        while page.decor.view is None:
+            page.frame()
+        assert 0 < page.decor.count <= 1024
+        assert len(page.viewer.extra_geoms) == page.decor.count
+        assert page.decor.left_out > 0
+        for _ in range(5):
+            page.frame()
+    said = [record.getMessage() for record in caplog.records if "no room" in record.getMessage()]
+    assert len(said) == 1
+    assert said[0].endswith("decor geoms found no room and are not shown: a browser takes 1024")
+
+
 def test_dropped_files_do_not_replace_the_scene(
     page: WebHost, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -91,12 +91,30 @@ class RobotPanel:
             imgui.SameLine(_SLIDER)
             self._check("axes", toggles.axes, frames)
             self._check("names of axes", toggles.frame_names, frames)
+        if imgui.TreeNode("joints"):
+            self._joints(joints)
+            imgui.TreePop()
         if imgui.TreeNode("sizes"):
             rows = {"joints": np.arange(joints.start, joints.stop), "frames": frames}
             for words, array, which, declared in self._scaled:
                 if len(rows[which]):
                     self._scale(words, array, rows[which], declared)
             imgui.TreePop()
+
+    def _joints(self, joints: slice) -> None:
+        """Arrow and billboard of every joint by itself."""
+        if not imgui.BeginTable("##joints", 3):
+            return
+        for joint in range(joints.start, joints.stop):
+            row = slice(joint, joint + 1)
+            imgui.TableNextRow()
+            imgui.TableNextColumn()
+            imgui.TextUnformatted(self._world.joints.names[joint])
+            imgui.TableNextColumn()
+            self._check(f"arrow##{joint}", self._toggles.arrows, row)
+            imgui.TableNextColumn()
+            self._check(f"billboard##{joint}", self._toggles.billboards, row)
+        imgui.EndTable()
 
     def _doubles(self) -> None:
         doubles = self._world.doubles
