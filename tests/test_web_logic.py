@@ -30,6 +30,7 @@ from sero_mj.show.web.plots import thin_out
 from sero_mj.show.web.site import make_site, with_head
 from sero_mj.show.web.studio import CalmUi, QuietServer
 from sero_mj.show.web.time_control import TimeControl
+from sero_mj.show.window_help import help_columns
 
 
 def test_the_page_takes_every_geom_of_the_budget() -> None:
@@ -39,6 +40,13 @@ def test_the_page_takes_every_geom_of_the_budget() -> None:
 def test_every_key_of_the_table_is_one_of_the_page() -> None:
     ours = {*KEYS, *HOST_KEYS, *MORE_KEYS} - set(OF_BROWSER) - {"+", "_"}  # with Shift
     assert ours <= set(app.KEYS)
+
+
+def test_the_help_of_the_page_is_about_the_page() -> None:
+    rows = [row for column in help_columns(on_page=True) for row in column]
+    assert ("t", "panel on or off") in rows
+    assert not {how for how, _ in rows} & {"F2", "F3", "F11", "Ctrl+Q"}
+    assert {"F2", "F3", "F11", "Ctrl+Q"} <= {how for column in help_columns() for how, _ in column}
 
 
 def test_lines_are_as_wide_as_their_characters() -> None:

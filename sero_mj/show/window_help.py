@@ -33,10 +33,13 @@ def help_columns(*, on_page: bool = False) -> list[list[Row]]:
     Args:
         on_page: without what a browser does itself.
     """
-    of_host = {key: said for key, said in HOST_KEYS.items() if not (on_page and key in OF_BROWSER)}
+    of_host = HOST_KEYS
+    if on_page:
+        of_host = {key: said for key, said in HOST_KEYS.items() if key not in OF_BROWSER}
+        of_host |= {"t": ("panel", "panel on or off"), "f1": ("help", "this help; h and ? too")}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]
-    view += [("", ""), ("Window and time", "")]
+    view += [("", ""), ("Page and time" if on_page else "Window and time", "")]
     view += [(_KEY_NAMES.get(key, key), words) for key, (_, words) in of_host.items()]
     view += [] if on_page else [("Ctrl+Q", "close")]
     shown: list[Row] = [("What is shown", "")]
