@@ -332,4 +332,5 @@ def _turning_stiffness(stiffness: Array) -> Array:
     cross = np.cross(np.eye(3)[:, None], np.eye(3))  # e_i x e_j, (3, 3, 3)
     antisymmetric = 0.5 * np.einsum("im,pqm->ipq", stiffness, cross)
     symmetric = np.einsum("pki,kq->ipq", cross, stiffness)
-    return (antisymmetric - 0.5 * (symmetric + symmetric.transpose(0, 2, 1))).reshape(3, 9)
+    matrices = antisymmetric - 0.5 * (symmetric + symmetric.transpose(0, 2, 1))
+    return np.asarray(matrices.reshape(3, 9))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Any, NoReturn
 
 import mujoco
@@ -19,7 +20,7 @@ from .sensors import Sensors
 
 Array = NDArray[np.float64]
 
-_TOO_MUCH = 1e18  # Nm squared, and what NaN is not below
+_TOO_MUCH = 1e9  # Nm, of all motors together, and what NaN is not below
 
 
 class Plant:
@@ -146,7 +147,7 @@ class Plant:
         joints = self.joints
         given = joints.given
         given[...] = motor_torques
-        if not given.dot(given) < _TOO_MUCH:  # nor is NaN
+        if not hypot(*given.tolist()) < _TOO_MUCH:
             self._stop_for_torque()
         if not joints.advance(self._gather_pushes() if self._pushed else None):
             self._stop_for_motion()
@@ -317,7 +318,7 @@ class Plant:
     def _stop_for_torque(self) -> NoReturn:
         torques = self.joints.given.copy()
         self.joints.given[:] = 0.0
-        row = int(np.argmax(~(np.abs(torques) < np.sqrt(_TOO_MUCH / self.n))))
+        row = int(np.argmax(~(np.abs(torques) < _TOO_MUCH / np.sqrt(self.n))))
         reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
         raise SimulationError(self.time, self._joint_name(row), reason)
 
