@@ -55,7 +55,6 @@ class Arm:
     ) -> None:
         robot, timestep = scenario.scene.robots[name], scenario.run.timestep
         self.name, self.joints, self.plan = name, joints, plan
-        self._plant = plant
         declared = scenario.controllers.get(name, GravityCompensation())
         self.controller = make_controller(
             declared, compiler.robot_model(robot), timestep, robot.torque_limits
@@ -63,10 +62,16 @@ class Arm:
         self.controller.check(np.asarray(robot.home, np.float64))
         self.controller.checks = False  # the plant looks as well
         # Of one robot alone what the plant measures is seen in place.
-        self._copies = robot.n < plant.n
+        copies = robot.n < plant.n
         # Elastic joints are controlled over their motors, which have encoders of their own.
-        self.motors: Array | None = np.zeros(2 * robot.n) if robot.elastic_joints else None
-        self.sensed = Sensed(robot.n, None if self._copies else plant.measured, self.motors)
+        motors: Array | None = np.zeros(2 * robot.n) if robot.elastic_joints else None
+        self.sensed = Sensed(robot.n, None if copies else plant.measured, motors)
+        self._seen: list[tuple[Array, Array]] = []  # where to, and what; all are views
+        if copies:
+            self._seen.append((self.sensed.values, plant.measured[:, joints]))
+        if motors is not None:
+            self._seen.append((self.sensed.motor_angles, plant.motor_angles[joints]))
+            self._seen.append((self.sensed.motor_velocities, plant.motor_velocities[joints]))
         self.target = Target(robot.n)
         self.target.posture[:] = robot.home
         self.target.has_torques = False  # no law has any
@@ -78,17 +83,12 @@ class Arm:
     @property
     def has_to_look(self) -> bool:
         """Whether `sense` does anything."""
-        return self._copies or self.motors is not None
+        return bool(self._seen)
 
     def sense(self) -> None:
         """Lets the controller see what was measured."""
-        plant = self._plant
-        if self._copies:
-            np.copyto(self.sensed.values, plant.measured[:, self.joints])
-        if self.motors is not None:
-            n = len(self.motors) // 2
-            self.motors[:n] = plant.motor_angles[self.joints]
-            self.motors[n:] = plant.motor_velocities[self.joints]
+        for to, what in self._seen:
+            to[...] = what
 
     def observe(
         self, first: int, last: int, measured: tuple[Array, Array, Array], log: Array

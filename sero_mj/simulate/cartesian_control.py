@@ -142,35 +142,44 @@ class CartesianImpedanceController:
         self._spring_of: Array = np.zeros((7, 7))
         vectors = [0, 1, 2, 4, 5, 6]
         self._spring_of[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
+        self._pull: Array = np.zeros(7)
+        self._torque: Array = np.zeros(4)
+        self._is_bilinear = not (in_flange or self.stiffness[:3, 3:].any())
         self._make_sums()
         self._look_at(np.eye(4))
 
     def _make_sums(self) -> None:
         """Makes a product of every sum: numpy takes longer to call than to compute."""
         n, one = self.model.n, np.eye(self.model.n)
-        # [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0]; f's lower half is the vector of a quaternion.
-        self._wrench_of: Array = np.zeros((6, 23))
-        self._wrench_of[:3, 6:9] = self._wrench_of[3:, 14:17] = np.eye(3)
-        self._wrench_of[:, 17:] = -np.eye(6)
+        # [D -D K_p -K_p K_r 1 -1] [dx_d; J dq; x_d; x; R R_d^T; f; L J M^-1 tau_0]
+        self._wrench_of: Array = np.zeros((6, 39))
         self.damping: Array = self._wrench_of[:, :6]
-        wrenches: Array = np.zeros(23)
-        slip, taken = wrenches[:6], wrenches[17:]
-        self._pull, self._force = wrenches[6:13], wrenches[6:9]
-        self._pure, self._torque = wrenches[9:13], wrenches[13:17]
-        # [K_0 -D_0 D_0] [q_0 - q; dq; M^-1 J^T L J dq]
-        self._inner_of: Array = np.hstack([np.diag(self._spring), 0 * one, 0 * one])
-        states: Array = np.zeros(3 * n)
-        away, speeds, seen = states[:n], states[n : 2 * n], states[2 * n :]
+        if self._is_bilinear:
+            self._wrench_of[:3, 12:15] = self.stiffness[:3, :3]
+            self._wrench_of[:3, 15:18] = -self.stiffness[:3, :3]
+            self._wrench_of[3:, 18:27] = _turning_stiffness(self.stiffness[3:, 3:])
+        self._wrench_of[:, 27:33], self._wrench_of[:, 33:] = np.eye(6), -np.eye(6)
+        wrenches: Array = np.zeros(39)
+        wanted, twist, to, here, turn, self._force, taken = np.split(
+            wrenches, [6, 12, 15, 18, 27, 33]
+        )
+        # [K_0 -K_0 -D_0 D_0] [q_0; q; dq; M^-1 J^T L J dq]
+        spring = np.diag(self._spring)
+        self._inner_of: Array = np.hstack([spring, -spring, 0 * one, 0 * one])
+        states: Array = np.zeros(4 * n)
+        posture, state, seen = np.split(states, [n, 3 * n])
         # [wrench tau_0 g] [J; 1; 1]
         self._torque_of: Array = np.vstack([np.zeros((6, n)), one, one])
         jacobian: Array = self._torque_of[:6]
         torques: Array = np.zeros(6 + 2 * n)
-        wrench, inner, gravity = torques[:6], torques[6 : 6 + n], torques[6 + n :]
+        wrench, inner, gravity = np.split(torques, [6, 6 + n])
         back, mobility = np.zeros((6, n)), np.zeros((6, 6))
+        turned = np.zeros((3, 3))
         # What every step needs, in one place: looking things up takes time as well.
         self._hot = (
-            jacobian, jacobian[:3], jacobian[3:], back, back.T, mobility, np.zeros(6), np.zeros(6),
-            wrenches, slip, taken, states, away, speeds, seen, torques, wrench, inner, gravity,
+            jacobian, jacobian[:3], jacobian[3:], back, back.T, mobility, np.zeros(6),
+            wrenches, wanted, twist, to, here, turn.reshape(3, 3), turned, turned.T, taken,
+            states, posture, state, seen, torques, wrench, inner, gravity,
         )  # fmt: skip
 
     def _look_at(self, pose: Array) -> None:
@@ -182,12 +191,13 @@ class CartesianImpedanceController:
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         (
-            jacobian, linear, angular, back, back_transposed, mobility, twist, solved,
-            wrenches, slip, taken, states, away, speeds, seen, parts, wrench, inner, gravity,
+            jacobian, linear, angular, back, back_transposed, mobility, solved,
+            wrenches, wanted, twist, to, here, turn, turned, turned_back, taken,
+            states, posture, state, seen, parts, wrench, inner, gravity,
         ) = self._hot  # fmt: skip
         model = self.model
-        angles, velocities = sensed.motor_angles, sensed.motor_velocities
-        model.update(angles, velocities)
+        velocities = sensed.motor_velocities
+        model.update(sensed.motor_angles, velocities)
         model.write_jacobian(linear, angular)
         model.over_mass(jacobian, back)  # J M^-1
         jacobian.dot(back_transposed, mobility)
@@ -199,18 +209,23 @@ class CartesianImpedanceController:
             add(mobility, self._regularise, mobility)
         mju_cholFactor(mobility, _TINY)  # in its place: it is only ever solved with
 
+        wanted[...] = target.twist
         jacobian.dot(velocities, twist)
-        subtract(target.twist, twist, slip)
-        self._draw(target.pose)
+        if self._is_bilinear:
+            if target.pose is not self._pose:
+                self._look_at(target.pose)
+            to[...], here[...], turned[...] = self._position, model.flange_position, self._rotation
+            model.flange_rotation.dot(turned_back, turn)
+        else:
+            self._draw(target.pose)
 
         # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0), and P^T dq in tau_0
         mju_cholSolve(solved, mobility, twist)
         solved.dot(back, seen)
-        speeds[:] = velocities
-        subtract(target.posture, angles, away)
+        posture[...], state[...] = target.posture, sensed.motor_state
         self._inner_of.dot(states, inner)
-        back.dot(inner, twist)
-        mju_cholSolve(taken, mobility, twist)
+        back.dot(inner, solved)
+        mju_cholSolve(taken, mobility, solved)
         self._wrench_of.dot(wrenches, wrench)
         if target.has_torques:
             add(wrench, target.wrench, wrench)
@@ -220,14 +235,14 @@ class CartesianImpedanceController:
             add(out, target.torques, out)
 
     def _draw(self, pose: Array) -> None:
-        """Computes f from where the model was last updated to.
+        """Computes f from where the model was last updated to, for any K.
 
         With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
         (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
         """
         if pose is not self._pose:
             self._look_at(pose)
-        model, quaternion, way = self.model, self._quaternion, self._way
+        model, quaternion, way, force = self.model, self._quaternion, self._way, self._force
         subtract(self._position, model.flange_position, way)
         if self._in_flange:
             self._rotation_back.dot(model.flange_rotation, self._between)
@@ -238,10 +253,10 @@ class CartesianImpedanceController:
         if quaternion.item(0) < 0.0:
             negative(quaternion, quaternion)
         self._spring_of.dot(self._error, self._pull)
-        mju_mulQuat(self._torque, quaternion, self._pure)
+        mju_mulQuat(self._torque, quaternion, self._pull[3:])
+        force[:3], force[3:] = self._pull[:3], self._torque[1:]
         if self._in_flange:
-            self._force[:] = self._rotation.dot(self._force)
-            self._torque[1:] = self._rotation.dot(self._torque[1:])
+            force[:] = force.reshape(2, 3).dot(self._rotation_back).ravel()
 
     def spring_wrench(self, pose: Array) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
@@ -250,7 +265,7 @@ class CartesianImpedanceController:
             pose: T_world_flange (4, 4) of the target.
         """
         self._draw(pose)
-        return np.hstack([self._force, self._torque[1:]])
+        return self._force.copy()
 
     def energy(self, pose: Array) -> float:
         """V, J: what the spring holds where the model was last updated to."""
@@ -295,9 +310,27 @@ class CartesianImpedanceController:
         felt = np.linalg.inv(mobility + self._regularise)
         symmetric = 0.5 * (felt + felt.T)
         self.damping[:] = design_damping(symmetric, self._in_world(pose), self._ratio)
+        self._wrench_of[:, 6:12] = -self.damping
         inertia = np.diagonal(self.model.mass())
         spring = np.maximum(self._spring, _LEAST_STIFFNESS)
         self._damper[:] = 2.0 * self._spring_ratio * np.sqrt(inertia * spring)
         n = len(inertia)
-        np.fill_diagonal(self._inner_of[:, n : 2 * n], -self._damper)
-        np.fill_diagonal(self._inner_of[:, 2 * n :], self._damper)
+        np.fill_diagonal(self._inner_of[:, 2 * n : 3 * n], -self._damper)
+        np.fill_diagonal(self._inner_of[:, 3 * n :], self._damper)
+
+
+def _turning_stiffness(stiffness: Array) -> Array:
+    """What turns R R_target^T, (9,), into the torque of a spring about three axes, (3, 9).
+
+    With the unit quaternion (w, v) of R R_target^T the torque is -2 (w K v + v x K v). Products of
+    the quaternion's parts are sums of the matrix's entries: 4 w v those of its antisymmetric half,
+    and v v^T those of its symmetric one but for a multiple of 1, which K, symmetric, does not turn.
+
+    Args:
+        stiffness: K, (3, 3), Nm/rad.
+    """
+    cross = np.cross(np.eye(3)[:, None], np.eye(3))  # e_i x e_j, (3, 3, 3)
+    antisymmetric = 0.5 * np.einsum("im,pqm->ipq", stiffness, cross)
+    symmetric = np.einsum("pki,kq->ipq", cross, stiffness)
+    matrices = antisymmetric - 0.5 * (symmetric + symmetric.transpose(0, 2, 1))
+    return np.asarray(matrices.reshape(3, 9))

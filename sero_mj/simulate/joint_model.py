@@ -22,10 +22,12 @@ Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007, eq. 1-3
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from mujoco import mj_step, mj_step1, mj_step2
-from numpy import add, copyto, multiply, subtract
+from numpy import add
 from numpy.typing import NDArray
 
 from ..assemble.mjcf_dynamics import deflection_joint, spring_damping
@@ -33,6 +35,15 @@ from ..assemble.world import World
 
 Array = NDArray[np.float64]
 Index = slice | NDArray[np.intp]
+
+_POSITION, _VELOCITY, _ACCELERATION = (
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+)
 
 
 def as_slice(indices: NDArray[np.intp]) -> Index:
@@ -48,7 +59,9 @@ def as_slice(indices: NDArray[np.intp]) -> Index:
 class JointModel:
     """Where motors, links and torque sensors of a world's robots are in MuJoCo's arrays.
 
-    Angles of links and their velocities are sums of two joints' where joints are elastic.
+    Angles of links and their velocities are sums of two joints' where joints are elastic. All that
+    sensors feel is a sum of what was before a step, of what acted in it, and of what is after it:
+    one product gives it, because numpy takes longer to call than to compute.
 
     Args:
         world: compiled with `dynamic`.
@@ -62,10 +75,11 @@ class JointModel:
         is_ahead: whether that has been computed.
         motor_dofs: index of every motor in `qvel`, (n,).
         motor_positions: likewise in `qpos`.
-        motor_angles: (n,), rad, as `read` or MuJoCo left them.
+        motor_angles: (n,), rad, as the last step left them.
         motor_velocities: (n,), likewise, rad/s.
         sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
             together with the motor, or the deflection.
+        given: (n,), torques of the motors in the next step, Nm; to be written before `advance`.
     """
 
     def __init__(self, world: World, data: mujoco.MjData) -> None:
@@ -92,23 +106,20 @@ class JointModel:
         self.looks_ahead = self.is_ahead = True
         self.elastic = bool(spring_q)
         self.motor_dofs = as_slice(np.array(motor, np.intp))
-        self.sensor_dofs = as_slice(np.array(sensor, np.intp))
+        self.sensor_dofs = np.array(sensor, np.intp)
         self.motor_positions = as_slice(np.array(motor_q, np.intp))
-        self._spring_q = as_slice(np.array(spring_q, np.intp))
-        self._rows = as_slice(np.array(self._elastic_rows, np.intp))
-        self._all_elastic = len(self._elastic_rows) == self.n
-        self._spring_dofs = as_slice(np.array(sensor, np.intp)[self._elastic_rows])
+        self._motor_q, self._spring_q = np.array(motor_q, np.intp), np.array(spring_q, np.intp)
+        self._spring_dofs = self.sensor_dofs[self._elastic_rows]
         self._qpos, self._qvel = data.qpos, data.qvel
-        nv = self._model.nv
-        self._torque, self._change, self._before_step = np.zeros((3, nv))
+        self._applied = data.qfrc_applied
+        self._warned = memoryview(data.warning.number)
         # Where joints stand in equal steps these are views, which are always up to date.
         self._copies: list[tuple[Array, NDArray[np.intp], Array]] = []
         self.motor_angles = self._watch(self._qpos, self.motor_positions)
         self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
-        self._sensed = self._watch(self._torque, self.sensor_dofs)
-        self._spring_angles = self._watch(self._qpos, self._spring_q)
-        self._spring_speeds = self._watch(self._qvel, self._spring_dofs)
-        self._aligned = self._model.nq == nv  # then a joint has one index for both
+        self.given: Array = np.zeros(self.n)
+        self._rubbing = np.zeros(0, np.intp)
+        self._friction: Array = np.zeros(0)
         self.refresh()
 
     def _watch(self, array: Array, index: Index) -> Array:
@@ -128,66 +139,89 @@ class JointModel:
                 ]
                 for joint, value in zip(dofs, damping, strict=True):
                     model.dof_damping[joint.dofadr[0]] = value
-        self._before = model.dof_armature / model.opt.timestep
-        self._after = self._before + model.dof_damping
-        self._stiffness = np.zeros(model.nv)
-        if self.elastic:
-            joints = model.dof_jntid[self._spring_dofs]
-            self._stiffness[self._spring_dofs] = model.jnt_stiffness[joints]
-        self._spring_stiffness = self._stiffness[self._spring_dofs]
-        rubbing = np.flatnonzero(model.dof_frictionloss > 0)
-        self._rubs = len(rubbing)
-        self._rubbing = as_slice(rubbing)
-        in_place = isinstance(self._rubbing, slice)
-        self._rubbed = self._torque[self._rubbing] if in_place else None
-        # What every step needs, in one place: looking things up takes a third of our own time.
+        self._spring_stiffness = model.jnt_stiffness[model.dof_jntid[self._spring_dofs]]
+        friction: Array = np.zeros(model.nv)
+        friction[self._rubbing] = self._friction
+        self._rubbing = np.flatnonzero(model.dof_frictionloss > 0)
+        self._arrange()
+        self._friction[:] = friction[self._rubbing]
+
+    def _arrange(self) -> None:
+        """Lays out what the sensors feel: [q, dq before; torques; q, dq after; friction]."""
+        model, n = self._model, self.n
+        sizes = np.array([model.nq, model.nv, n, model.nq, model.nv, len(self._rubbing)])
+        ends = np.cumsum(sizes)
+        self._terms: Array = np.zeros(ends[-1])
+        q_before, dq_before, given, q_after, dq_after, friction = np.split(self._terms, ends[:-1])
+        given[:] = self.given
+        self.given, self._friction = given, friction
+        self._after = slice(ends[2], ends[4])
+        self._readings_of: Array = np.zeros((3 * n, len(self._terms)))
+        self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
+        # What every step needs, in one place. A memoryview is copied in a third of the time that
+        # numpy takes for it.
+        views = (self._qpos, self._qvel, q_before, dq_before, q_after, dq_after, friction)
         self._hot = (
-            model, self._data, self._qvel, self._before, self._after, self._before_step,
-            self._change, self._torque,
+            model, self._data, self._applied, self.motor_dofs, given, len(friction), self._warned,
+            *(memoryview(array) for array in views),  # type: ignore[arg-type]
         )  # fmt: skip
+
+    def _fill(self, readings: Array, first: Sequence[int]) -> None:
+        """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""
+        q_before, dq_before, given, q_after, dq_after, friction = first
+        model, dofs, springs = self._model, self.sensor_dofs, self._elastic_rows
+        angles, velocities, torques = readings
+        rows = np.arange(self.n)
+        rigid = np.setdiff1d(rows, springs)  # other motors are on the far side of a spring
+        angles[rows, q_after + self._motor_q] = 1.0
+        angles[springs, q_after + self._spring_q] = 1.0
+        velocities[rows, dq_after + np.arange(model.nv)[self.motor_dofs]] = 1.0
+        velocities[springs, dq_after + self._spring_dofs] = 1.0
+        inertia = model.dof_armature[dofs] / model.opt.timestep
+        torques[rigid, given + rigid] = 1.0
+        torques[springs, q_before + self._spring_q] = -self._spring_stiffness
+        torques[rows, dq_before + dofs] = inertia
+        torques[rows, dq_after + dofs] = -(inertia + model.dof_damping[dofs])
+        torques[:, friction:] = self._rubs_at = dofs[:, None] == self._rubbing
 
     def load_springs(self) -> None:
         """Lets the springs hold the links where they are, at rest; `data` has its bias torques."""
         deflection = -self._data.qfrc_bias[self._spring_dofs] / self._spring_stiffness
-        motors = np.arange(len(self._qpos))[self.motor_positions][self._rows]
+        motors = self._motor_q[self._elastic_rows]
         angles = self._qpos[motors] + self._qpos[self._spring_q]
         self._qpos[self._spring_q] = deflection
         self._qpos[motors] = angles - deflection
 
-    def hold(self) -> None:
-        """Lets the sensors feel what holds the links at rest."""
-        np.copyto(self._torque, self._data.qfrc_bias)
-
-    def advance(self, motor_torques: Array, pushes: Array | None) -> None:
-        """Lets a step pass and notes what the sensors feel in it.
+    def advance(self, pushes: Array | None) -> bool:
+        """Lets a step pass.
 
         Args:
-            motor_torques: `qfrc_applied` (nv,), Nm; pushes are added to it.
             pushes: what else acts from outside, (nv,), Nm.
+
+        Returns:
+            whether the motion is stable.
         """
-        model, data, qvel, before, after, held, change, torque = self._hot
-        multiply(qvel, before, held)
-        add(held, motor_torques, held)
-        if self.elastic:
-            self._pull(held)
+        (
+            model, data, applied, motor_dofs, given, rubs, warned,
+            qpos, qvel, q_before, dq_before, q_after, dq_after, friction,
+        ) = self._hot  # fmt: skip
+        q_before[:], dq_before[:] = qpos, qvel
+        applied[motor_dofs] = given
         if pushes is not None:
-            add(motor_torques, pushes, motor_torques)
+            add(applied, pushes, applied)
         (mj_step2 if self.is_ahead else mj_step)(model, data)
-        multiply(qvel, after, change)
-        subtract(held, change, torque)
-        if self._rubs:
+        if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
+            return False
+        q_after[:], dq_after[:] = qpos, qvel
+        if rubs:
             # Coulomb friction is there until the next `mj_step1`; its rows stand behind those of
             # equality constraints, and before all others.
             forces = data.efc_force
-            if len(forces) != self._rubs:
-                forces = forces[data.ne : data.ne + self._rubs]
-            if self._rubbed is not None:
-                add(self._rubbed, forces, self._rubbed)
-            else:
-                torque[self._rubbing] += forces
+            friction[:] = forces if len(forces) == rubs else forces[data.ne : data.ne + rubs]
         if self.looks_ahead:
             mj_step1(model, data)
         self.is_ahead = self.looks_ahead
+        return True
 
     def look(self) -> None:
         """Computes what follows from the state that `data` is in, if that has not been done."""
@@ -195,37 +229,24 @@ class JointModel:
             mj_step1(self._model, self._data)
             self.is_ahead = True
 
-    def _pull(self, torque: Array) -> None:
-        """Adds what the springs do at the start of a step to torques (nv,)."""
-        if self._aligned:
-            multiply(self._qpos, self._stiffness, self._change)
-            subtract(torque, self._change, torque)
-        else:
-            torque[self._spring_dofs] -= self._spring_stiffness * self._qpos[self._spring_q]
-
     def external(self, pushes: Array) -> Array:
         """Torques on the links from outside in the last step, (n,), Nm: pushes, contacts, stops.
 
         Args:
             pushes: what acted by pushes, (nv,).
         """
-        friction = self._torque - (self._before_step - self._change)
-        outer = pushes + self._data.qfrc_constraint - friction
-        return np.asarray(outer[self.sensor_dofs])
+        outer = pushes + self._data.qfrc_constraint
+        return np.asarray(outer[self.sensor_dofs] - self._rubs_at @ self._friction)
 
-    def read(self, angles: Array, velocities: Array, torques: Array) -> None:
-        """Writes angles and velocities of the links, and the sensors' torques, each (n,)."""
+    def read(self, readings: Array) -> None:
+        """Writes what sensors feel of the links: angles, velocities, torques, (3n,)."""
         for array, index, copy in self._copies:
             np.take(array, index, out=copy)
-        if not self.elastic:
-            copyto(angles, self.motor_angles)
-            copyto(velocities, self.motor_velocities)
-        elif self._all_elastic:
-            add(self.motor_angles, self._spring_angles, angles)
-            add(self.motor_velocities, self._spring_speeds, velocities)
-        else:
-            copyto(angles, self.motor_angles)
-            copyto(velocities, self.motor_velocities)
-            angles[self._rows] += self._spring_angles
-            velocities[self._rows] += self._spring_speeds
-        copyto(torques, self._sensed)
+        self._readings_of.dot(self._terms, readings)
+
+    def read_at_rest(self, readings: Array) -> None:
+        """The same where no step has led to: sensors feel what holds the links."""
+        self._terms[:] = 0.0
+        self._terms[self._after] = np.hstack([self._qpos, self._qvel])
+        self.read(readings)
+        readings[2 * self.n :] = self._data.qfrc_bias[self.sensor_dofs]

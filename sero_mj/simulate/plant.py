@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Any, NoReturn
 
 import mujoco
@@ -19,15 +20,7 @@ from .sensors import Sensors
 
 Array = NDArray[np.float64]
 
-_TOO_MUCH = 1e18  # Nm squared, and what NaN is not below
-_POSITION, _VELOCITY, _ACCELERATION = (
-    int(kind)
-    for kind in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-)
+_TOO_MUCH = 1e9  # Nm, of all motors together, and what NaN is not below
 
 
 class Plant:
@@ -80,13 +73,13 @@ class Plant:
         self._actual = np.zeros((3, self.n))
         self._is_measured = False  # whether what perfect sensors measured is what is
         self.measured = self.sensors.measured
-        self._rows, self._measured_rows = tuple(self._actual), tuple(self.measured)  # views
+        self._readings = self._actual.reshape(-1)
+        self._measured_readings = self.measured.reshape(-1)
         self._pushes: list[Push] = []
         self._pushed = False  # whether any acts, or did in the last step
         self._motor = self.data.qfrc_applied
         self._motor_dofs = self.joints.motor_dofs
         self._outer = np.zeros(self.model.nv)  # torques of pushes in the last step
-        self._warned = self.data.warning.number
         self._settle()
 
     @property
@@ -133,8 +126,7 @@ class Plant:
         if self.joints.elastic:
             self.joints.load_springs()
             mujoco.mj_forward(self.model, self.data)
-        self.joints.hold()
-        self.joints.read(*self._actual)
+        self.joints.read_at_rest(self._readings)
         self._is_measured = False
         self.sensors.reset(self._actual)
 
@@ -152,22 +144,19 @@ class Plant:
             SimulationError: a torque is no number, or the motion has become unstable; names the
                 joint and the time. `measured` and `actual` are those before.
         """
-        motor = self._motor
-        pushes = self._gather_pushes() if self._pushed else None
-        motor[self._motor_dofs] = motor_torques
-        if not motor.dot(motor) < _TOO_MUCH:  # nor is NaN
-            self._stop_for_torque()
         joints = self.joints
-        joints.advance(motor, pushes)
-        warned = self._warned
-        if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
+        given = joints.given
+        given[...] = motor_torques
+        if not hypot(*given.tolist()) < _TOO_MUCH:
+            self._stop_for_torque()
+        if not joints.advance(self._gather_pushes() if self._pushed else None):
             self._stop_for_motion()
         sensors = self.sensors
         if sensors.is_perfect:
-            joints.read(*self._measured_rows)
+            joints.read(self._measured_readings)
             self._is_measured = True
             return self.measured
-        joints.read(*self._rows)
+        joints.read(self._readings)
         self._is_measured = False
         return sensors.measure(self._actual)
 
@@ -327,9 +316,9 @@ class Plant:
         return names[row]
 
     def _stop_for_torque(self) -> NoReturn:
-        torques = self.motor_torques.copy()
-        self._motor[:] = 0.0
-        row = int(np.argmax(~(np.abs(torques) < np.sqrt(_TOO_MUCH / self.n))))
+        torques = self.joints.given.copy()
+        self.joints.given[:] = 0.0
+        row = int(np.argmax(~(np.abs(torques) < _TOO_MUCH / np.sqrt(self.n))))
         reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
         raise SimulationError(self.time, self._joint_name(row), reason)
 

@@ -90,6 +90,7 @@ class Sensors:
         self.seed = seed
         self._declared = [errors or SensorErrors() for errors in (angles, velocities, torques)]
         self._noise, self._offsets = np.zeros((2, _BLOCK, 3, n))  # noise alone, and all in all
+        self._offset_rows = tuple(self._offsets)
         self._drawn = False
         self._grid_steps = np.zeros(n)
         self._joints = np.arange(n)
@@ -266,7 +267,7 @@ class Sensors:
                 self._rng.standard_normal(out=self._noise)
                 self._drawn = True
                 self._offset_all()
-            source = add(source, self._offsets[k], measured)
+            source = add(source, self._offset_rows[k], measured)
         if source is actual:
             copyto(measured, actual)
         for values, grid, coarse in self._grids:

@@ -205,56 +205,59 @@ class Simulation:
         planned = target.planned[: arm.plan.rows.shape[1]]
         grows, is_tampered = happenings.is_growing, happenings.is_tampered
         surrounded = self._contacts is not None or happenings.carries
-        n, data = plant.n, plant.data
-        part = slice(first, last + 1)
-        # What perfect sensors read is what is, and is copied when all is over.
-        is_perfect = plant.sensors.is_perfect
-        measured = plant.measured.reshape(-1)
-        actual = measured if is_perfect else plant.actual.reshape(-1)
-        measured_rows = self._measured_log[part]
-        asked = np.empty((last + 1 - first, n))
+        data, commanded, asked = plant.data, self._commanded, controller.asked
+        measured, is_perfect = plant.measured, plant.sensors.is_perfect
+        actual = measured if is_perfect else plant.actual  # what perfect sensors read is what is
+        # As bytes, which are made in half the time that a row of an array is written in.
+        kept: list[bytes] = []
+        keep = kept.extend
         rows = zip(
             range(first, last + 1),
             arm.plan.rows[first - 1 : last] if moves else repeat(None, last + 1 - first),
             self.rows[first - 1 : last, 0].tolist(),
-            repeat(None, last + 1 - first) if is_perfect else measured_rows,
-            self._actual_log[part],
-            self._driven_log[part, :n],
-            asked,
             strict=True,
         )
         try:
-            for k, planned_row, time, measured_row, actual_row, commanded_row, asked_row in rows:
+            for k, planned_row, sensed.time in rows:
                 if grows:
                     happenings.before(k - 1)
-                sensed.time = time
                 if looks:
                     arm.sense()
                 if moves:
-                    planned[:] = planned_row
-                controller.asked = asked_row
-                torques(sensed, target, commanded_row)
+                    planned[...] = planned_row
+                torques(sensed, target, commanded)
                 if is_tampered:
-                    step(np.multiply(commanded_row, happenings.gains, self._driven))
+                    step(np.multiply(commanded, happenings.gains, self._driven))
                 else:
-                    step(commanded_row)
+                    step(commanded)
+                keep((commanded.tobytes(), asked.tobytes(), actual.tobytes()))
                 if not is_perfect:
-                    measured_row[:] = measured
-                actual_row[:] = actual
-                self.step = k
+                    keep((measured.tobytes(),))
                 if surrounded and (data.ncon or happenings.carries):
                     self._note_surroundings(k)
         except SimulationError:
-            if not np.isfinite(controller.asked).all():
+            if not np.isfinite(asked).all():
                 raise controller.not_finite(sensed) from None
             raise
         finally:
-            done = self.step + 1 - first
-            if is_perfect:
-                measured_rows[:done] = self._actual_log[first : self.step + 1]
-            driven = self._driven_log[first : self.step + 1]
-            driven[:, n:] = asked[:done] != driven[:, :n]
-        self._refuse_infinite(arm, asked, first)
+            wanted = self._write(first, kept, (5 if is_perfect else 8) * plant.n)
+        self._refuse_infinite(arm, wanted, first)
+
+    def _write(self, first: int, kept: list[bytes], width: int) -> Array:
+        """Writes rows of commanded and asked torques, what is, and what was measured (if else).
+
+        Returns:
+            the asked torques, (T, n).
+        """
+        n = self.plant.n
+        found = np.frombuffer(b"".join(kept))
+        found = found[: len(found) // width * width].reshape(-1, width)
+        commanded, asked, actual = found[:, :n], found[:, n : 2 * n], found[:, 2 * n : 5 * n]
+        self.step = first - 1 + len(found)
+        part = slice(first, self.step + 1)
+        self._driven_log[part, :n], self._driven_log[part, n:] = commanded, commanded != asked
+        self._actual_log[part], self._measured_log[part] = actual, found[:, -3 * n :]
+        return asked
 
     def _refuse_infinite(self, arm: Arm, asked: Array, first: int) -> None:
         """Goes back to before a torque was infinite: cut to the limit, the plant did not see it."""
@@ -263,7 +266,7 @@ class Simulation:
             row = int(np.argmax(infinite))
             self.step = first + row - 1
             arm.sensed.time = self.time
-            arm.controller.asked = asked[row]
+            arm.controller.asked[:] = asked[row]
             raise arm.controller.not_finite(arm.sensed)
 
     def _advance_all(self, first: int, last: int) -> None:

@@ -53,8 +53,7 @@ class LimitedController:
 
     Attributes:
         controller: what is limited.
-        asked: (n,), what the controller asked for in the last step; may be replaced by another
-            array, a row of a log say, between two steps.
+        asked: (n,), what the controller asked for in the last step; the same array at every step.
         checks: whether NaN and infinity are looked for; false for who looks by himself.
 
     Raises:
@@ -114,7 +113,7 @@ class LimitedController:
             np.subtract(self._last, self._step, self._from)
             np.add(self._last, self._step, self._to)
             _clip(out, self._from, self._to, out)
-            self._last[:] = out
+            self._last[...] = out
         self._given = out
 
     @property
