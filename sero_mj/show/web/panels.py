@@ -86,6 +86,7 @@ class Panels(plugin.ViewerPlugin):
         self.shows_status = True
         self.shows_plots = False
         self.shows_help = False
+        self._size, self._when = (0.0, 0.0), _ONCE
         self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # when, and what it was
         # What the windows at the edges of the page cover, see `View.inset`.
         self.inset = (0.0, 0.0, 0.0, 0.0)
@@ -108,6 +109,9 @@ class Panels(plugin.ViewerPlugin):
         """Builds all windows of a frame."""
         size = imgui.GetIO().DisplaySize
         self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
+        # On a page of another size windows stand as they would at first.
+        self._when = _ONCE if (size.x, size.y) == self._size else _ALWAYS
+        self._size = size.x, size.y
         self._menu()
         self._time(size)
         if self.shows_status:
@@ -132,7 +136,7 @@ class Panels(plugin.ViewerPlugin):
         imgui.EndMainMenuBar()
 
     def _panel(self, height: float) -> None:
-        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ONCE)
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), self._when)
         room = max(height - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
         if imgui.GetIO().DisplaySize.x < _NARROW:
             imgui.SetNextWindowCollapsed(True, int(imgui.Cond.Once))
@@ -242,8 +246,10 @@ class Panels(plugin.ViewerPlugin):
 
     def _torques(self, size: imgui.Vec2) -> None:
         width = min(460.0, max(size.x / 2 - 2 * _MARGIN, 240.0))
-        imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), _ONCE)
-        imgui.SetNextWindowSize(imgui.Vec2(width, min(520.0, max(size.y - 220.0, 240.0))), _ONCE)
+        imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), self._when)
+        imgui.SetNextWindowSize(
+            imgui.Vec2(width, min(520.0, max(size.y - 220.0, 240.0))), self._when
+        )
         shown, self.shows_plots = imgui.Begin("Torques###torques", self.shows_plots)
         self._cover(size.y)
         if shown:
