@@ -86,7 +86,7 @@ class Panels(plugin.ViewerPlugin):
         self.shows_status = True
         self.shows_plots = False
         self.shows_help = False
-        self._size, self._when = (0.0, 0.0), _ONCE
+        self._pages: dict[str, tuple[float, float]] = {}  # on which windows were built last
         self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # when, and what it was
         # What the windows at the edges of the page cover, see `View.inset`.
         self.inset = (0.0, 0.0, 0.0, 0.0)
@@ -109,18 +109,20 @@ class Panels(plugin.ViewerPlugin):
         """Builds all windows of a frame."""
         size = imgui.GetIO().DisplaySize
         self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
-        # On a page of another size windows stand as they would at first.
-        self._when = _ONCE if (size.x, size.y) == self._size else _ALWAYS
-        self._size = size.x, size.y
         self._menu()
         self._time(size)
         if self.shows_status:
-            self._panel(size.y)
+            self._panel(size)
         if self.shows_plots and self._host.world.joints.names:
             self._torques(size)
         if self.shows_help:
             self._help(size)
         self._message(size)
+
+    def _when(self, window: str, size: imgui.Vec2) -> int:
+        """When a window is to be put in its place: also on a page of another size."""
+        last, self._pages[window] = self._pages.get(window), (size.x, size.y)
+        return _ONCE if last == (size.x, size.y) else _ALWAYS
 
     def _menu(self) -> None:
         if not imgui.BeginMainMenuBar():
@@ -135,16 +137,16 @@ class Panels(plugin.ViewerPlugin):
             imgui.EndMenu()
         imgui.EndMainMenuBar()
 
-    def _panel(self, height: float) -> None:
-        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), self._when)
-        room = max(height - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
-        if imgui.GetIO().DisplaySize.x < _NARROW:
+    def _panel(self, size: imgui.Vec2) -> None:
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), self._when("panel", size))
+        room = max(size.y - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
+        if size.x < _NARROW:
             imgui.SetNextWindowCollapsed(True, int(imgui.Cond.Once))
         imgui.SetNextWindowSizeConstraints(imgui.Vec2(_WIDTH, 0.0), imgui.Vec2(_WIDTH, room))
         shown, self.shows_status = imgui.Begin(
             f"{self._host.world.scene.name}###sero", self.shows_status, _PANEL_FLAGS
         )
-        self._cover(height)
+        self._cover(size.y)
         if shown:
             self._sources()
             self._robots.build()
@@ -246,10 +248,9 @@ class Panels(plugin.ViewerPlugin):
 
     def _torques(self, size: imgui.Vec2) -> None:
         width = min(460.0, max(size.x / 2 - 2 * _MARGIN, 240.0))
-        imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), self._when)
-        imgui.SetNextWindowSize(
-            imgui.Vec2(width, min(520.0, max(size.y - 220.0, 240.0))), self._when
-        )
+        height, when = min(520.0, max(size.y - 220.0, 240.0)), self._when("torques", size)
+        imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), when)
+        imgui.SetNextWindowSize(imgui.Vec2(width, height), when)
         shown, self.shows_plots = imgui.Begin("Torques###torques", self.shows_plots)
         self._cover(size.y)
         if shown:
