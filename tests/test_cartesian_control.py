@@ -65,6 +65,25 @@ def test_the_wrench_is_minus_the_slope_of_the_energy(seed: int, axes: str) -> No
     np.testing.assert_allclose(torques, -np.array(slope), atol=1e-3, rtol=1e-5)
 
 
+@settings(deadline=None, max_examples=50)
+@given(seeds, st.sampled_from(["world", "flange"]), st.booleans())
+def test_at_rest_torques_are_those_of_the_wrench(seed: int, axes: str, coupled: bool) -> None:
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(6, 6))
+    stiffness = a @ a.T * 100
+    if not coupled:
+        stiffness[:3, 3:] = stiffness[3:, :3] = 0.0
+    control = CartesianImpedance(stiffness=stiffness, axes=axes, nullspace_stiffness=0.0).make(
+        MODEL, 1e-3
+    )
+    sensed, target, torques = Sensed(7), Target(7), np.zeros(7)
+    sensed.angles[:] = rng.uniform(-2, 2, 7)
+    target.pose[:] = frame(turned(rng.normal(size=3) * 2), rng.normal(size=3))
+    control.torques(sensed, target, torques)
+    expected = MODEL.jacobian().T @ control.spring_wrench(target.pose) + MODEL.gravity()
+    np.testing.assert_allclose(torques, expected, rtol=1e-9, atol=1e-9)
+
+
 def test_small_errors_are_a_spring_along_and_about_the_axes_that_were_named() -> None:
     stiffness = [1000.0, 2000.0, 3000.0, 10.0, 20.0, 30.0]
     MODEL.update(START, np.zeros(7))

@@ -403,6 +403,16 @@ def test_reset_begins_anew_to_the_bit():
     assert plant.time == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize("elastic", [False, True])
+def test_nothing_acts_from_outside_after_a_reset(elastic):
+    plant = plant_of(make_lwr(elastic=elastic))
+    np.testing.assert_allclose(plant.external_torques(), 0.0, atol=1e-9)
+    for _ in range(20):
+        plant.step(plant.actual[2] + 3.0)
+    plant.reset()
+    np.testing.assert_allclose(plant.external_torques(), 0.0, atol=1e-9)
+
+
 def test_a_torque_that_is_no_number_stops_with_joint_and_time():
     plant = plant_of(make_lwr())
     plant.step(plant.actual[2].copy())

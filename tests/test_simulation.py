@@ -195,6 +195,19 @@ class Wave:
             out[3] = np.nan
 
 
+class Counts:
+    """A user's controller that goes on from its last torques."""
+
+    def torques(self, sensed: Any, target: Any, out: Any) -> None:
+        out += 0.001
+
+
+def test_a_users_controller_finds_its_last_torques() -> None:
+    simulation = ran(scenario(controllers={"lwr": Counts()}, duration=0.05))
+    asked = simulation.log.of("lwr", "commanded_torques")[1:]
+    np.testing.assert_allclose(asked, 0.001 * np.arange(1, 51)[:, None] * np.ones(7), rtol=1e-12)
+
+
 def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
     simulation = Simulation(scenario(controllers={"lwr": Wave()}, duration=1.0))
     seen = []

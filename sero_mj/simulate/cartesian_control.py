@@ -143,7 +143,7 @@ class CartesianImpedanceController:
         vectors = [0, 1, 2, 4, 5, 6]
         self._spring_of[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
         self._pull: Array = np.zeros(7)
-        self._torque: Array = np.zeros(4)
+        self._torque, self._force = np.zeros(4), np.zeros(6)
         self._is_bilinear = not (in_flange or self.stiffness[:3, 3:].any())
         self._make_sums()
         self._look_at(np.eye(4))
@@ -160,9 +160,7 @@ class CartesianImpedanceController:
             self._wrench_of[3:, 18:27] = _turning_stiffness(self.stiffness[3:, 3:])
         self._wrench_of[:, 27:33], self._wrench_of[:, 33:] = np.eye(6), -np.eye(6)
         wrenches: Array = np.zeros(39)
-        wanted, twist, to, here, turn, self._force, taken = np.split(
-            wrenches, [6, 12, 15, 18, 27, 33]
-        )
+        wanted, twist, to, here, turn, drawn, taken = np.split(wrenches, [6, 12, 15, 18, 27, 33])
         # [K_0 -K_0 -D_0 D_0] [q_0; q; dq; M^-1 J^T L J dq]
         spring = np.diag(self._spring)
         self._inner_of: Array = np.hstack([spring, -spring, 0 * one, 0 * one])
@@ -178,7 +176,7 @@ class CartesianImpedanceController:
         # What every step needs, in one place: looking things up takes time as well.
         self._hot = (
             jacobian, jacobian[:3], jacobian[3:], back, back.T, mobility, np.zeros(6),
-            wrenches, wanted, twist, to, here, turn.reshape(3, 3), turned, turned.T, taken,
+            wrenches, wanted, twist, to, here, turn.reshape(3, 3), turned, turned.T, drawn, taken,
             states, posture, state, seen, torques, wrench, inner, gravity,
         )  # fmt: skip
 
@@ -192,7 +190,7 @@ class CartesianImpedanceController:
         """Writes the torques of this step, (n,)."""
         (
             jacobian, linear, angular, back, back_transposed, mobility, solved,
-            wrenches, wanted, twist, to, here, turn, turned, turned_back, taken,
+            wrenches, wanted, twist, to, here, turn, turned, turned_back, drawn, taken,
             states, posture, state, seen, parts, wrench, inner, gravity,
         ) = self._hot  # fmt: skip
         model = self.model
@@ -217,7 +215,7 @@ class CartesianImpedanceController:
             to[...], here[...], turned[...] = self._position, model.flange_position, self._rotation
             model.flange_rotation.dot(turned_back, turn)
         else:
-            self._draw(target.pose)
+            drawn[...] = self._draw(target.pose)
 
         # P tau_0 + J^T wrench = tau_0 + J^T (wrench - L J M^-1 tau_0), and P^T dq in tau_0
         mju_cholSolve(solved, mobility, twist)
@@ -234,8 +232,8 @@ class CartesianImpedanceController:
         if target.has_torques:
             add(out, target.torques, out)
 
-    def _draw(self, pose: Array) -> None:
-        """Computes f from where the model was last updated to, for any K.
+    def _draw(self, pose: Array) -> Array:
+        """Returns f from where the model was last updated to, for any K.
 
         With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
         (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
@@ -257,6 +255,7 @@ class CartesianImpedanceController:
         force[:3], force[3:] = self._pull[:3], self._torque[1:]
         if self._in_flange:
             force[:] = force.reshape(2, 3).dot(self._rotation_back).ravel()
+        return force
 
     def spring_wrench(self, pose: Array) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
@@ -264,8 +263,7 @@ class CartesianImpedanceController:
         Args:
             pose: T_world_flange (4, 4) of the target.
         """
-        self._draw(pose)
-        return self._force.copy()
+        return self._draw(pose).copy()
 
     def energy(self, pose: Array) -> float:
         """V, J: what the spring holds where the model was last updated to."""

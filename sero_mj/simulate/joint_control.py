@@ -130,7 +130,7 @@ class GravityCompensator:
         """Writes the torques of this step, (n,)."""
         if self._compensate:
             self.model.update(sensed.motor_angles, sensed.motor_velocities)
-            out[:] = self.model.gravity()
+            self.model.gravity(out)
         else:
             out[:] = 0.0
         if self._own is not None:
@@ -183,11 +183,16 @@ class JointImpedanceController:
         self._feed_forward = feed_forward
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0
-        # One product for all: [K D 1] [e; de; own torques].
-        self._gains: Array = np.hstack([self.stiffness, np.zeros((n, n)), np.eye(n)])
+        # One product for all: [K D 1 -1 M_motors] [e; de; own torques; ddq_d], or but for the last
+        # two without feed-forward.
+        gains = [self.stiffness, np.zeros((n, n)), np.eye(n)]
+        if feed_forward:
+            gains += [-np.eye(n), np.diag(model.motor_inertia)]
+        self._gains: Array = np.hstack(gains)
         self.damping: Array = self._gains[:, n : 2 * n]
-        self._terms: Array = np.zeros(3 * n)
-        self._error, self._own = self._terms[: 2 * n], self._terms[2 * n :]
+        self._terms: Array = np.zeros(len(gains) * n)
+        self._error, self._own = self._terms[: 2 * n], self._terms[2 * n : 3 * n]
+        self._less, self._accelerations = self._terms[3 * n : 4 * n], self._terms[4 * n :]
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
@@ -199,7 +204,9 @@ class JointImpedanceController:
         self._left -= 1
         np.subtract(target.state, sensed.motor_state, self._error)
         if self._feed_forward:
-            model.inverse_dynamics(target.velocities, target.accelerations, self._own)
+            wanted = target.accelerations
+            self._accelerations[...] = wanted
+            model.write_inverse_dynamics(target.velocities, wanted, self._own, self._less)
         else:
             model.gravity(self._own)
         self._gains.dot(self._terms, out)

@@ -248,5 +248,7 @@ class JointModel:
         """The same where no step has led to: sensors feel what holds the links."""
         self._terms[:] = 0.0
         self._terms[self._after] = np.hstack([self._qpos, self._qvel])
+        equalities = self._data.ne
+        self._friction[:] = self._data.efc_force[equalities : equalities + len(self._friction)]
         self.read(readings)
         readings[2 * self.n :] = self._data.qfrc_bias[self.sensor_dofs]

@@ -112,11 +112,11 @@ class RobotModel:
         self.flange_position: Array = data.site_xpos[0]
         self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
         moving, swapped = self._moving, self._swapped
-        self._cinert, self._cdof = data.cinert, data.cdof
-        self._moving_cinert, self._moving_cdof = moving.cinert, moving.cdof
-        self._moving_cdof_dot = moving.cdof_dot
-        self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
-        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
+        self._cinert, self._cdof = _flat(data.cinert), _flat(data.cdof)
+        self._moving_cinert, self._moving_cdof = _flat(moving.cinert), _flat(moving.cdof)
+        self._moving_cdof_dot = _flat(moving.cdof_dot)
+        self._swapped_cinert, self._swapped_cdof = _flat(swapped.cinert), _flat(swapped.cdof)
+        self._swapped_cdof_dot, self._swapped_qvel = _flat(swapped.cdof_dot), swapped.qvel
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
 
     @classmethod
@@ -143,7 +143,7 @@ class RobotModel:
             angles: (n,), rad or m.
             velocities: (n,), per second; kept, not copied, until the next update.
         """
-        self._qpos[:] = angles
+        self._qpos[...] = angles
         self._velocities = velocities
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
         mj_fwdKinematics(self._model, self._data)
@@ -173,29 +173,42 @@ class RobotModel:
     ) -> Array:
         """M(q) a + C(q, dq) v + g(q), (n,): what tracking of v and a takes.
 
+        Args:
+            velocities: v, (n,), per second.
+            accelerations: a, (n,), per second squared.
+            out: (n,), to be written instead of the buffer.
+        """
+        result = self._inverse if out is None else out
+        self.write_inverse_dynamics(velocities, accelerations, result, self._other)
+        np.subtract(result, self._other, result)
+        np.multiply(self.motor_inertia, accelerations, self._other)
+        return np.add(result, self._other, result)
+
+    def write_inverse_dynamics(
+        self, velocities: Array, accelerations: Array, torques: Array, less: Array
+    ) -> None:
+        """The same as a difference of two, without what the motors' inertia takes.
+
         C(q, dq) v is linear in both and the same when they change places, so with c(x) = C(q, x) x
         it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
 
         Args:
             velocities: v, (n,), per second.
             accelerations: a, (n,), per second squared.
-            out: (n,), to be written instead of the buffer.
+            torques: (n,), to be written.
+            less: (n,), likewise; to be taken from them.
         """
         moving, qvel = self._moving, self._qvel
-        result = self._inverse if out is None else out
         self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
-        self._qacc[:] = accelerations
+        self._qacc[...] = accelerations
         np.add(self._velocities, velocities, qvel)
         np.multiply(qvel, 0.5, qvel)
         mj_comVel(self._model, moving)
-        mj_rne(self._model, moving, 1, result)
+        mj_rne(self._model, moving, 1, torques)
         np.subtract(qvel, velocities, qvel)
         mj_comVel(self._model, moving)
-        mj_rne(self._weightless, moving, 0, self._other)
+        mj_rne(self._weightless, moving, 0, less)
         self._is_moving = False  # it moves, but at another velocity
-        np.subtract(result, self._other, result)
-        np.multiply(self.motor_inertia, accelerations, self._other)
-        return np.add(result, self._other, result)
 
     def transposed_coriolis(self) -> Array:
         """C(q, dq)^T dq, (n,): the slope of the kinetic energy along the angles, dq held.
@@ -275,7 +288,7 @@ class RobotModel:
     def _move(self) -> None:
         if not self._is_moving:
             self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
-            self._qvel[:] = self._velocities
+            self._qvel[...] = self._velocities
             mj_comVel(self._weightless, self._moving)
             self._is_moving = True
 
@@ -284,5 +297,10 @@ class RobotModel:
         self._move()
         if not self._is_swapped:
             self._swapped_cinert[:], self._swapped_cdof_dot[:] = self._cinert, self._cdof
-            self._swapped_qvel[:] = self._velocities
+            self._swapped_qvel[...] = self._velocities
             self._is_swapped = True
+
+
+def _flat(array: Array) -> memoryview:
+    """All of an array in a row: so it is copied in a third of the time that numpy takes for it."""
+    return memoryview(array.reshape(-1))  # type: ignore[arg-type]
