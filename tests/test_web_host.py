@@ -157,8 +157,12 @@ def test_a_port_that_is_taken_is_told() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         expected = f"no page at 127.0.0.1:{port}: Port {port} is already in use"
-        with pytest.raises(RenderError, match=expected):
+        with pytest.raises(RenderError, match=expected) as found:
             WebHost(mirror, port=port)
+        assert "or 0" not in str(found.value)
+        for wrong in (70000, -1, "a"):
+            with pytest.raises(RenderError, match=f"port {wrong!r}: expected a number from 1"):
+                WebHost(mirror, port=wrong)  # type: ignore[arg-type]
 
 
 def test_what_a_browser_has_no_room_for_is_said(caplog: pytest.LogCaptureFixture) -> None:

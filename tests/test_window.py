@@ -317,6 +317,35 @@ def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
     assert "no display for a window" in done.stderr
 
 
+_CLOSED = """
+import sero_mj
+from sero_mj.errors import RenderError
+with sero_mj.view("lwr", size=(320, 240)) as viewer:
+    assert viewer.sync()
+assert not viewer.is_open
+assert not viewer.sync()
+viewer.close()
+try:
+    sero_mj.view("lwr", size=(0, -5))
+except RenderError as error:
+    print(error)
+"""
+
+
+def test_a_viewer_that_is_closed_says_so_and_a_wrong_size_is_told(display: str) -> None:
+    environment = {**os.environ, "DISPLAY": display, "MUJOCO_GL": "glfw", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", _CLOSED],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "window size 0x-5: expected 1 to 16384 a side"
+
+
 _LOOP = """
 import sero_mj, numpy as np, time
 scene = sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr", show_arrows=True)])

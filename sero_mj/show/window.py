@@ -124,6 +124,8 @@ class Window:
         Where frames take long, half of the time is left to whoever asks.
         """
         took = self._end - self._last
+        if not self.is_open:
+            return False
         return time.monotonic() - self._end >= max(1.0 / self.gl.refresh_rate - 1e-3 - took, took)
 
     def frame(self, *, wait: bool = True) -> bool:

@@ -20,6 +20,7 @@ from .offscreen import offscreen_size
 _SAMPLES = 4  # per pixel, against jagged edges
 _HUD_TEXT = 18.0  # pixels, of the window's own text at content scale 1
 _SMALLEST = (320, 240)
+_LARGEST = 16384  # pixels a side
 _NAMED_KEYS = {
     glfw.KEY_BACKSPACE: "backspace",
     glfw.KEY_LEFT: "left",
@@ -55,6 +56,8 @@ class GlWindow:
     def __init__(
         self, world: World, size: tuple[int, int], title: str, *, full_screen: bool = False
     ) -> None:
+        if not (min(size) > 0 and max(size) <= _LARGEST):
+            raise RenderError(f"window size {size[0]}x{size[1]}: expected 1 to {_LARGEST} a side")
         _start_glfw()
         self._world = world
         self._events: list[Event] = []
@@ -105,8 +108,8 @@ class GlWindow:
 
     @property
     def is_closing(self) -> bool:
-        """Whether the user wants it closed."""
-        return bool(glfw.window_should_close(self._window))
+        """Whether the user wants it closed, or it is."""
+        return self._window is None or bool(glfw.window_should_close(self._window))
 
     @property
     def is_full_screen(self) -> bool:

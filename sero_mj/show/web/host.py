@@ -89,6 +89,8 @@ class WebHost:
         self._app = StudioApp(self)
         self._panels = Panels(self)
         check_address(host)
+        if not (isinstance(port, int) and 0 <= port < 65536):
+            raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
         viewer_end, sim_end = launch_thread.make_thread_endpoints()
         try:
             self.viewer = StudioViewer(
@@ -102,7 +104,8 @@ class WebHost:
             )
         except (RuntimeError, OSError) as error:
             where = f"{host}:{port}" if port else host
-            raise RenderError(f"no page at {where}: {error}") from error
+            why = f"{error}".partition(" Pass a different")[0]  # what --port takes differs
+            raise RenderError(f"no page at {where}: {why}") from error
         WebHost._is_any_open = True
         self._time = TimeControl(self.clock)
         self._time.is_held = waits and not self.clock.is_live
