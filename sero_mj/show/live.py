@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
@@ -13,14 +12,12 @@ from ..assemble.world import World
 from ..decor.toggles import Toggles
 from ..drive.mirror import Mirror
 from ..errors import RenderError
+from .clicks import OnClick
 from .clock import Clock
-from .picking import Picked
 
 if TYPE_CHECKING:
     from .web.host import WebHost
     from .window import Window
-
-OnClick = Callable[[Picked | None, str], None]
 
 
 class LiveHost(Protocol):

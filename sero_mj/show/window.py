@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from ..decor.toggles import Toggles
 from ..drive.mirror import Mirror
 from ..errors import SeroError
+from .clicks import OnClick, take_click
 from .clock import Clock, time_text
 from .events import Event
 from .headless import DEFAULT_SIZE
@@ -34,8 +34,6 @@ from .window_timeline import TimeLine
 
 _MESSAGE_TIME = 3.0  # s
 _HINT = "F1 help"
-_OF_JOINTS = ("link", "double", "arrow", "billboard")
-OnClick = Callable[[Picked | None, str], None]
 
 
 class Window:
@@ -310,13 +308,7 @@ class Window:
             self._centre(at)
             return
         picked = self._frame.pick(self.data, *at)
-        gesture = self._pointer.press(picked, at, clicked.time, shift=clicked.shift)
-        if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
-            self.joint = picked.index
-        if picked is not None and picked.kind == "object" and gesture == "double":
-            self._centre(at)
-        if self.on_click is not None:
-            self.on_click(picked, gesture)
+        take_click(self, self._pointer, picked, clicked, self._centre)
 
     def _centre(self, at: tuple[float, float]) -> None:
         view, point = self._frame.view, self._frame.point_at(self.data, *at)

@@ -16,10 +16,10 @@ from ...decor.toggles import Toggles
 from ...drive.mirror import Mirror
 from ...errors import RenderError, SeroError
 from ..camera import find_camera, list_cameras
+from ..clicks import OnClick, take_click
 from ..clock import Clock
 from ..interaction import HOST_KEYS, KEYS, MORE_KEYS, Pointer, hover
 from ..mouse import Clicked
-from ..picking import Picked
 from ..torque_history import TorqueHistory, joint_name
 from .app import StudioApp
 from .decor import WebDecor
@@ -29,8 +29,6 @@ from .studio import LOOPBACK, RATE, StudioViewer, quiet
 from .time_control import TimeControl
 
 _MESSAGE_TIME = 3.0  # s
-_OF_JOINTS = ("link", "double", "arrow", "billboard")
-OnClick = Callable[[Picked | None, str], None]
 
 
 class WebHost:
@@ -207,13 +205,7 @@ class WebHost:
             self._centre(at)
             return
         picked = self.decor.pick(self.data, *at)
-        gesture = self._pointer.press(picked, at, clicked.time, shift=clicked.shift)
-        if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
-            self.joint = picked.index
-        if picked is not None and picked.kind == "object" and gesture == "double":
-            self._centre(at)
-        if self.on_click is not None:
-            self.on_click(picked, gesture)
+        take_click(self, self._pointer, picked, clicked, self._centre)
 
     def point(self, at: tuple[float, float] | None) -> None:
         """Writes the name of what is under the pointer beside it."""

@@ -53,15 +53,15 @@ class TorquePlots:
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self._names = [joint_name(world, i) for i in range(len(world.joints.names))]
         self._lines: dict[str, tuple[list[float], list[float]]] = {}
         self._when = float("-inf")
         self._joint = -1
 
     def build(self, history: TorqueHistory, joint: int) -> int:
         """Builds the plots of a joint of the world; returns the joint to be shown next."""
-        names = [joint_name(self._world, i) for i in range(len(self._world.joints.names))]
         imgui.SetNextItemWidth(160.0)
-        changed, chosen = imgui.Combo("##joint", joint, names)
+        changed, chosen = imgui.Combo("##joint", joint, self._names)
         joint = chosen if changed else joint
         self._refresh(history, joint)
         joints = self._world.joints
