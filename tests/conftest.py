@@ -6,7 +6,9 @@ from sero_mj.show.gl import choose_backend
 
 choose_backend()
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,3 +28,15 @@ def lwr() -> SerialRobot:
 def lwr_world(lwr: SerialRobot) -> World:
     """The LWR without a floor; tests make their own data."""
     return World(Scene(robots=[lwr], floor=False))
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Chromium, as Playwright works it."""
+    from playwright.sync_api import sync_playwright
+    from web_tools import ARGUMENTS, CHROMIUM
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()

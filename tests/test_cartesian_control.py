@@ -216,7 +216,9 @@ def test_null_space_torques_do_not_accelerate_the_flange(seed: int) -> None:
     control = CartesianImpedance(nullspace_stiffness=100.0).make(MODEL, 1e-3)
     still, out = np.zeros(7), np.zeros(7)
     control.torques(sensed, target, still)
-    target.posture[:] = q + rng.uniform(-1, 1, 7)
+    away, elbow = rng.uniform(-1, 1, 7), np.linalg.svd(MODEL.jacobian())[2][-1]
+    away += np.copysign(0.3, elbow @ away) * elbow  # else it may ask nothing of the elbow
+    target.posture[:] = q + away
     control.torques(sensed, target, out)
     accelerations = np.linalg.solve(MODEL.mass(), out - still)
     assert np.abs(accelerations).max() > 0.01

@@ -17,6 +17,8 @@ from conftest import ROOT
 from window_tools import MISSING, screen
 
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
+FILM = re.compile(r"((?:-o|--render) \S+\.mp4)")
+SMALL = "480x320"  # of films: software takes most of the time of this test to draw them
 
 
 def open_window(language: str, text: str, folder: Path, environment: dict[str, str]) -> None:
@@ -103,7 +105,7 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
             elif note == "background":
                 background.append(subprocess.Popen(text.split(), cwd=tmp_path, env=environment))
             elif language == "bash":
-                run("bash", "-ec", text)
+                run("bash", "-ec", FILM.sub(rf"\1 --size {SMALL}", text))
             else:
                 script = tmp_path / "script.py"
                 script.write_text(textwrap.dedent(text))

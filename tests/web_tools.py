@@ -16,6 +16,9 @@ from driver import Driver
 from numpy.typing import NDArray
 from PIL import Image
 
+POSE = "lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0"
+TORQUES = "lwr.torques=20,60,-30,40,-9,5,3"
+FEW = 60  # pixels of an arrow, at least
 SIZE = (560, 400)  # small: software draws a few such pictures a second
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MISSING = ["chromium"] * (CHROMIUM is None)
@@ -110,17 +113,25 @@ class Served(Driver):
 class Visitor:
     """A browser's page that looks at a `Served`.
 
+    Args:
+        browser: Playwright's.
+        url: of the page.
+        size: of the page, pixels.
+        **options: of Playwright's pages.
+
     Attributes:
         page: Playwright's.
     """
 
-    def __init__(self, browser: Any, url: str, **options: Any) -> None:
-        self.page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, **options)
+    def __init__(
+        self, browser: Any, url: str, size: tuple[int, int] = SIZE, **options: Any
+    ) -> None:
+        self.page = browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.goto(url)
 
-    def hears(self, text: str, seconds: float = 60.0) -> None:
+    def hears(self, text: str, seconds: float = 100.0) -> None:
         """Waits until the page has written something to its console."""
         self._until(lambda: any(text in line for line in self.said), seconds, text)
 
@@ -140,7 +151,7 @@ class Visitor:
                 return now
             last = now
 
-    def shows(self, what: Callable[[NDArray[np.int16]], Any], seconds: float = 60.0) -> Any:
+    def shows(self, what: Callable[[NDArray[np.int16]], Any], seconds: float = 100.0) -> Any:
         """Waits until something is seen in the picture, and returns it."""
         return self._until(lambda: what(self.picture()), seconds, what)
 

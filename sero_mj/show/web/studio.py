@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import socket
 import time
 from typing import Any
 
@@ -16,8 +15,6 @@ from mujoco.studio.web import web_server
 from .site import make_site
 
 LOOPBACK = "127.0.0.1"
-_SEND_BUFFER = 48 * 1024  # bytes on their way to a browser
-_BRIDGE_BUFFER = 16 * 1024  # bytes of user interface on their way to the server
 RATE = 60.0  # pictures/s
 _UI_RATE = 30.0  # user interfaces/s
 _ALIVE = 0.5  # s after which a state is sent although nothing has changed
@@ -147,9 +144,6 @@ class StudioViewer(web_viewer.WebViewer):
         """Studio's constructor wants all interfaces; the user's choice stands."""
 
     def _start_server(self) -> None:
-        # What waits in sockets is shown late: a browser that is slow is to skip frames instead.
-        self._http_sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-        self._tcp_sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BRIDGE_BUFFER)
         self._web_server = QuietServer(
             http_sock=self._http_sock,
             tcp_sock=self._tcp_sock,

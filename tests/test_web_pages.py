@@ -1,0 +1,124 @@
+"""Pages that have a server of their own: several browsers, lost servers, sources, fingers."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from web_tools import FEW, MISSING, POSE, TORQUES, Served, Visitor, blue
+
+# Their own file, for a page that is still open elsewhere takes its share of the processor to draw.
+pytestmark = [
+    pytest.mark.gl,
+    pytest.mark.timeout(300),
+    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+]
+
+
+def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -> None:
+    settings, small = (POSE, TORQUES, "lwr.show_arrows=true"), (280, 240)
+    with Served(tmp_path, "lwr", settings=settings) as served:
+        first = Visitor(browser, served.url, small)
+        first.hears("role=controller")
+        second = Visitor(browser, served.url, small)
+        second.hears("role=spectator")
+        second.shows(lambda p: blue(p) > FEW)
+        first.close()
+        third = Visitor(browser, served.url, small)
+        third.hears("role=controller")
+        second.close()
+        third.close()
+
+
+def test_a_restarted_server_is_found_again(browser: Any, tmp_path: Path) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    options: dict[str, Any] = {"settings": (POSE, TORQUES), "port": port}
+    with Served(tmp_path, "lwr", **options) as first:
+        visitor = Visitor(browser, first.url)
+        visitor.hears("First remote draw frame applied")
+        first.process.kill()
+        first.process.wait()
+    without = visitor.still()
+    with Served(tmp_path, "lwr", **options) as again:
+        again.ask("w.toggles.arrows.fill(True)")
+        visitor.shows(lambda p: blue(p) > blue(without) + FEW)
+    visitor.close()
+
+
+def test_a_mirrored_robot_moves_and_is_grey_when_its_source_is_quiet(
+    browser: Any, tmp_path: Path
+) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        '[robots.lwr]\nmodel = "lwr"\nstale_after = 5.0\n'
+        f'[sources.udp]\nkind = "udp"\nport = {port}\nstructure = "7F"\n'
+        '[routes]\n"lwr.joint_angles" = "udp.values0"\n'
+    )
+    with Served(tmp_path, str(scene)) as served:
+        served.ask("setattr(w._panels, 'shows_status', False)")
+        visitor = Visitor(browser, served.url)
+        visitor.hears("First remote draw frame applied")
+        grey = _light_pixels(visitor.still())
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+
+            def is_light(pixels: np.ndarray) -> bool:
+                sender.sendto(struct.pack("<7d", 0, 0.5, 0, -1, 0, 0, 0), ("127.0.0.1", port))
+                return _light_pixels(pixels) > grey + 500
+
+            visitor.shows(is_light)
+        assert served.ask("w.data.qpos[[1, 3]]") == [0.5, -1.0]
+        visitor.shows(lambda p: _light_pixels(p) < grey + 100)
+        visitor.close()
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    """A port that nobody has."""
+    with socket.socket(socket.AF_INET, kind) as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def _light_pixels(pixels: np.ndarray) -> int:
+    """Pixels of the LWR's shell: light, and warmer than the floor."""
+    warm = pixels[..., 0] - pixels[..., 2]
+    return int(((pixels[..., 0] > 150) & (warm > 8) & (warm < 60)).sum())
+
+
+def test_a_finger_taps_once(browser: Any, tmp_path: Path) -> None:
+    with Served(tmp_path, "lwr", settings=(POSE,)) as served:
+        served.ask("setattr(w._panels, 'shows_status', False)")
+        finger = Visitor(browser, served.url, has_touch=True)
+        finger.hears("First remote draw frame applied")
+        served.until("w.decor.view is not None")
+        served.settle()
+        x, y = served.joint(1)
+        send = finger.page.context.new_cdp_session(finger.page).send
+        at = [{"x": x, "y": y}]
+        send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": at})
+        served.until("w._app._mouse.is_down")
+        send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+        served.until("clicks")
+        finger.page.wait_for_timeout(1500)  # in which mouse events would come
+        assert served.ask("clicks") == [["click", "lwr/link2"]]
+        finger.close()
+
+
+def test_a_simulation_is_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:
+    with Served(tmp_path, "impedance_push") as served:
+        visitor = Visitor(browser, served.url)
+        visitor.hears("First remote draw frame applied")
+        served.until("w.clock.time >= w.clock.end - 1e-6")
+        left, top, right, bottom = served.until("places.get('##time')")
+        visitor.click(left + 0.5 * (right - left), (top + bottom) / 2)
+        served.until("abs(w.clock.time - w.clock.end / 2) < 0.6 or w.clock.time")
+        visitor.press(" ")
+        assert served.until("w.clock.is_paused")
+        time = served.ask("w.clock.time")
+        assert time < served.ask("w.clock.end") - 0.05
+        assert served.ask("w.data.time") == pytest.approx(time, abs=0.05)
+        visitor.close()
