@@ -91,6 +91,49 @@ def test_how_long_it_takes_is_declared() -> None:
     assert decor.draw(with_age(world, 2.1), toggles, view).grey is not None
 
 
+def test_arrows_and_billboards_of_the_robot_are_grey_and_the_other_s_are_not() -> None:
+    world = two_arms(show_arrows=True, show_billboards=True)
+    decor, toggles, view = Decor(world), toggles_of(world), view_at(distance=5)
+    toggles.arrows[:] = toggles.billboards[:] = True
+    colours = {}
+    for age in (0.1, 3.0):
+        data = with_age(world, age)
+        for name in ("left", "right"):
+            world.set_input(data, f"{name}.torques", [20.0, -30.0, 9.0, -9.0, 5.0, 5.0, -5.0])
+        pen = decor.draw(data, toggles, view)
+        for kind in (Kind.ARROW, Kind.BILLBOARD):
+            for joint in range(14):
+                colours[age, kind, joint] = belonging(pen, kind, joint)["rgba"][0].copy()
+    for kind in (Kind.ARROW, Kind.BILLBOARD):
+        for joint in range(14):
+            fresh, stale = colours[0.1, kind, joint], colours[3.0, kind, joint]
+            if joint < 7:
+                assert np.ptp(stale[:3]) < 0.02  # grey
+                assert stale[3] == fresh[3]
+                assert np.abs(stale - fresh).max() > 0.2
+            else:
+                assert stale.tolist() == fresh.tolist()
+
+
+def test_what_a_label_in_front_covers_is_not_written() -> None:
+    world = two_arms()
+    decor, toggles, view = Decor(world), toggles_of(world), view_at(distance=5)
+    toggles.billboards[:] = True
+    data = with_age(world, 0.1)
+    pen = decor.draw(data, toggles, view)
+    written = labels(pen.rows[: pen.count])
+    low, high = rectangle(view, belonging(pen, Kind.BILLBOARD, 3)[0])
+    toggles.hover = ("left/link4", ((low + high) / 2).tolist())
+    pen = decor.draw(data, toggles, view)
+    now = labels(pen.rows[: pen.count])
+    assert "left/link4" in now
+    assert 1 <= len(written) + 1 - len(now) <= 4
+    front = view.project(pen.rows["pos"][: pen.count][-1].astype(float))[1]
+    boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
+    depths = view.project(boxes["pos"].astype(float))[1]
+    assert depths.min() < front or (depths < 1.4 * view.near).sum() == 1
+
+
 @pytest.mark.parametrize("fast", [True, False])
 def test_a_host_greys_what_it_is_told_and_nothing_else(fast: bool) -> None:
     world = two_arms()

@@ -254,8 +254,10 @@ def test_hovering_writes_a_name_inside_the_picture(world) -> None:
         half = panel["size"][:2] / view.pixel_size(float(depth))
         assert (centre - half > -1).all()
         assert (centre + half < [view.width + 1, view.height + 1]).all()
-    hover(toggles, None, HERE)
-    assert toggles.hover is None
+    for nothing in (None, picked("billboard")):  # which has its name on it
+        toggles.hover = ("something", HERE)
+        hover(toggles, nothing, HERE)
+        assert toggles.hover is None
 
 
 @pytest.mark.gl

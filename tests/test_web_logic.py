@@ -26,7 +26,6 @@ from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
 from sero_mj.show.web import app
 from sero_mj.show.web.greying import Greying, greyed
 from sero_mj.show.web.host import check_address, page_url
-from sero_mj.show.web.plots import thin_out
 from sero_mj.show.web.site import make_site, with_head
 from sero_mj.show.web.studio import CalmUi, QuietServer
 from sero_mj.show.web.time_control import TimeControl
@@ -95,20 +94,6 @@ def test_labels_stand_where_the_host_takes_them_from() -> None:
     middle, _ = places((0.5, 1.0))
     widths = DEFAULT_FONT.line_widths([b"ab", b"cde"])
     np.testing.assert_allclose(middle - left, np.stack([widths / 2, [28.0, 28.0]], 1), atol=0.05)
-
-
-def test_thinned_lines_keep_every_peak() -> None:
-    times = np.linspace(-8, 0, 1000)
-    values = np.sin(times)
-    values[[123, 777]] = 9.0, -9.0
-    values[500:520] = np.nan
-    x, y = thin_out(times, values, 200)
-    assert len(x) <= 210
-    assert (np.diff(x) > 0).all()
-    assert {9.0, -9.0} <= set(y.tolist())
-    assert np.isin(x, times).all()
-    few = thin_out(times[:50], values[:50], 200)
-    assert few[0].tolist() == times[:50].tolist()
 
 
 class Handle:

@@ -17,6 +17,7 @@ from .view import View
 
 Array = NDArray[np.float64]
 
+_STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
 _TINT = 0.30  # how much of a double's colour its panels have
 
 
@@ -51,6 +52,7 @@ class Billboards:
         shown: Shown,
         view: View,
         values: dict[str, Array],
+        stale: NDArray[np.bool_],
     ) -> Cards | None:
         """Returns the billboards of all joints in the picture that are to show one.
 
@@ -60,6 +62,7 @@ class Billboards:
             shown: what is to be drawn.
             view: of the picture.
             values: what `joint_values` returned.
+            stale: which joints have no fresh data, (N,): their billboards are grey.
         """
         joints = self._world.joints
         index = shown.billboards.nonzero()[0]
@@ -90,7 +93,7 @@ class Billboards:
             side=self._side[index],
             rank=self._rank[index],
             clear=clear,
-            rgba=self._rgba[index],
+            rgba=np.where(stale[index, None], _STALE_RGBA, self._rgba[index]),
         )
 
     def _sizes(self, view: View, lines: list[list[Line]], texts: list[list[bytes]]) -> Array:

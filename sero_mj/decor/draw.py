@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.world import World
 from .axes import draw_axes
@@ -19,7 +18,7 @@ from .pen import CAPACITY, Pen
 from .quantities import arrow_values, joint_values
 from .round_arrows import FINEST, RoundArrows
 from .smart_arrows import arrow_vectors, draw_smart_arrows, drawn_sizes
-from .staleness import Staleness
+from .staleness import Staleness, among
 from .status import Status
 from .toggles import Toggles
 from .vector_cards import VectorCards
@@ -68,13 +67,14 @@ class Decor:
         for name, on in zip(world.doubles, toggles.doubles, strict=True):
             if not on:
                 stale.pop(name, None)
+        grey = self._staleness.joints(stale)
         values = joint_values(world, data)
         arrows, limit = arrow_values(world, data, values, toggles.arrow_quantity)
-        cards = [self._billboards.cards(data, toggles, shown, view, values)]
+        cards = [self._billboards.cards(data, toggles, shown, view, values, grey)]
         if shown.vectors.any():
             components, vectors = arrow_vectors(world, data)
             names = world.arrows.names
-            draw_smart_arrows(pen, world, data, shown.vectors, vectors, _among(names, stale))
+            draw_smart_arrows(pen, world, data, shown.vectors, vectors, among(names, stale))
             ages = [stale.get(name, "") for name in names]
             reach = drawn_sizes(world, vectors)
             cards.append(self._vector_cards.cards(data, shown.cards, view, components, reach, ages))
@@ -98,15 +98,8 @@ class Decor:
         ]
         # Numbers first: what finds no room are boxes of arrows, and no text.
         draw_panels(pen, view, [group for group in panels if group is not None])
-        draw_axes(pen, world, data, shown.axes, _among(world.frames.names, stale))
+        draw_axes(pen, world, data, shown.axes, among(world.frames.names, stale))
         of_cards = sum(2 + len(lines) for group in groups for lines in group.texts)
         others = 3 * int(np.count_nonzero(shown.axes)) + of_cards
-        self._arrows.draw(pen, data, shown, arrows, limit, others)
+        self._arrows.draw(pen, data, shown, arrows, limit, others, grey)
         return pen
-
-
-def _among(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
-    """Which names have no fresh data."""
-    if not stale:
-        return np.zeros(len(names), bool)
-    return np.array([name in stale for name in names])

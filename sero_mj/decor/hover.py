@@ -23,4 +23,4 @@ def hover_panel(toggles: Toggles, view: View) -> Panels | None:
     below_right = np.array([1.0, -1.0])
     centre = np.array(pixel) + (size / 2 + _BESIDE * view.font.height) * below_right
     centres, sizes = labels_at(view, centre[None], lines)
-    return Panels(centres, sizes, lines, _RGBA)
+    return Panels(centres, sizes, lines, _RGBA, in_front=True)

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
 # Depths in units of the near plane: text over panels over leaders over the scene.
-_TEXT_DEPTH, _PANEL_DEPTH, _LEADER_DEPTH = 1.4, 1.5, 1.6
+_PANEL_DEPTH, _LEADER_DEPTH = 1.5, 1.6
+_FRONT_DEPTH = 1.3  # of panels in front of the others
+_TEXT_NEARER = 0.1
 _UPPER_LEFT = np.array([-0.5, 0.5])
 _LEADER_BASE = 0.22  # of a line's height
 PADDING = 0.35  # of a line's height, on every side
@@ -41,6 +43,7 @@ class Panels:
         rgba: their colour, or one for each, (k, 4).
         kind: what they belong to.
         items: which joint or frame every panel belongs to, (k,).
+        in_front: whether they cover other panels; what is under them is not written.
     """
 
     centres: Array
@@ -49,6 +52,7 @@ class Panels:
     rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
     kind: Kind = Kind.NONE
     items: NDArray[np.intp] | None = None
+    in_front: bool = False
 
 
 def labels_at(view: View, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
@@ -74,14 +78,14 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
         view: of the picture.
         groups: panels of different colours.
     """
-    groups = [group for group in groups if group.texts]
+    groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
     if not groups:
         return
     centres = np.concatenate([group.centres for group in groups])
     sizes = np.concatenate([group.sizes for group in groups])
     texts = [lines for group in groups for lines in group.texts]
-    depth = _PANEL_DEPTH * view.near
-    pixel = view.pixel_size(depth)
+    in_front: NDArray[np.bool_] = np.array([g.in_front for g in groups for _ in g.texts], bool)
+    depth = np.where(in_front, _FRONT_DEPTH, _PANEL_DEPTH)[:, None] * view.near
     first, start = pen.count, 0
     rows = pen.take(len(texts), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
@@ -96,29 +100,47 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
     rows["rgba"][:, 3] = np.maximum(rows["rgba"][:, 3], view.least_alpha)
     rows["pos"] = view.at(centres, depth)
     rows["mat"] = view.facing
+    pixel = view.pixel_size(depth)
     rows["size"][:, :2] = sizes * (pixel / 2)
-    rows["size"][:, 2] = pixel / 10
+    rows["size"][:, 2:] = pixel / 10
     rows["emission"] = 1.0
 
     line = view.font.height
-    panel = [k for k, lines in enumerate(texts) for _ in lines]
+    panel = np.array([k for k, lines in enumerate(texts) for _ in lines])
     row = np.array([j for lines in texts for j in range(len(lines))])
+    lines = [text for lines in texts for text in lines]
     starts = (centres + sizes * _UPPER_LEFT)[panel]
     starts[:, 0] += PADDING * line
     starts[:, 1] -= (PADDING / 2 + 1 + row) * line
+    if in_front.any():
+        seen = ~_covered(view, starts, lines, centres[in_front], sizes[in_front])
+        seen |= in_front[panel]
+        starts, panel = starts[seen], panel[seen]
+        lines = [text for text, is_seen in zip(lines, seen, strict=True) if is_seen]
     labels = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
     if not len(labels):
         return
-    lines = [text for lines in texts for text in lines]
     across, up = view.font.anchor
     if across:
         starts[:, 0] += across * view.font.line_widths(lines)
     starts[:, 1] += up * line
-    labels["pos"] = view.at(starts, _TEXT_DEPTH * view.near)
+    labels["pos"] = view.at(starts, depth[panel] - _TEXT_NEARER * view.near)
     labels["mat"] = view.facing
-    labels["size"] = pixel
+    labels["size"] = pixel[panel]
     labels["rgba"] = 1.0
     labels["label"] = lines
+
+
+def _covered(
+    view: View, starts: Array, lines: list[bytes], centres: Array, sizes: Array
+) -> NDArray[np.bool_]:
+    """Which lines (k,) of text, by their lower left pixels (k, 2), are under panels (m, 2)."""
+    text = np.stack(
+        [view.font.line_widths(lines), np.full(len(lines), float(view.font.height))], axis=1
+    )
+    apart = np.abs(starts[:, None] + text[:, None] / 2 - centres)
+    is_under = np.all(apart < (text[:, None] + sizes) / 2, axis=2)
+    return np.asarray(is_under.any(axis=1))
 
 
 def draw_leaders(

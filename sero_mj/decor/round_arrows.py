@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world import World
-from .pen import ARROW_SIZE_OF_LENGTH, MAX_GEOMS, Kind, Pen
+from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
 from .toggles import Shown
 
@@ -75,7 +75,14 @@ class RoundArrows:
         self._finest = finest
 
     def draw(
-        self, pen: Pen, data: mujoco.MjData, shown: Shown, values: Array, limit: Array, others: int
+        self,
+        pen: Pen,
+        data: mujoco.MjData,
+        shown: Shown,
+        values: Array,
+        limit: Array,
+        others: int,
+        stale: NDArray[np.bool_],
     ) -> None:
         """Draws an arrow for every joint that has a value and whose arrow is shown.
 
@@ -86,6 +93,7 @@ class RoundArrows:
             values: what the arrows show, (N,), NaN for no data.
             limit: at which value an arrow is at full width, (N,).
             others: how many geoms axes and cards need.
+            stale: which joints have no fresh data, (N,): their arrows are grey.
         """
         joints = self._world.joints
         by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
@@ -94,6 +102,7 @@ class RoundArrows:
         visible = shown.arrows & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
         over = np.abs(values) > limit  # false for NaN
         rgba = np.where((values > 0)[:, None], POSITIVE_RGBA, NEGATIVE_RGBA)
+        rgba[stale, :3] = GREY
         rgba[:, 3] = joints.arrow_alpha
         turning = (visible & joints.revolute).nonzero()[0]
         sliding = (visible & ~joints.revolute).nonzero()[0]

@@ -59,6 +59,7 @@ class Staleness:
                 continue
             slots = [world.slots[f"sources.{source}"].start + _AGE for source in sorted(sources)]
             self._fed.append(_fed(world, name, np.array(slots, np.intp)))
+        self._owner, self._owners = world.joints.owner, list(world.owners)
         self._soonest = min((fed.stale_after for fed in self._fed), default=np.inf)
         self._all = np.array(sorted({int(i) for fed in self._fed for i in fed.ages}), np.intp)
 
@@ -77,6 +78,14 @@ class Staleness:
                 good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
                 stale[fed.name] = f"no {good}data for {_duration(float(ages.max()))}"
         return stale
+
+    def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:
+        """Which joints of the world, (N,), are of robots and doubles without fresh data.
+
+        Args:
+            stale: what `find` returned.
+        """
+        return among(self._owners, stale)[self._owner]
 
     def panels(
         self, pen: Pen, data: mujoco.MjData, view: View, stale: dict[str, str]
@@ -105,7 +114,14 @@ class Staleness:
         lines = [lines for lines, here in zip(texts.values(), inside, strict=True) if here]
         below = anchors[inside] - [0.0, 2.0 * view.font.height]
         centres, sizes = labels_at(view, below, lines)
-        return Panels(centres, sizes, lines, _RGBA)
+        return Panels(centres, sizes, lines, _RGBA, in_front=True)
+
+
+def among(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
+    """Which names have no fresh data."""
+    if not stale:
+        return np.zeros(len(names), bool)
+    return np.array([name in stale for name in names], bool)
 
 
 def _fed(world: World, name: str, ages: NDArray[np.intp]) -> _Fed:

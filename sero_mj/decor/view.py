@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from .font import DEFAULT_FONT, Font
 
 Array = NDArray[np.float64]
+Depth = TypeVar("Depth", float, Array)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +120,17 @@ class View:
         inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
         return np.asarray(inside & (depth > self.near))
 
-    def at(self, pixels: Array, depth: float) -> Array:
-        """World points (..., 3) that are seen at pixels (..., 2), all in one depth (m)."""
+    def at(self, pixels: Array, depth: Depth) -> Array:
+        """World points (..., 3) that are seen at pixels (..., 2).
+
+        Args:
+            pixels: (..., 2).
+            depth: along the line of sight, m; one, or (..., 1).
+        """
         scale = self.pixel_size(depth)
         middle = self.position + depth * self.forward
         return np.asarray(middle + ((pixels - self._centre) * scale) @ self.facing[:, :2].T)
 
-    def pixel_size(self, depth: float) -> float:
+    def pixel_size(self, depth: Depth) -> Depth:
         """How many metres one pixel is at a depth."""
         return depth / self._pixels_per_tan

@@ -213,7 +213,9 @@ def hover(toggles: Toggles, picked: Picked | None, pixel: tuple[float, float]) -
         picked: what is there.
         pixel: x to the right and y up from the lower left corner of the picture.
     """
-    toggles.hover = None if picked is None or not picked.name else (picked.name, pixel)
+    # A billboard has its name on it, and one in front would hide its numbers.
+    name = "" if picked is None or picked.kind == "billboard" else picked.name
+    toggles.hover = (name, pixel) if name else None
 
 
 def _next_quantity(toggles: Toggles) -> None:

@@ -47,7 +47,7 @@ def _loss(found: dict[str, Any]) -> str:
 def clock_text(clock: Clock) -> Piece:
     """The time that is shown, and how fast it goes."""
     if clock.is_live:
-        return ("PAUSED", "bad") if clock.is_paused else ("live", "good")
+        return ("PAUSED", "bad") if clock.is_paused else ("live", "plain")
     end = f" / {time_text(clock.end)}" if clock.end is not None else ""
     text = f"{time_text(clock.time)}{end}  x{clock.speed:g}"
     if clock.real_speed < _SLOW * clock.speed:

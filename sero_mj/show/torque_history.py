@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from ..assemble.world import World
 from ..decor.quantities import joint_values
+from ..decor.staleness import Staleness
 
 Array = NDArray[np.float64]
 
 SPAN = 8.0  # s that are shown
+_GAP = 0.25  # s without data that are seen as a gap
 _MOST = 1000  # samples; an MjvFigure has room for 1001 points
 _SHOWN = ("torques", "commanded_torques")
 
@@ -24,6 +26,7 @@ class TorqueHistory:
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self._staleness = Staleness(world)
         self._times = np.full(_MOST, np.nan)
         self._values = np.full((len(_SHOWN), len(world.joints.names), _MOST), np.nan)
         self._count = 0  # samples ever taken; the newest is at (count - 1) % MOST
@@ -42,10 +45,11 @@ class TorqueHistory:
             elif time - last < 0.9 * SPAN / _MOST:
                 return
         values = joint_values(self._world, data)
+        stale = self._staleness.joints(self._staleness.find(data))
         at = self._count % _MOST
         self._times[at] = time
         for row, key in zip(self._values, _SHOWN, strict=True):
-            row[:, at] = values[key]
+            row[:, at] = np.where(stale, np.nan, values[key])
         self._count += 1
 
     def of(self, joint: int) -> tuple[Array, Array]:
@@ -63,6 +67,23 @@ class TorqueHistory:
         times = times - times[-1]
         kept = times >= -SPAN
         return times[kept], self._values[:, joint, order[kept]]
+
+
+def runs(times: Array, values: Array) -> list[NDArray[np.intp]]:
+    """Splits the samples of a line where there is no data.
+
+    Args:
+        times: (k,), s, rising.
+        values: (k,), NaN where there is no data; a gap shorter than can be seen splits nothing.
+
+    Returns:
+        which samples belong to each piece; none is NaN.
+    """
+    there = np.isfinite(values).nonzero()[0]
+    if not len(there):
+        return []
+    is_gap = (np.diff(there) > 1) & (np.diff(times[there]) > _GAP)
+    return np.split(there, is_gap.nonzero()[0] + 1)
 
 
 def joint_name(world: World, joint: int) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world import World
-from .torque_history import SPAN, TorqueHistory, joint_name
+from .torque_history import SPAN, TorqueHistory, joint_name, runs
 
 Array = NDArray[np.float64]
 
@@ -91,16 +93,19 @@ def _set_lines(
     figure.range[1] = low, high
     figure.gridsize[1] = steps + 1
     figure.yformat = f"%.{max(0, -int(np.floor(np.log10((high - low) / steps * 1.001))))}f"
+    figure.linepnt[:] = 0
+    spare = iter(range(_LIMITS[-1] + 1, len(figure.linepnt)))  # for what comes after a gap
     for line, (name, values) in enumerate(lines.items()):
-        there = np.isfinite(values)
-        count = int(there.sum())
-        figure.linepnt[line] = count
-        figure.linename[line] = name if count else ""
-        points = figure.linedata[line]
-        points[0 : 2 * count : 2] = times[there]
-        points[1 : 2 * count : 2] = values[there]
+        pieces = runs(times, values)
+        figure.linename[line] = name if pieces else ""
+        for piece, at in zip(reversed(pieces), itertools.chain([line], spare), strict=False):
+            count = len(piece)
+            figure.linepnt[at] = count
+            figure.linergb[at] = figure.linergb[line]
+            points = figure.linedata[at]
+            points[0 : 2 * count : 2] = times[piece]
+            points[1 : 2 * count : 2] = values[piece]
     for line, bound in zip(_LIMITS, (limit, -limit), strict=True):
-        inside = np.isfinite(limit) and low <= bound <= high
-        figure.linepnt[line] = 2 if inside else 0
-        if inside:
+        if np.isfinite(limit) and low <= bound <= high:
+            figure.linepnt[line] = 2
             figure.linedata[line][:4] = -SPAN, bound, 0.0, bound

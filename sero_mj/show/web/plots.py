@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -10,7 +11,7 @@ from mujoco.studio.implot import implot
 from numpy.typing import NDArray
 
 from ...assemble.world import World
-from ..torque_history import SPAN, TorqueHistory, joint_name
+from ..torque_history import SPAN, TorqueHistory, joint_name, runs
 
 Array = NDArray[np.float64]
 
@@ -29,11 +30,24 @@ def thin_out(times: Array, values: Array, points: int = _POINTS) -> tuple[Array,
     Args:
         times: (k,).
         values: (k,), NaN where there is no data.
-        points: how many are left at most.
+        points: how many are left, about.
+
+    Returns:
+        times and values, with one NaN in every gap.
     """
-    there = np.isfinite(values)
-    times, values = times[there], values[there]
-    size = int(np.ceil(2 * len(values) / points))
+    size = int(np.ceil(2 * np.isfinite(values).sum() / points))
+    kept: list[tuple[Array, Array]] = []
+    for run in runs(times, values):
+        if kept:
+            kept.append((times[run[:1]], np.array([np.nan])))
+        kept.append(_thin_out(times[run], values[run], size))
+    if not kept:
+        return times[:0], values[:0]
+    return np.concatenate([x for x, _ in kept]), np.concatenate([y for _, y in kept])
+
+
+def _thin_out(times: Array, values: Array, size: int) -> tuple[Array, Array]:
+    """Leaves two of every `size` samples."""
     if size <= 2:
         return times, values
     whole = len(values) // size * size
@@ -111,6 +125,7 @@ class TorquePlots:
     def _range(self, names: tuple[str, ...], limit: float) -> tuple[float, float]:
         """The ends of the axis; it moves by leaps, so that the plot stands still meanwhile."""
         values = [value for name in names for value in self._lines[name][1]]
+        values = [value for value in values if math.isfinite(value)]
         low, high = (min(values), max(values)) if values else (0.0, 0.0)
         if np.isfinite(limit):
             high = limit if high > _NEAR * limit else high

@@ -1,0 +1,107 @@
+"""The plots of live hosts: what they hold, and where they have gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from source_slots import set_source
+
+from sero_mj import World
+from sero_mj.cli.arguments import read_scene_or_model
+from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, runs
+from sero_mj.show.web.plots import thin_out
+from sero_mj.show.window_plot import TorquePlot, y_range
+
+
+@pytest.fixture(scope="module")
+def world(lwr_world: World) -> World:
+    return lwr_world
+
+
+def test_the_history_is_a_window_that_moves(world: World) -> None:
+    history, data = TorqueHistory(world), world.make_data()
+    for k in range(1500):
+        data.time = k * 0.01
+        world.set_input(data, "lwr.torques", np.full(7, float(k)))
+        history.add(data)
+    times, values = history.of(2)
+    assert times[-1] == 0.0
+    assert times[0] == pytest.approx(-SPAN, abs=0.02)
+    assert values[0, -1] == 1499.0
+    assert values[0] == pytest.approx(1499 + times * 100)
+    assert np.isnan(values[1]).all()  # nothing was commanded
+    data.time = 3.0  # back in time
+    history.add(data)
+    assert len(history.of(2)[0]) == 1
+
+
+def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
+    history, plot, data = TorqueHistory(world), TorquePlot(world), world.make_data()
+    limit = float(world.joints.torque_limit[1])
+    for k in range(50):
+        data.time = k * 0.02
+        world.set_input(data, "lwr.torques", np.full(7, 0.9 * limit))
+        if k >= 20:
+            world.set_input(data, "lwr.commanded_torques", np.full(7, 0.8 * limit))
+        history.add(data)
+    figure, error = plot.fill(history, 1)
+    assert figure.title == "lwr/A2: torque [Nm] over time [s]"
+    assert figure.linepnt[:4].tolist() == [50, 30, 2, 0]
+    assert figure.linedata[1][1:60:2] == pytest.approx(np.full(30, 0.8 * limit), rel=1e-6)
+    assert figure.range[1][1] > limit
+    assert error.linepnt[:4].tolist() == [30, 0, 0, 0]
+    assert error.linedata[0][1:60:2] == pytest.approx(np.full(30, -0.1 * limit), rel=1e-4)
+    assert joint_name(world, 6) == "lwr/A6"
+
+
+def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
+    scene = read_scene_or_model("lwr_udp")
+    fed = World(scene)
+    history, plot, data = TorqueHistory(fed), TorquePlot(fed), fed.make_data()
+    fed.set_input(data, "lwr.torques", np.full(7, 5.0))
+    for k in range(400):
+        data.time = 0.01 * k
+        set_source(data, fed, "udp", age=3.0 if 150 <= k < 250 else 0.001)
+        history.add(data)
+    times, values = history.of(2)
+    assert np.isnan(values[0]).sum() == 100
+    pieces = runs(times, values[0])
+    assert [len(piece) for piece in pieces] == [150, 150]
+    figure, _ = plot.fill(history, 2)
+    assert figure.linepnt[[0, 4]].tolist() == [150, 150]
+    assert figure.linergb[4].tolist() == figure.linergb[0].tolist()
+    newest, oldest = figure.linedata[0][0:300:2], figure.linedata[4][0:300:2]
+    assert newest.min() > oldest.max() + 0.9
+    x, y = thin_out(times, values[0])
+    assert np.isnan(y).sum() == 1
+    assert times[pieces[0][-1]] < x[np.isnan(y)][0] <= times[pieces[1][0]]
+    short = np.where((times > -1.0) & (times < -0.9), np.nan, 1.0)
+    assert len(runs(times, short)) == 1  # nobody would see it
+
+
+def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
+    none = np.full(3, np.nan)
+    low, high, _ = y_range(none, 10.0)
+    assert low < 0
+    assert high > 0
+    low, high, _ = y_range(np.array([2.0, np.nan, 6.0]), np.inf)
+    assert low < 2.0
+    assert high > 6.0
+    assert (low, high) == (1.0, 8.0)  # round numbers
+    low, high, _ = y_range(np.array([-95.0, 20.0]), 100.0)
+    assert low < -100.0
+    assert high > 20.0
+
+
+def test_thinned_lines_keep_every_peak() -> None:
+    times = np.linspace(-8, 0, 1000)
+    values = np.sin(times)
+    values[[123, 777]] = 9.0, -9.0
+    values[500:520] = np.nan
+    x, y = thin_out(times, values, 200)
+    assert len(x) <= 210
+    assert (np.diff(x) > 0).all()
+    assert {9.0, -9.0} <= set(y.tolist())
+    assert np.isin(x, times).all()
+    few = thin_out(times[:50], values[:50], 200)
+    assert few[0].tolist() == times[:50].tolist()
