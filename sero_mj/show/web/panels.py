@@ -37,7 +37,7 @@ _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 # Studio 4.0's client cuts labels off that are nearer to the left and upper edge of the page.
 _CUT_OFF = 68.0, 64.0  # pixels
 _READABLE = 0.25  # s that a number stands
-_NARROW = 2.2 * _WIDTH  # a page on which the panel would cover the robot
+_NARROW = 3.2 * _WIDTH  # a page on which panel and billboards would leave the robot no room
 _TALL = 0.35  # of the page's height; what is less tall covers little
 # Told apart by lightness as well, on Studio's light and its dark theme.
 MOODS: dict[Mood, tuple[float, float, float] | None] = {
@@ -247,7 +247,7 @@ class Panels(plugin.ViewerPlugin):
         imgui.End()
 
     def _torques(self, size: imgui.Vec2) -> None:
-        width = min(460.0, max(size.x / 2 - 2 * _MARGIN, 240.0))
+        width = min(460.0, max(0.31 * size.x, 240.0))
         height, when = min(520.0, max(size.y - 220.0, 240.0)), self._when("torques", size)
         imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), when)
         imgui.SetNextWindowSize(imgui.Vec2(width, height), when)

@@ -21,6 +21,7 @@ _POINTS = 320
 # Studio's ImPlot cannot be told the colours of lines; its own begin with blue, then orange.
 _LIMIT_RGB = (0.80, 0.20, 0.10)
 _NEAR = 0.6  # of the limit, from which on it is in the picture
+_ROOM_FOR_TWO = 240.0  # pixels, below which the error has no plot
 _LEAST = 0.5  # Nm or N, half the height of a plot
 
 
@@ -84,9 +85,10 @@ class TorquePlots:
         imgui.SameLine()
         imgui.TextUnformatted(f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit")
         room = imgui.GetContentRegionAvail()
-        upper = max(0.58 * room.y - 4.0, 60.0)
+        upper = room.y if room.y < _ROOM_FOR_TWO else 0.58 * room.y - 4.0
         self._plot(f"torque [{unit}]", ("measured", "commanded"), limit, upper)
-        self._plot(f"error [{unit}]", ("commanded - measured",), np.inf, room.y - upper - 8.0)
+        if upper < room.y:
+            self._plot(f"error [{unit}]", ("commanded - measured",), np.inf, room.y - upper - 8.0)
         return joint
 
     def _refresh(self, history: TorqueHistory, joint: int) -> None:
