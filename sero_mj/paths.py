@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from .errors import DeclarationError, Problem, UnknownName
+from .errors import DeclarationError, Problem, UnknownName, nearest
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -77,8 +77,18 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     """
     if "\0" not in name and name.endswith(".toml"):
         path = (beside or Path()) / name
-        what = "is a folder; expected a TOML file" if _is_folder(path) else "no such file"
+        what = "is a folder; expected a TOML file"
+        if not _is_folder(path):
+            near = nearest(path.stem, _toml_files(path.parent))
+            what = "no such file" + (f"; did you mean '{near}.toml'?" if near else "")
         raise DeclarationError([Problem("", what, str(path))])
+
+
+def _toml_files(folder: Path) -> list[str]:
+    try:
+        return sorted(path.stem for path in folder.glob("*.toml"))
+    except (OSError, ValueError):
+        return []
 
 
 def _is_folder(path: Path) -> bool:

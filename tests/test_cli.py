@@ -115,6 +115,13 @@ def test_bad_use_exits_with_2_and_one_clear_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_nearest_file_of_the_folder_is_named(capsys, tmp_path) -> None:
+    (tmp_path / "two_arms.toml").write_text("")
+    status, _, err = run(capsys, "check", str(tmp_path / "tow_arms.toml"))
+    assert status == 2
+    assert "tow_arms.toml: no such file; did you mean 'two_arms.toml'?" in err
+
+
 def test_values_that_begin_with_a_minus_need_no_equals_sign(capsys) -> None:
     status, out, _ = run(capsys, "fk", "lwr", "--joint-angles", "-.1,0,0,0,0,0,0", "--json")
     assert status == 0

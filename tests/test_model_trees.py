@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from foreign_models import arm, compiled, jaco
 
+import sero_mj
 from sero_mj.assemble.model_sizes import measure
-from sero_mj.assemble.model_trees import Tree, find_trees, torque_limits
+from sero_mj.assemble.model_trees import Tree, find_trees, torque_limits, without_scope
 
 
 def body(name: str, inside: str = "<joint/>") -> str:
@@ -106,3 +107,26 @@ def test_a_joint_without_any_geometry_still_has_sizes() -> None:
       <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>""")
     assert np.isfinite(radius).all() and (radius > 0).all()
     assert np.isfinite(load).all() and (load > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ([], []),  # of a robot with one body
+        (["a"], ["a"]),
+        (["s/a"], ["a"]),
+        (["s/a", "s/b"], ["a", "b"]),
+        (["s/t/a", "s/t/a/b"], ["a", "a/b"]),
+        (["s/a", "r/b"], ["s/a", "r/b"]),
+        (["s/a", "b"], ["s/a", "b"]),
+    ],
+)
+def test_scopes_that_all_share_are_left_out(names: list[str], expected: list[str]) -> None:
+    assert without_scope(names) == expected
+
+
+def test_a_pendulum_is_a_robot() -> None:
+    joint = '<body name="rod"><joint name="pivot" axis="0 1 0"/><geom size=".1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
+    overlay = sero_mj.overlay(model, mujoco.MjData(model))
+    assert overlay.robots == {"rod": ["pivot"]}

@@ -203,7 +203,7 @@ WRONG = [
     ({"axes_size": True}, "axes_size: found True; expected number"),
     ({"axes_transparency": 1.5}, "axes_transparency: found 1.5; expected less than or equal to 1"),
     ({"billboard_scale": 0.6}, "billboard_scale: found 0.6; expected less than or equal to 0.5"),
-    ({"show_axes": "yes"}, "show_axes: found 'yes'; expected boolean"),
+    ({"show_axes": "yes"}, "show_axes: found 'yes'; expected true or false"),
     (
         {"billboard_lines": ["torque"]},
         "billboard_lines.0.value: found 'torque'; expected 'torques', 'commanded_torques',"

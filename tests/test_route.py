@@ -112,7 +112,7 @@ def test_files_and_python_have_the_same_fields_under_two_names() -> None:
         ({"structure": "1F", "port": -1}, "port: found -1; expected greater than or equal to 0"),
         ({"structure": "1F", "port": "32000"}, "port: found '32000'; expected integer"),
         ({"structure": "1F", "hots": "::1"}, "hots: unknown key; did you mean 'host'?"),
-        ({"structure": "1F", "double": 1}, "double: found 1; expected boolean"),
+        ({"structure": "1F", "double": 1}, "double: found 1; expected true or false"),
         ({"structure": "1F", "buffer_size": -1}, "buffer_size: found -1; expected greater than"),
     ],
 )

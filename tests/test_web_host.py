@@ -96,7 +96,7 @@ def test_a_live_robot_is_scrubbed_too_and_then_shown_as_it_is() -> None:
 def test_keys_of_the_table_act_on_the_page(page: WebHost) -> None:
     page.press("a")
     assert not page.toggles.arrows.any()
-    assert page.message[0] == "a: arrows on or off"
+    assert page.message[0] == "arrows: off"
     page.press("]")
     assert page.joint == 1
     assert page.message[0] == "selected: lwr/A2"

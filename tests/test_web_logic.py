@@ -14,6 +14,7 @@ from mujoco.studio import messages, sim
 from mujoco.studio.web import state_payload
 
 from sero_mj import Mirror, World
+from sero_mj.cli import main
 from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.cli.view import wants_page
 from sero_mj.decor.font import DEFAULT_FONT, Font
@@ -322,9 +323,7 @@ def options(**given: Any) -> argparse.Namespace:
     )
 
 
-def test_there_is_a_page_where_there_is_no_screen(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_there_is_a_page_where_there_is_no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sero_mj.show.display.has_display", lambda: True)
     assert not wants_page(options())
     assert wants_page(options(web=True))
@@ -332,7 +331,18 @@ def test_there_is_a_page_where_there_is_no_screen(
     assert wants_page(options(host="0.0.0.0"))
     monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
     assert wants_page(options())
-    assert "no display for a window, so it is a page" in capsys.readouterr().err
+
+
+def test_it_says_why_it_is_a_page_once_there_is_a_scene(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.cli.view._serve", lambda scene, options: None)
+    for scene, said in (("lwr", True), ("lrw", False)):
+        with pytest.raises(SystemExit):
+            main(["view", scene])
+        err = capsys.readouterr().err
+        assert ("no display for a window, so it is a page" in err) == said, scene
 
 
 @pytest.mark.parametrize(

@@ -157,6 +157,8 @@ def _plain_message(detail: ErrorDetails, kind: type[BaseModel]) -> str:
     expected = detail["msg"].replace("Input should be ", "").removeprefix("a valid ")
     if "dictionary" in expected:
         expected = "a table"
+    if expected == "boolean":
+        expected = "true or false"
     return f"found {reprlib.repr(detail['input'])}; expected {expected}"
 
 

@@ -88,10 +88,8 @@ def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
 def without_scope(names: list[str]) -> list[str]:
     """Names without the scopes (`jaco/` in `jaco/hand/finger_1`) that all of them share."""
     split = [name.split("/") for name in names]
-    common = 0
-    while all(len(parts) > common + 1 for parts in split):
-        if len({parts[common] for parts in split}) > 1:
-            break
+    common, most = 0, min((len(parts) - 1 for parts in split), default=0)
+    while common < most and len({parts[common] for parts in split}) == 1:
         common += 1
     return ["/".join(parts[common:]) for parts in split]
 

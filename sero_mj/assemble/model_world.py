@@ -314,7 +314,11 @@ class ModelWorld(World):
         for joint, value in values.items():
             if joint not in names:
                 raise UnknownName(f"joint of {owner}", joint, names)
-            array[names.index(joint)] = value
+            try:
+                array[names.index(joint)] = value
+            except (TypeError, ValueError):
+                message = f"{owner}: joint {joint}: found {value!r}; expected a number"
+                raise ValueError(message) from None
         return array
 
     def clear_input(self, target: str) -> None:

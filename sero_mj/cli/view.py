@@ -72,6 +72,8 @@ def run(options: argparse.Namespace) -> int:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
         os.environ["MUJOCO_GL"] = "glfw"
     scene = read_scene(options)
+    if on_page and not (options.web or _of_page(options)):
+        print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
     elif options.start is not None:
@@ -87,7 +89,7 @@ def wants_page(options: argparse.Namespace) -> bool:
     Raises:
         UsageError: options of the one are given with the other, or there is no display.
     """
-    of_page = [name for name in ("port", "host") if getattr(options, name) is not None]
+    of_page = _of_page(options)
     of_window = ["size"] * (options.size is not None) + ["full-screen"] * options.full_screen
     if options.window and of_page:
         raise UsageError(f"--{of_page[0]} is for the page; leave --window out, or take --web")
@@ -104,8 +106,12 @@ def wants_page(options: argparse.Namespace) -> bool:
             "no display for a window: neither DISPLAY nor WAYLAND_DISPLAY is set; "
             "--web shows the scene on a page, `sero-mj render` makes pictures and films"
         )
-    print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
     return True
+
+
+def _of_page(options: argparse.Namespace) -> list[str]:
+    """Which options are given that only a page has."""
+    return [name for name in ("port", "host") if getattr(options, name) is not None]
 
 
 def _open_window(scene: Scene, options: argparse.Namespace) -> None:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _RGBA = (0.09, 0.11, 0.14, 0.6)
 # The colours of `round_arrows`, in words; a test holds the two together.
 _SIGNS = b"orange: + about z, blue: -"
-_LARGEST_SHARE = 0.08  # of the picture
+_LARGEST_SHARE = 0.10  # of the picture
 _MARGIN = 0.5  # of a line's height
 _WORDS = {
     "torques": ("joint torque", "full width: torque limit"),

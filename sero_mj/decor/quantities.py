@@ -12,6 +12,12 @@ from .singularity import towards_singularity
 
 Array = NDArray[np.float64]
 
+QUANTITY_NAMES = {
+    "torques": "torque",
+    "torque_error": "torque error",
+    "joint_accelerations": "acceleration",
+    "singularity": "towards singularity",
+}
 # Beyond this many times its limit a value is a fault of its source, not a measurement.
 ABSURD = 1e3
 

@@ -26,8 +26,12 @@ def find_camera(world: World, wanted: str | None = None) -> mujoco.MjvCamera:
 
     Raises:
         UnknownName: no camera of that name.
-        UsageError: three numbers were expected, or the distance is not positive.
+        UsageError: three numbers were expected, the distance is not positive, or it is no text.
     """
+    if wanted is not None and not isinstance(wanted, str):
+        raise UsageError(
+            f"camera: found {wanted!r}; expected a name or 'azimuth,elevation,distance'"
+        )
     view = world.scene.view
     name = view.camera if wanted is None else wanted
     camera = mujoco.MjvCamera()

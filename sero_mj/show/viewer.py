@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..drive.mirror import Mirror
 from ..drive.watch import Watch
+from ..errors import UsageError, did_you_mean
 from ..simulate.named_scene import read_named_scene
 from .display import has_display
 from .headless import DEFAULT_SIZE
@@ -22,6 +25,7 @@ from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
 from .picking import Picked
 
+Look = Literal["light", "dark"]
 log = logging.getLogger(__name__)
 
 
@@ -80,7 +84,14 @@ class Viewer:
         return self.is_open
 
     def on_click(self, callback: Callable[[Picked | None, str], None]) -> None:
-        """Calls `callback(picked, gesture)` after every click, None for the sky and the floor."""
+        """Calls `callback(picked, gesture)` after every click, None for the sky and the floor.
+
+        Raises:
+            UsageError: it cannot be called.
+        """
+        if not callable(callback):
+            found = type(callback).__name__
+            raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
         self.host.on_click = callback
 
     def picture(self) -> NDArray[np.uint8]:
@@ -114,10 +125,11 @@ def view(
     *,
     web: bool | None = None,
     camera: str | None = None,
-    size: tuple[int, int] = DEFAULT_SIZE,
+    look: Look | None = None,
+    size: tuple[int, int] | None = None,
     full_screen: bool = False,
     host: str | None = None,
-    port: int = 0,
+    port: int | None = None,
 ) -> Viewer:
     """Opens a window or a web page on a scene and returns at once.
 
@@ -133,28 +145,56 @@ def view(
         web: whether it is a page, and its address is printed; None for a page where there is no
             screen for a window.
         camera: see `find_camera`.
-        size: of the window, in screen coordinates.
+        look: `light` or `dark`, over the scene's; an overlay has its model's.
+        size: of the window, in screen coordinates; None for 1280 x 800.
         full_screen: whether the window covers the screen.
         host: address that the page is served at; None for this machine only.
-        port: of the page; 0 for the first free one from 8080 on.
+        port: of the page; None for the first free one from 8080 on.
 
     Raises:
+        UsageError: these do not go together, or are something else.
         SeroError: what is wrong with the scene, its sources or the camera, no display for a
             window, or no such address for a page.
     """
-    if isinstance(scene, Overlay):
-        mirror: Mirror = Watch(scene.world)
-    else:
-        mirror = Mirror(scene if isinstance(scene, Scene) else read_named_scene(str(scene)))
+    of_page = {"host": host, "port": port}
+    of_window = {"size": size, "full_screen": full_screen or None}
     if web is None:
         web = not has_display()
+    for name, value in (of_window if web else of_page).items():
+        if value is not None:
+            what = "the window, and this is a page" if web else "a page, and this is a window"
+            raise UsageError(f"{name}: found {value!r}; it is for {what}: say web={not web}")
+    mirror = _mirror_of(scene, look)
     if not web:
-        options = {"size": size, "camera": camera, "full_screen": full_screen}
+        options = {"size": size or DEFAULT_SIZE, "camera": camera, "full_screen": full_screen}
         return Viewer(mirror, open_window, **options)
-    page = {"camera": camera, "port": port, **({} if host is None else {"host": host})}
+    page: dict[str, Any] = {name: value for name, value in of_page.items() if value is not None}
+    page["camera"] = camera
     viewer = Viewer(mirror, open_page, **page)
     if mirror.world.is_borrowed and mirror.world.doubles:  # Studio draws no meshes of ours
         log.warning("a page shows no doubles of an overlay; a window and pictures do")
         viewer.host.toggles.doubles[:] = False
     print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
     return viewer
+
+
+def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> Mirror:
+    """What is to be shown, in a look of its own where one is given; the user's scene stays."""
+    if look is not None and look not in get_args(Look):
+        raise UsageError(f"look: found {look!r}{did_you_mean(str(look), get_args(Look))}")
+    if isinstance(scene, Overlay):
+        if look is not None:
+            raise UsageError(f"look: found '{look}'; an overlay looks as its model does")
+        return Watch(scene.world)
+    if isinstance(scene, str | Path):
+        scene = read_named_scene(str(scene))
+    elif not isinstance(scene, Scene):
+        hint = "; Scene(robots=[...]) holds robots" if isinstance(scene, SerialRobot) else ""
+        raise UsageError(
+            f"scene: found {type(scene).__name__}; expected a Scene, an overlay, a file, or the "
+            f"name of a scene, scenario or robot{hint}"
+        )
+    if look is not None:
+        scene = copy.copy(scene)
+        scene.view = scene.view.model_copy(update={"look": look})
+    return Mirror(scene)

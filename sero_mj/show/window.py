@@ -20,6 +20,7 @@ from .interaction import KEYS, Pointer, hover
 from .mouse import Clicked, Mouse, Moved
 from .picking import Picked
 from .status_line import Piece, status_pieces
+from .toggle_keys import press_toggle
 from .torque_history import TorqueHistory
 from .window_camera import Navigator
 from .window_film import Camera
@@ -320,9 +321,7 @@ class Window:
     def _press(self, event: Event) -> None:
         if event.key in KEYS:
             if not event.is_repeat:
-                words, act = KEYS[event.key]
-                act(self.toggles)
-                self.say(f"{event.key}: {words}")
+                self.say(press_toggle(event.key, self.world, self.data, self.toggles))
             return
         self._keys.press(event)
 

@@ -56,8 +56,7 @@ class GlWindow:
     def __init__(
         self, world: World, size: tuple[int, int], title: str, *, full_screen: bool = False
     ) -> None:
-        if not (min(size) > 0 and max(size) <= _LARGEST):
-            raise RenderError(f"window size {size[0]}x{size[1]}: expected 1 to {_LARGEST} a side")
+        _check(size)
         _start_glfw()
         self._world = world
         self._events: list[Event] = []
@@ -245,6 +244,15 @@ def _start_glfw() -> None:
             return
     reason = said[-1] if said else "GLFW does not start"
     raise RenderError(f"no window can be opened: {reason}; is there a display?")
+
+
+def _check(size: Any) -> None:
+    try:
+        width, height = (int(side) for side in size)
+    except (TypeError, ValueError):
+        raise RenderError(f"window size {size!r}: expected width and height") from None
+    if not (min(width, height) > 0 and max(width, height) <= _LARGEST):
+        raise RenderError(f"window size {width}x{height}: expected 1 to {_LARGEST} a side")
 
 
 def _make_window(size: tuple[int, int], title: str) -> Any:

@@ -20,6 +20,7 @@ from ..clicks import OnClick, take_click
 from ..clock import Clock
 from ..interaction import HOST_KEYS, KEYS, MORE_KEYS, Pointer, hover
 from ..mouse import Clicked
+from ..toggle_keys import press_toggle
 from ..torque_history import TorqueHistory, joint_name
 from .app import StudioApp
 from .decor import WebDecor
@@ -226,9 +227,7 @@ class WebHost:
     def press(self, key: str) -> None:
         """Does what a key means, by the table of `interaction`."""
         if key in KEYS:
-            words, act = KEYS[key]
-            act(self.toggles)
-            self.say(f"{key}: {words}")
+            self.say(press_toggle(key, self.world, self.data, self.toggles))
             return
         name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
         clock, seek = self.clock, self.clock.seek

@@ -9,14 +9,9 @@ from numpy.typing import NDArray
 from ...assemble.parts import Owner
 from ...assemble.robot_parts import ARROW_QUANTITIES
 from ...assemble.world import World
+from ...decor.quantities import QUANTITY_NAMES
 from ...decor.toggles import Toggles
 
-QUANTITY_NAMES = {
-    "torques": "torque",
-    "torque_error": "torque error",
-    "joint_accelerations": "acceleration",
-    "singularity": "towards singularity",
-}
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 _MOST_OPEN = 3  # robots whose switches are seen at once
 _LARGEST = 3.0  # times what is declared

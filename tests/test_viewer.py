@@ -1,0 +1,81 @@
+"""`sero_mj.view`: what it is given, before anything is opened."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import pytest
+
+import sero_mj
+from sero_mj import Scene, SerialRobot
+from sero_mj.errors import SeroError, UsageError
+from sero_mj.show.viewer import Viewer, _mirror_of
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "message"),
+    [
+        (5, {}, "scene: found int; expected a Scene, an overlay, a file, or the name of a scene"),
+        (None, {}, "scene: found NoneType; expected a Scene"),
+        ("lwr_upd", {}, "no scene or robot 'lwr_upd'; did you mean 'lwr_udp'?"),
+        ("lwr", {"look": "drak"}, "look: found 'drak'; did you mean 'dark'?"),
+        ("lwr", {"size": (9, 9)}, "size: found (9, 9); it is for the window, and this is a page"),
+        ("lwr", {"full_screen": True}, "full_screen: found True; it is for the window"),
+        ("lwr", {"port": "80"}, "port '80': expected a number from 1 to 65535"),
+        ("lwr", {"camera": 5}, "camera: found 5; expected a name or 'azimuth,elevation,distance'"),
+        ("lwr", {"web": False, "port": 8080}, "port: found 8080; it is for a page"),
+        ("lwr", {"web": False, "host": "::"}, "host: found '::'; it is for a page"),
+    ],
+)
+def test_what_it_cannot_do_is_told(scene: Any, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SeroError) as caught:
+        sero_mj.view(scene, **{"web": True, **options})
+    assert message in str(caught.value)
+
+
+def test_a_robot_alone_is_no_scene() -> None:
+    with pytest.raises(UsageError, match=r"found SerialRobot; .*; Scene\(robots=\[...\]\) holds"):
+        sero_mj.view(SerialRobot.from_model("lwr"), web=True)  # type: ignore[arg-type]
+
+
+def test_the_look_is_of_the_picture_and_not_of_the_user_s_scene() -> None:
+    scene = Scene(robots=[SerialRobot.from_model("lwr")])
+    assert _mirror_of(scene, "dark").world.scene.view.look == "dark"
+    assert scene.view.look == "light"
+    assert _mirror_of("lwr", "dark").world.scene.view.look == "dark"
+
+
+def test_an_overlay_looks_as_its_model_does() -> None:
+    joint = '<body><joint axis="0 0 1"/><geom size=".1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
+    overlay = sero_mj.overlay(model, mujoco.MjData(model))
+    with pytest.raises(UsageError, match="look: found 'dark'; an overlay looks as its model does"):
+        sero_mj.view(overlay, web=True, look="dark")
+
+
+def test_what_cannot_be_called_is_no_callback() -> None:
+    with pytest.raises(UsageError, match=r"on_click: found int; expected callback\(picked, gest"):
+        Viewer.on_click(None, 5)  # type: ignore[arg-type]
+
+
+def test_an_interrupt_while_it_is_loaded_leaves_no_traceback(tmp_path: Path) -> None:
+    # As if Ctrl+C came while a library is being imported.
+    (tmp_path / "numpy.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    root = Path(sero_mj.__file__).parent.parent
+    done = subprocess.run(
+        [sys.executable, "-m", "sero_mj", "list"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}:{root}"},
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert done.returncode == 130
+    assert done.stderr == "sero-mj: interrupted\n"
