@@ -13,6 +13,7 @@ from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Camera, Light, Scene
 from sero_mj.assemble.world import World
+from sero_mj.decor.quantities import joint_values
 from sero_mj.errors import DeclarationError, UnknownName
 
 OBJ = mujoco.mjtObj
@@ -256,7 +257,6 @@ def test_data_starts_at_what_is_declared_and_reset_returns_there():
     ("values", "text"),
     [
         ([1], "arm.torques: found [1.0]; expected 2 finite numbers"),
-        ([1, np.nan], "arm.torques: found [1.0, nan]; expected 2 finite numbers"),
         ([[1, 2]], "arm.torques: found [[1.0, 2.0]]; expected 2 finite numbers"),
         (["a", "b"], "arm.torques: found ['a', 'b']; expected 2 finite numbers"),
     ],
@@ -267,6 +267,15 @@ def test_wrong_values_are_refused_and_change_nothing(values, text):
         world.set_input(data, "arm.torques", values)
     assert str(caught.value) == text
     assert not data.userdata.any()
+
+
+def test_a_value_that_is_no_number_is_no_data_and_moves_nothing():
+    world, _, data = compiled(arm())
+    world.set_input(data, "arm.torques", [np.inf, 5.0])
+    np.testing.assert_array_equal(joint_values(world, data)["torques"], [np.nan, 5.0])
+    with pytest.raises(ValueError, match=r"joint_angles: found \[1.0, nan\]; expected 2 finite n"):
+        world.set_input(data, "arm.joint_angles", [1, np.nan])
+    assert not data.qpos.any()
 
 
 def test_unknown_inputs_and_robots_are_refused_with_the_nearest_name():

@@ -20,7 +20,7 @@ from .declaration import numbers
 from .frame_table import arrow_table, frame_table
 from .frames import frame_from, inverse
 from .ghost import Ghost
-from .inputs import Input, list_inputs, userdata_slots
+from .inputs import BLANKABLE, Input, list_inputs, userdata_slots
 from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
 from .mjcf import build_mjcf, moved_body, xml_text
@@ -154,18 +154,19 @@ class World:
         Args:
             data: what to change.
             target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`.
-            values: (n,), (3,), a frame (4, 4), or one number, SI units.
+            values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN is no data.
 
         Raises:
             UnknownName: no such name or input.
-            ValueError: not as many finite numbers as it takes, or no frame.
+            ValueError: not as many numbers as it takes, NaN where it would move, or no frame.
         """
         item = self.resolve_input(target)
         try:
             array = np.atleast_1d(np.asarray(values, dtype=np.float64))
         except (TypeError, ValueError):
             array = np.empty(0)
-        if array.shape != item.shape or not np.isfinite(array).all():
+        is_fit = np.isfinite(array).all() or item.kind in BLANKABLE
+        if array.shape != item.shape or not is_fit:
             found = array.tolist() if array.size else values
             many = "1 finite number" if item.count == 1 else f"{item.count} finite numbers"
             raise ValueError(f"{target}: found {found}; expected {many}")
@@ -179,7 +180,7 @@ class World:
         elif item.kind == "angles" and item.name in self.robots:
             data.qpos[self.robots[item.name].qpos] = array
         else:
-            data.userdata[self.slots[target]] = array.ravel()
+            data.userdata[self.slots[target]] = np.where(np.isfinite(array), array, np.nan).ravel()
         data.userdata[self.flags[target]] = 1.0
 
     def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:

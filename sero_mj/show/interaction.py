@@ -266,14 +266,14 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "f2": ("screenshot", "screenshot"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
-    "f1": ("help", "help, its next page; ? too"),
+    "h": ("help", "help, its next page"),
 }
 # What a browser does itself.
 OF_BROWSER = ("f2", "f3", "f11")
 # Other keys for the same, that a help need not list.
 MORE_KEYS: dict[str, str] = {
     "?": "help",
-    "h": "help",
+    "f1": "help",
     "=": "faster",
     "_": "slower",
     "[": "last_joint",

@@ -34,7 +34,7 @@ from .window_plot import TorquePlot
 from .window_timeline import TimeLine
 
 _MESSAGE_TIME = 3.0  # s
-_HINT = "F1 help"
+_HINT = "H help"
 
 
 class Window:

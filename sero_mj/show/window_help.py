@@ -36,7 +36,7 @@ def help_columns(*, on_page: bool = False) -> list[list[Row]]:
     of_host = HOST_KEYS
     if on_page:
         of_host = {key: said for key, said in HOST_KEYS.items() if key not in OF_BROWSER}
-        of_host |= {"t": ("panel", "panel on or off"), "f1": ("help", "this help; h and ? too")}
+        of_host |= {"t": ("panel", "panel on or off"), "h": ("help", "this help")}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]
     view += [("", ""), ("Page and time" if on_page else "Window and time", "")]
