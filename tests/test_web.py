@@ -103,11 +103,13 @@ def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visit
     mouse.move(430, 260)
     page.page.wait_for_timeout(300)
     mouse.down()
-    for x in (440, 455, 470, 490, 510, 530):
+    served.until("w._app._mouse.is_down")
+    for x in range(440, 540, 20):
         mouse.move(x, 260)
-        page.page.wait_for_timeout(200)
-    mouse.up()
+        served.settle()
     served.until(f"abs(w.viewer.camera.azimuth - {before}) > 5")
+    mouse.up()
+    served.until("not w._app._mouse.is_down")
     assert served.ask("len(clicks)") == clicks
 
 
