@@ -43,6 +43,7 @@ class Driver:
     """
 
     goodbye = ""  # an expression that closes what it shows
+    patience = 15  # s
 
     def __init__(
         self,
@@ -88,9 +89,9 @@ class Driver:
         self.process.stdin.flush()
         return json.loads(self._expect("=", 20)[1:])
 
-    def until(self, expression: str, seconds: float = 15) -> Any:
+    def until(self, expression: str) -> Any:
         """Waits until an expression is true, and returns it."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + self.patience
         while True:
             found = self.ask(expression)
             if found:

@@ -24,7 +24,7 @@ def served(tmp_path_factory: Any) -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def visitor(browser: Any, served: Served) -> Iterator[Visitor]:
-    visitor = Visitor(browser, served.url)
+    visitor = Visitor(browser, served)
     visitor.hears("First remote draw frame applied")
     served.until("w.decor.view is not None and w.decor.count > 0")
     yield visitor
@@ -34,7 +34,7 @@ def visitor(browser: Any, served: Served) -> Iterator[Visitor]:
 @pytest.fixture
 def page(served: Served, visitor: Visitor) -> Visitor:
     """The page as it was when it was opened."""
-    visitor.page.mouse.move(500, 60)
+    visitor.move(500, 60)
     served.ask("w.toggles.reset()")
     served.ask("w.choose_camera(0)[:0]")
     served.ask("setattr(w._panels, 'shows_status', False)")  # it would cover the robot
@@ -93,23 +93,18 @@ def test_shift_acts_on_the_whole_robot(served: Served, page: Visitor) -> None:
 
 def test_the_name_of_what_is_under_the_pointer_is_written(served: Served, page: Visitor) -> None:
     served.ask("w.toggles.arrows.fill(False)")
-    page.page.mouse.move(*served.joint(3))
+    page.move(*served.joint(3))
     assert served.until("w.toggles.hover and w.toggles.hover[0]") == "lwr/link4"
 
 
 def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visitor) -> None:
     before, clicks = served.ask("w.viewer.camera.azimuth"), served.ask("len(clicks)")
-    mouse = page.page.mouse
-    mouse.move(430, 260)
-    page.page.wait_for_timeout(300)
-    mouse.down()
-    served.until("w._app._mouse.is_down")
-    for x in range(440, 540, 20):
-        mouse.move(x, 260)
-        served.settle()
+    page.move(430, 260)
+    page.hold()
+    for x in range(450, 540, 20):
+        page.move(x, 260)
     served.until(f"abs(w.viewer.camera.azimuth - {before}) > 5")
-    mouse.up()
-    served.until("not w._app._mouse.is_down")
+    page.release()
     assert served.ask("len(clicks)") == clicks
 
 

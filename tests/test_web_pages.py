@@ -22,13 +22,13 @@ pytestmark = [
 def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -> None:
     settings, small = (POSE, TORQUES, "lwr.show_arrows=true"), (280, 240)
     with Served(tmp_path, "lwr", settings=settings) as served:
-        first = Visitor(browser, served.url, small)
+        first = Visitor(browser, served, small)
         first.hears("role=controller")
-        second = Visitor(browser, served.url, small)
+        second = Visitor(browser, served, small)
         second.hears("role=spectator")
         second.shows(lambda p: blue(p) > FEW)
         first.close()
-        third = Visitor(browser, served.url, small)
+        third = Visitor(browser, served, small)
         third.hears("role=controller")
         second.close()
         third.close()
@@ -38,7 +38,7 @@ def test_a_restarted_server_is_found_again(browser: Any, tmp_path: Path) -> None
     port = free_port(socket.SOCK_STREAM)
     options: dict[str, Any] = {"settings": (POSE, TORQUES), "port": port}
     with Served(tmp_path, "lwr", **options) as first:
-        visitor = Visitor(browser, first.url)
+        visitor = Visitor(browser, first)
         visitor.hears("First remote draw frame applied")
         first.process.kill()
         first.process.wait()
@@ -61,7 +61,7 @@ def test_a_mirrored_robot_moves_and_is_grey_when_its_source_is_quiet(
     )
     with Served(tmp_path, str(scene)) as served:
         served.ask("setattr(w._panels, 'shows_status', False)")
-        visitor = Visitor(browser, served.url)
+        visitor = Visitor(browser, served)
         visitor.hears("First remote draw frame applied")
         grey = _light_pixels(visitor.still())
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -92,7 +92,7 @@ def _light_pixels(pixels: np.ndarray) -> int:
 def test_a_finger_taps_once(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
         served.ask("setattr(w._panels, 'shows_status', False)")
-        finger = Visitor(browser, served.url, has_touch=True)
+        finger = Visitor(browser, served, has_touch=True)
         finger.hears("First remote draw frame applied")
         served.until("w.decor.view is not None")
         served.settle()
@@ -110,7 +110,7 @@ def test_a_finger_taps_once(browser: Any, tmp_path: Path) -> None:
 
 def test_a_simulation_is_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push") as served:
-        visitor = Visitor(browser, served.url)
+        visitor = Visitor(browser, served)
         visitor.hears("First remote draw frame applied")
         served.until("w.clock.time >= w.clock.end - 1e-6")
         left, top, right, bottom = served.until("places.get('##time')")

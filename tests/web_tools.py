@@ -38,6 +38,7 @@ from sero_mj.cli.arguments import read_scene_or_model, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.live import open_page
 from sero_mj.show.web import panels
+from sero_mj.show.web.app import KEYS
 from pathlib import Path
 panels._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
 
@@ -51,6 +52,16 @@ def noted(build):
     return built
 for name in ("Button", "Checkbox", "Combo", "SliderFloat", "CollapsingHeader", "TreeNode"):
     setattr(imgui, name, noted(getattr(imgui, name)))
+
+seen = {"at": [-1, -1], "is_down": False, "is_key_down": False}  # of the browser's mouse and keys
+def looked(build):
+    def built():
+        seen["at"] = [imgui.GetIO().MousePos.x, imgui.GetIO().MousePos.y]
+        seen["is_down"] = imgui.IsMouseDown(int(imgui.MouseButton.Left))
+        seen["is_key_down"] = any(imgui.IsKeyDown(key) for key in KEYS.values())
+        return build()
+    return built
+imgui.BeginMainMenuBar = looked(imgui.BeginMainMenuBar)
 
 scene, settings, replay, options = json.loads(sys.argv[1])
 scene = read_scene_or_model(scene, settings)
@@ -73,6 +84,7 @@ class Served(Driver):
     """A page of another process."""
 
     goodbye = "w._app.close()"
+    patience = 60
 
     def __init__(
         self,
@@ -113,9 +125,12 @@ class Served(Driver):
 class Visitor:
     """A browser's page that looks at a `Served`.
 
+    Mouse and keys are held until the server has seen them: a browser without a GPU draws, and
+    tells, a few times a second only.
+
     Args:
         browser: Playwright's.
-        url: of the page.
+        served: the page.
         size: of the page, pixels.
         **options: of Playwright's pages.
 
@@ -124,12 +139,13 @@ class Visitor:
     """
 
     def __init__(
-        self, browser: Any, url: str, size: tuple[int, int] = SIZE, **options: Any
+        self, browser: Any, served: Served, size: tuple[int, int] = SIZE, **options: Any
     ) -> None:
+        self._served = served
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.goto(url)
+        self.page.goto(served.url)
 
     def hears(self, text: str, seconds: float = 100.0) -> None:
         """Waits until the page has written something to its console."""
@@ -164,22 +180,38 @@ class Visitor:
             assert time.monotonic() < end, f"never seen: {what}; {self.said[-5:]}"
             self.page.wait_for_timeout(100)
 
-    def click(self, x: float, y: float, *, count: int = 1, held: float = 400.0) -> None:
-        """Clicks as slowly as a browser without a GPU needs it."""
-        mouse = self.page.mouse
-        mouse.move(x, y)
-        self.page.wait_for_timeout(held)
-        mouse.down()
-        self.page.wait_for_timeout(held)
-        mouse.up()
-        self.page.wait_for_timeout(held)
+    def move(self, x: float, y: float) -> None:
+        """Moves the pointer."""
+        self.page.mouse.move(x, y)
+        self._sees(f"abs(seen['at'][0] - {x}) + abs(seen['at'][1] - {y}) < 2")
 
-    def press(self, key: str, held: float = 300.0) -> None:
-        """Presses a key for as long."""
+    def hold(self) -> None:
+        """Holds the left button down."""
+        self.picture()  # by then the browser knows whether the pointer is over a panel
+        self.page.mouse.down()
+        self._sees("seen['is_down']")
+
+    def release(self) -> None:
+        """Lets it go."""
+        self.page.mouse.up()
+        self._sees("not seen['is_down']")
+
+    def click(self, x: float, y: float) -> None:
+        """Clicks at a pixel from the upper left corner."""
+        self.move(x, y)
+        self.hold()
+        self.release()
+
+    def press(self, key: str) -> None:
+        """Presses a key of ours."""
         self.page.keyboard.down(key)
-        self.page.wait_for_timeout(held)
+        self._sees("seen['is_key_down']")
         self.page.keyboard.up(key)
-        self.page.wait_for_timeout(held)
+        self._sees("not seen['is_key_down']")
+
+    def _sees(self, expression: str) -> None:
+        """Waits until the server has seen it."""
+        self._served.until(expression)
 
     def close(self) -> None:
         """Leaves the page."""
