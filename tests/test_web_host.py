@@ -96,14 +96,14 @@ def test_a_live_robot_is_scrubbed_too_and_then_shown_as_it_is() -> None:
 def test_keys_of_the_table_act_on_the_page(page: WebHost) -> None:
     page.press("a")
     assert not page.toggles.arrows.any()
-    assert page.message[0] == "arrows: off"
+    assert page.notice.text == "arrows: off"
     page.press("]")
     assert page.joint == 1
-    assert page.message[0] == "selected: lwr/A2"
+    assert page.notice.text == "selected: lwr/A2"
     page.press("9")
-    assert page.message[0].startswith("no camera 9: the scene has ")
+    assert page.notice.text.startswith("no camera 9: the scene has ")
     page.press("f")
-    assert page.message[0] == "follows nothing"
+    assert page.notice.text == "follows nothing"
     page.press("-")
     assert page.clock.speed == 0.5
     page.press("f2")  # a browser's own

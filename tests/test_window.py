@@ -184,7 +184,7 @@ def test_the_help_is_shown_and_goes_with_a_click(window: Driven) -> None:
 def test_a_screenshot_is_what_is_seen(window: Driven) -> None:
     folder: Path = window.folder  # type: ignore[attr-defined]
     window.key("F2")
-    window.until("'screenshot saved' in w._message[0]")
+    window.until("'screenshot saved' in w._notice.text")
     (picture,) = folder.glob("lwr_*.png")
     pixels = np.asarray(Image.open(picture))
     assert pixels.shape == (*window.ask("w.picture_size")[::-1], 3)
@@ -199,7 +199,7 @@ def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
     window.key("F3")
     window.until("w.camera.seconds > 1.0")
     window.key("F3")
-    window.until("'film of' in w._message[0] and 'saved' in w._message[0]")
+    window.until("'film of' in w._notice.text and 'saved' in w._notice.text")
     (film,) = folder.glob("lwr_*.mp4")
     with av.open(str(film)) as container:
         frames = sum(1 for _ in container.decode(video=0))

@@ -18,6 +18,7 @@ from .events import Event
 from .headless import DEFAULT_SIZE
 from .interaction import KEYS, Pointer, hover
 from .mouse import Clicked, Mouse, Moved
+from .notice import Notice
 from .picking import Picked
 from .status_line import Piece, status_pieces
 from .toggle_keys import press_toggle
@@ -33,7 +34,6 @@ from .window_layout import Layout, arrange
 from .window_plot import TorquePlot
 from .window_timeline import TimeLine
 
-_MESSAGE_TIME = 3.0  # s
 _HINT = "H help"
 
 
@@ -97,7 +97,7 @@ class Window:
         self._layout = self._arrange(self.gl.size)
         self._line: TimeLine | None = None
         self._is_scrubbing = False
-        self._message: tuple[str, bool, float] = ("", False, 0.0)
+        self._notice = Notice()
         self._last = self._end = time.monotonic()  # when the last frame began and ended
         self._interval = 1.0 / self.gl.refresh_rate
 
@@ -222,8 +222,8 @@ class Window:
             hud.draw_time_line(self._line, self.clock.time, width, layout.line_bottom)
         if self.shows_status:
             hud.status(pieces, _HINT, width)
-        text, is_bad, until = self._message
-        if now < until:
+        if self._notice.is_shown:
+            text, is_bad = self._notice.text, self._notice.is_bad
             hud.message(text, layout.picture.width, layout.picture.bottom, is_bad=is_bad)
         if self.shows_help:
             found = self.help_pages(size)
@@ -250,8 +250,7 @@ class Window:
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
         """Writes a line into the window for a few seconds."""
-        times = 3.0 if is_bad else 1.0
-        self._message = (text, is_bad, time.monotonic() + times * _MESSAGE_TIME)
+        self._notice.say(text, is_bad=is_bad)
 
     def pick_under_pointer(self) -> Picked | None:
         """What is under the pointer."""

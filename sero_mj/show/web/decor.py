@@ -114,17 +114,14 @@ class WebDecor:
             return None
         return point_at(self._world, data, self._decor.pen, self.view, (x, y))
 
-    def pick(
-        self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
-    ) -> Picked | None:
+    def pick(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
         """What is seen at a pixel, y up.
 
         Args:
             data: the world's state, with frames up to date.
             x: from the left.
             y: from below.
-            tolerance: see `picking.pick`.
         """
         if self.view is None:
             return None
-        return pick(self._world, data, self._decor.pen, self.view, (x, y), tolerance)
+        return pick(self._world, data, self._decor.pen, self.view, (x, y))

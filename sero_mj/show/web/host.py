@@ -20,6 +20,7 @@ from ..clicks import OnClick, take_click
 from ..clock import Clock
 from ..interaction import HOST_KEYS, KEYS, MORE_KEYS, Pointer, hover
 from ..mouse import Clicked
+from ..notice import Notice
 from ..toggle_keys import press_toggle
 from ..torque_history import TorqueHistory, joint_name
 from .app import StudioApp
@@ -28,8 +29,6 @@ from .greying import Greying
 from .panels import Panels
 from .studio import LOOPBACK, RATE, StudioViewer, quiet
 from .time_control import TimeControl
-
-_MESSAGE_TIME = 3.0  # s
 
 
 class WebHost:
@@ -50,7 +49,7 @@ class WebHost:
         joint: the joint of the world whose torques are plotted.
         history: the torques of the last seconds.
         work: our own work for the last frame, s: sources, input, panels and decor.
-        message: what the user is told, whether it is bad, and until when.
+        notice: what the user is told.
         on_click: called with what was clicked on and the gesture.
 
     Raises:
@@ -78,7 +77,7 @@ class WebHost:
         self.joint = 0
         self.history = TorqueHistory(world)
         self.work = 0.0
-        self.message: tuple[str, bool, float] = ("", False, 0.0)
+        self.notice = Notice()
         self.on_click: OnClick | None = None
         self._is_closed = False
         self.decor = WebDecor(world, self.toggles)
@@ -196,8 +195,7 @@ class WebHost:
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
         """Writes a line into the page for a few seconds."""
-        times = 3.0 if is_bad else 1.0
-        self.message = (text, is_bad, time.monotonic() + times * _MESSAGE_TIME)
+        self.notice.say(text, is_bad=is_bad)
 
     def click(self, clicked: Clicked) -> None:
         """Does what a click means, by the table of `interaction`."""

@@ -15,6 +15,7 @@ from ...drive.mirror import Mirror
 from ...receive.receiver import Receiver
 from ...receive.report import describe, report
 from ..clock import SPEEDS, Clock, time_text
+from ..notice import Notice
 from ..status_line import Mood, clock_text, source_text
 from ..torque_history import TorqueHistory
 from ..window_help import help_columns
@@ -69,7 +70,7 @@ class Paneled(Protocol):
     decor: WebDecor
     history: TorqueHistory
     joint: int
-    message: tuple[str, bool, float]
+    notice: Notice
 
 
 class Panels(plugin.ViewerPlugin):
@@ -277,10 +278,10 @@ class Panels(plugin.ViewerPlugin):
         imgui.End()
 
     def _message(self, size: imgui.Vec2) -> None:
-        text, is_bad, until = self._host.message
-        if time.monotonic() >= until:
+        notice = self._host.notice
+        if not notice.is_shown:
             return
         imgui.SetNextWindowPos(imgui.Vec2(size.x / 2, size.y - 90.0), _ALWAYS, imgui.Vec2(0.5, 1.0))
         imgui.Begin("##message", True, _NOTE_FLAGS)
-        tell(text, "bad" if is_bad else "plain")
+        tell(notice.text, "bad" if notice.is_bad else "plain")
         imgui.End()

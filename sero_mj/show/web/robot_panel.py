@@ -52,7 +52,7 @@ class RobotPanel:
             if imgui.CollapsingHeader(
                 name, _OPEN if index < _MOST_OPEN and name in world.robots else 0
             ):
-                self._owner(index, name, owner)
+                self._owner(index, owner)
             imgui.PopID()
         self._doubles()
         if imgui.CollapsingHeader("Scene", _OPEN):
@@ -67,7 +67,7 @@ class RobotPanel:
                 self._reset()
             imgui.SetItemTooltip("shows what the scene declares, at its sizes")
 
-    def _owner(self, index: int, name: str, owner: Owner) -> None:
+    def _owner(self, index: int, owner: Owner) -> None:
         toggles, joints = self._toggles, owner.joints
         frames = (self._world.frames.owner == index).nonzero()[0]
         shown = set(toggles.arrow_quantity[joints].tolist())
