@@ -7,8 +7,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import dm_env
-import mujoco
 import numpy as np
 from dm_env import specs
 from numpy.typing import NDArray
@@ -17,7 +15,7 @@ from pydantic import ConfigDict, Field
 from ..assemble.declaration import Declaration
 from ..assemble.robot import SerialRobot
 from ..drive.mirror import Mirror
-from ..errors import DeclarationError, Problem, SimulationError, UnknownName
+from ..errors import DeclarationError, Problem, UnknownName
 from ..show.headless import HeadlessRenderer
 from ..simulate.compiler import Compiler
 from ..simulate.controllers import make_controller
@@ -34,7 +32,8 @@ from ..simulate.simulation import Simulation
 from ..simulate.staging import stage
 from ..simulate.state import Sensed, Target
 from ..simulate.torque_limits import Controller
-from .actions import AnyAction, ImpedanceAction, Kind, TorqueAction, checked_action
+from .actions import AnyAction, ImpedanceAction, Kind, TorqueAction
+from .episodes import EpisodicEnvironment
 
 Array = NDArray[np.float64]
 
@@ -109,16 +108,15 @@ class AgentAtWork:
         self._inner.check(angles)
 
 
-class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
+class ScenarioEnvironment(EpisodicEnvironment):
     """A scenario in which an agent drives one robot; all else happens as it is declared.
 
     The reward is the mean over what is expected of a measure at this time: 1 while it is within
     its bounds, `below / value` or `value / above` beyond them, and 1 where nothing is expected.
     Expectations of findings, of `rms` and of `mean` are judged at the end alone, by `outcomes`.
 
-    Episodes end with the scenario, with discount 1, or when the motion has become unstable, with
-    reward and discount 0 and the observation before. Every episode is a new `Simulation`; the
-    noise of number k comes from the seed and k.
+    Episodes end with the scenario. Every episode is a new `Simulation`; the noise of number k comes
+    from the seed and k.
 
     Args:
         scenario: a file, the name of a shipped one, or a `Scenario` (whose controller is replaced).
@@ -127,8 +125,6 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
     Attributes:
         scenario: as it was read.
         simulation: the current episode; `simulation.outcomes()` says what has held.
-        episode: its number, from 0.
-        error: what ended the last episode, or None.
 
     Raises:
         UnknownName: no such scenario or robot.
@@ -146,36 +142,32 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
         if name not in robots:
             raise UnknownName("robot", name, robots)
         self.scenario, self._settings = scenario, settings
-        self.robot = robots[name]
         timestep = scenario.run.timestep
         ratio = settings.control_timestep / timestep
         self._substeps = round(ratio)
         if self._substeps < 1 or abs(ratio - self._substeps) > 1e-6:
             found = f"found {settings.control_timestep:g} s; expected a whole number of steps of"
             raise DeclarationError([Problem("control_timestep", f"{found} {timestep:g} s")])
-        self._action: AnyAction = (
-            TorqueAction(self.robot)
+        action: AnyAction = (
+            TorqueAction(robots[name])
             if settings.action == "torque"
             else ImpedanceAction(
-                self.robot, settings.control_timestep, timestep, settings.stiffness,
+                robots[name], settings.control_timestep, timestep, settings.stiffness,
                 settings.damping,
             )
         )  # fmt: skip
-        scenario.controllers[name] = Agent(action=self._action, robot=self.robot)
+        super().__init__(robots[name], action)
+        scenario.controllers[name] = Agent(action=action, robot=self.robot)
         self._expected = [
             each
             for each in scenario.expect.values()
             if each.measure is not None and each.of in ("max", "min", "final")
         ]
-        self.episode = -1
-        self.error: SimulationError | None = None
-        self._ended = True
         self._compiler = Compiler()
         self._view: tuple[Mirror, HeadlessRenderer] | None = None
         self._shape: tuple[int, int, str | None] = (0, 0, None)
         self._open = ExitStack()
         self._make_simulation()
-        self._observation: dict[str, Array] = {}
 
     def _make_simulation(self) -> None:
         rng = np.random.default_rng([self._settings.seed, max(self.episode, 0)])
@@ -197,58 +189,20 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
         """The simulation of the current episode."""
         return self.simulation.plant
 
-    @property
-    def model(self) -> mujoco.MjModel:
-        """MuJoCo's model: what `env.physics.model` is in dm_control."""
-        return self.simulation.plant.model
-
-    @property
-    def data(self) -> mujoco.MjData:
-        """MuJoCo's state: what `env.physics.data` is in dm_control."""
-        return self.simulation.plant.data
-
     def _observe(self) -> dict[str, Array]:
         row = self.simulation.rows[self.simulation.step]
         found = {name: row[columns].copy() for name, columns in self._columns.items()}
         return {**found, **self._action.observation()}
 
-    def reset(self) -> dm_env.TimeStep:
-        """Begins the next episode."""
-        self.episode += 1
+    def _begin(self) -> None:
         if self.simulation.step or self.episode > 0:
             self.close()  # what is shown is of the simulation before
             self._make_simulation()
-        self.error, self._ended = None, False
-        self._observation = self._observe()
-        return dm_env.restart(self._observation)
 
-    def step(self, action: Any) -> dm_env.TimeStep:
-        """Lets a control step pass; after the end of an episode the next one begins.
-
-        Args:
-            action: (n,), see `action_spec`.
-
-        Raises:
-            ValueError: it is not n numbers.
-            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
-        """
-        if self._ended:
-            return self.reset()
-        simulation = self.simulation
-        spec, unit = self._action.spec, self._action.unit
-        self._action.take(checked_action(action, spec, self.robot, unit, simulation.time))
-        try:
-            simulation.advance(simulation.step + self._substeps)
-        except SimulationError as error:
-            self.error, self._ended = error, True
-            kept = {name: value.copy() for name, value in self._observation.items()}
-            return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, kept)
-        self._observation = self._observe()
-        reward = self.reward()
-        if simulation.is_done:
-            self._ended = True
-            return dm_env.truncation(reward, self._observation)
-        return dm_env.transition(reward, self._observation)
+    def _advance(self, action: Array) -> bool:
+        self._action.take(action)
+        self.simulation.advance(self.simulation.step + self._substeps)
+        return self.simulation.is_done
 
     def reward(self) -> float:
         """0 to 1, for the state now."""
@@ -268,10 +222,6 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
         )
         return float(np.mean([_share(each, log) for each in active]))
 
-    def action_spec(self) -> specs.BoundedArray:
-        """Joint torques, Nm, or offsets of the target, rad, with their bounds."""
-        return self._action.spec
-
     def observation_spec(self) -> dict[str, specs.Array]:
         """Names and shapes; those of other robots begin with `ROBOT/`."""
         found: dict[str, specs.Array] = {
@@ -280,27 +230,10 @@ class ScenarioEnvironment(dm_env.Environment):  # type: ignore[misc]
         }
         return {**found, **self._action.observation_spec()}
 
-    def reward_spec(self) -> specs.BoundedArray:
-        """A number from 0 to 1."""
-        return specs.BoundedArray((), float, 0.0, 1.0, name="reward")
-
     def render(
         self, height: int = 480, width: int = 640, camera: str | None = None
     ) -> NDArray[np.uint8]:
-        """Renders the state now, as `sero-mj simulate --render` would.
-
-        Args:
-            height: pixels.
-            width: pixels.
-            camera: `azimuth,elevation,distance` (degrees, degrees, m), or a camera's name.
-
-        Returns:
-            (height, width, 3), 0 to 255.
-
-        Raises:
-            RenderError: no OpenGL, or the size is out of range.
-            UnknownName: no such camera.
-        """
+        """Renders the state now, as `sero-mj simulate --render` would; (height, width, 3)."""
         simulation = self.simulation
         if self._view is None or self._shape != (height, width, camera):
             self.close()
