@@ -10,26 +10,20 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mujoco.studio import messages, sim
 from mujoco.studio.web import state_payload
 
-from sero_mj import Mirror, World
 from sero_mj.cli import main
-from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.cli.view import wants_page
 from sero_mj.decor.font import DEFAULT_FONT, Font
 from sero_mj.decor.panels import labels_at
-from sero_mj.decor.pen import GREY, MAX_GEOMS
+from sero_mj.decor.pen import MAX_GEOMS
 from sero_mj.decor.view import View as PictureView
 from sero_mj.errors import RenderError, UsageError
-from sero_mj.show.clock import Clock
 from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
 from sero_mj.show.web import app
-from sero_mj.show.web.greying import Greying, greyed
 from sero_mj.show.web.host import check_address, page_url
 from sero_mj.show.web.site import make_site, with_head
 from sero_mj.show.web.studio import CalmUi, QuietServer
-from sero_mj.show.web.time_control import TimeControl
 from sero_mj.show.window_help import help_columns
 
 
@@ -95,142 +89,6 @@ def test_labels_stand_where_the_host_takes_them_from() -> None:
     middle, _ = places((0.5, 1.0))
     widths = DEFAULT_FONT.line_widths([b"ab", b"cde"])
     np.testing.assert_allclose(middle - left, np.stack([widths / 2, [28.0, 28.0]], 1), atol=0.05)
-
-
-class Handle:
-    """What a `TimeControl` needs of Studio's handle."""
-
-    def __init__(self) -> None:
-        self.sent: list[Any] = []
-
-    def send_if_changes(self, *make: Any) -> Any:
-        return messages.send_if_changes(self.sent.append, *make)
-
-
-def controlled(mirror: Mirror) -> tuple[TimeControl, Clock, Handle]:
-    clock = Clock(mirror)
-    control = TimeControl(clock)
-    handle = Handle()
-    control.handle = handle
-    return control, clock, handle
-
-
-def step_control(*, paused: bool, speed: float) -> messages.StepControlSnapshot:
-    control = sim.StepControl()
-    control.set_pause_state(sim.PauseState.NORMAL_PAUSED if paused else sim.PauseState.UNPAUSED)
-    control.set_speed(speed)
-    return messages.StepControlSnapshot.from_step_control(control)
-
-
-def test_studios_controls_drive_the_clock_of_a_simulation() -> None:
-    with Mirror(read_scene_or_model("impedance_push")) as mirror:
-        control, clock, _ = controlled(mirror)
-        step = messages.StepEvent(model=mirror.world.model, data=mirror.data)
-        control.on_step_control(step_control(paused=False, speed=50.0))
-        assert clock.speed == 0.5
-        control.on_step(step)
-        assert 0 < mirror.data.time < 1.0
-        control.on_step_control(step_control(paused=True, speed=50.0))
-        assert clock.is_paused
-        before = clock.time
-        control.on_single_step(messages.SingleStepEvent())
-        assert clock.time == pytest.approx(before + clock.step_size)
-        clock.pause()
-        control.on_step(step)
-        control.on_reset(messages.ResetEvent())
-        assert clock.time == 0.0
-
-
-def test_a_moment_of_the_history_is_gone_on_from() -> None:
-    with Mirror(read_scene_or_model("impedance_push")) as mirror:
-        control, clock, _ = controlled(mirror)
-        step = messages.StepEvent(model=mirror.world.model, data=mirror.data)
-        clock.seek(2.0)
-        clock.advance(0.0)
-        control.on_step(step)
-        control.on_pause(messages.RequestPauseEvent(pause_state=sim.PauseState.NORMAL_PAUSED))
-        control.on_history(None)  # type: ignore[arg-type]
-        mirror.data.time = 1.25  # what Studio's history puts there
-        control.on_step(step)
-        assert clock.time == pytest.approx(1.25, abs=0.05)
-
-
-def test_greyed_models_differ_in_colour_only() -> None:
-    world = World(read_scene_or_model("lwr"))
-    model = world.model
-    grey = np.zeros(model.ngeom, bool)
-    grey[-1] = True
-    other = greyed(model, grey)
-    assert (other.geom_rgba[:-1, 3] == 1).any()
-    assert np.abs(other.geom_rgba[-1, :3] - GREY).max() < 0.2
-    assert other.nq == model.nq
-    np.testing.assert_array_equal(other.geom_pos, model.geom_pos)
-    # What is not grey has the colour that it had: of its material, where it has one.
-    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
-    np.testing.assert_array_equal(other.geom_rgba[floor], model.mat_rgba[model.geom_matid[floor]])
-    rest = np.delete(np.arange(model.ngeom - 1), floor)
-    np.testing.assert_array_equal(other.geom_rgba[rest], model.geom_rgba[rest])
-
-
-class FakeServer:
-    """Keeps models as Studio's server does."""
-
-    def __init__(self) -> None:
-        self.models: dict[int, bytes] = {}
-
-    def add_model(self, bundle: bytes) -> None:
-        import zlib
-
-        self.models[zlib.crc32(bundle)] = bundle
-
-    def cached_model(self, crc32: int) -> bytes | None:
-        return self.models.get(crc32)
-
-
-class FakeViewer:
-    """What `Greying` needs of a viewer."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model, self.server = model, FakeServer()
-        self.changes: list[int] = []
-
-    def change_model(self, bundle: bytes, crc32: int) -> None:
-        assert self.server.models[crc32] == bundle
-        self.changes.append(crc32)
-
-
-def test_browsers_have_time_to_fetch_a_model_and_flapping_changes_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now = [100.0]
-    monkeypatch.setattr("sero_mj.show.web.greying.time.monotonic", lambda: now[0])
-    model = World(read_scene_or_model("lwr")).model
-    viewer = FakeViewer(model)
-    greying = Greying(viewer)  # type: ignore[arg-type]
-    grey = np.ones(model.ngeom, bool)
-    greying.show(None)
-    for _ in range(20):  # to and fro, faster than a browser fetches
-        now[0] += 0.05
-        greying.show(grey)
-        greying.show(None)
-    assert len(viewer.changes) == 0
-    greying.show(grey)
-    now[0] += 1.1
-    greying.show(grey)
-    assert len(viewer.changes) == 1
-    greying.show(None)
-    assert len(viewer.changes) == 1
-    now[0] += 1.1
-    greying.show(None)
-    assert len(viewer.changes) == 2
-    assert len(set(viewer.changes)) == 2
-
-
-def test_what_is_grey_from_the_start_is_at_once() -> None:
-    model = World(read_scene_or_model("lwr")).model
-    viewer = FakeViewer(model)
-    Greying(viewer).show(np.ones(model.ngeom, bool))  # type: ignore[arg-type]
-    assert len(viewer.changes) == 1
 
 
 def test_studios_page_gets_a_title_and_fingers_that_click_once() -> None:

@@ -6,106 +6,21 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
-from sero_mj import Mirror, Scene, SerialRobot, View, World
-from sero_mj.assemble.looks import Camera as SceneCamera
+from sero_mj import Mirror
 from sero_mj.cli.arguments import read_scene_or_model
-from sero_mj.decor.view import View as PictureView
-from sero_mj.errors import UnknownName
 from sero_mj.show.clock import SPEEDS, Clock, time_text
 from sero_mj.show.events import LEFT, MIDDLE, RIGHT, Event
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
 from sero_mj.show.mouse import Clicked, Mouse, Moved
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
-from sero_mj.show.window_camera import Navigator, axes
 from sero_mj.show.window_film import due_frames, free_name
 from sero_mj.show.window_help import help_columns, pages
 from sero_mj.show.window_keys import WindowKeys
 from sero_mj.show.window_layout import arrange
 from sero_mj.show.window_timeline import TimeLine
-
-# ---- camera
-
-
-@pytest.fixture
-def world() -> World:
-    robot = SerialRobot.from_model("lwr")
-    cameras = {"front": SceneCamera(position=[2.0, -1.0, 1.5], look_at=[0.0, 0.0, 0.5])}
-    return World(Scene(robots=[robot], cameras=cameras, view=View(distance=2.0)))
-
-
-def view_of(world: World, data: mujoco.MjData, camera: mujoco.MjvCamera) -> PictureView:
-    scene = mujoco.MjvScene(world.model, maxgeom=2000)
-    everything = mujoco.mjtCatBit.mjCAT_ALL
-    option = mujoco.MjvOption()
-    mujoco.mjv_updateScene(world.model, data, option, None, camera, everything, scene)
-    return PictureView.of_scene(scene, 800, 600)
-
-
-def test_a_pan_keeps_what_is_looked_at_under_the_pointer(world: World) -> None:
-    navigator, data = Navigator(world), world.make_data()
-    point = np.array(navigator.camera.lookat)
-    view = view_of(world, data, navigator.camera)
-    navigator.pan(0.2, 0.1, view.tan_half_fovy)
-    pixel, _ = view_of(world, data, navigator.camera).project(point)
-    # 0.2 heights to the right, and 0.1 down.
-    assert pixel == pytest.approx([400 + 120, 300 - 60], abs=0.5)
-
-
-def test_the_axes_of_a_camera_are_those_of_mujoco(world: World) -> None:
-    navigator, data = Navigator(world, "130,-35,2"), world.make_data()
-    view = view_of(world, data, navigator.camera)
-    forward, right, up = axes(130.0, -35.0)
-    for ours, theirs in ((forward, view.forward), (right, view.right), (up, view.up)):
-        assert ours == pytest.approx(theirs, abs=1e-6)
-
-
-def test_orbits_stop_at_the_poles_and_zooms_stay_in_range(world: World) -> None:
-    navigator = Navigator(world, "0,0,2")
-    navigator.orbit(0.5, 3.0)
-    assert navigator.camera.azimuth == pytest.approx(-90)
-    assert navigator.camera.elevation == -89.0
-    navigator.orbit(0.0, -9.0)
-    assert navigator.camera.elevation == 89.0
-    navigator.zoom(1e4)
-    assert navigator.camera.distance == pytest.approx(0.02)
-    for _ in range(3):
-        navigator.zoom(-1e5)
-    assert navigator.camera.distance == pytest.approx(500)
-
-
-def test_a_camera_of_the_scene_can_be_moved_from_where_it_is(world: World) -> None:
-    navigator, data = Navigator(world), world.make_data()
-    mujoco.mj_forward(world.model, data)
-    assert navigator.choose(1) == "camera front"
-    before = view_of(world, data, navigator.camera)
-    navigator.free(before.position, before.forward)
-    after = view_of(world, data, navigator.camera)
-    assert after.position == pytest.approx(before.position, abs=1e-4)
-    assert after.forward == pytest.approx(before.forward, abs=1e-4)
-    assert "no camera 2: the scene has one camera" in navigator.choose(2)
-
-
-def test_following_moves_along_and_ends(world: World) -> None:
-    navigator, data = Navigator(world), world.make_data()
-    mujoco.mj_forward(world.model, data)
-    start = navigator.camera.lookat.copy()
-    before = world.frame(data, "lwr/flange")[:3, 3].copy()
-    assert navigator.follow(data, "lwr/flange") == "follows lwr/flange"
-    data.qpos[0] += 0.8
-    data.qpos[1] += 0.8
-    mujoco.mj_forward(world.model, data)
-    navigator.advance(data)
-    moved = world.frame(data, "lwr/flange")[:3, 3] - before
-    assert np.linalg.norm(moved) > 0.1
-    assert navigator.camera.lookat == pytest.approx(start + moved)
-    assert navigator.follow(data, "lwr/flange") == "follows nothing"  # once more
-    with pytest.raises(UnknownName):
-        navigator.follow(data, "nobody")
-
 
 # ---- clock
 

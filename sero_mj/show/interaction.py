@@ -263,7 +263,7 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "p": ("plot", "torques of the selected joint"),
     "]": ("next_joint", "select the next joint, [ the last"),
     "t": ("status_line", "status line on or off"),
-    "f2": ("screenshot", "screenshot"),
+    "f2": ("screenshot", "screenshot of the scene"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
     "h": ("help", "help, its next page"),
