@@ -123,10 +123,10 @@ def test_what_a_label_in_front_covers_is_not_written() -> None:
     pen = decor.draw(data, toggles, view)
     written = labels(pen.rows[: pen.count])
     low, high = rectangle(view, belonging(pen, Kind.BILLBOARD, 3)[0])
-    toggles.hover = ("left/link4", ((low + high) / 2).tolist())
+    toggles.hover = ("left/link4 " * 8, ((low + high) / 2).tolist())  # too wide for any corner
     pen = decor.draw(data, toggles, view)
     now = labels(pen.rows[: pen.count])
-    assert "left/link4" in now
+    assert "left/link4 " * 8 in now
     assert 1 <= len(written) + 1 - len(now) <= 4
     front = view.project(pen.rows["pos"][: pen.count][-1].astype(float))[1]
     boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)

@@ -7,7 +7,7 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
-from decor_tools import toggles_of, view_at
+from decor_tools import belonging, labels, rectangle, toggles_of, view_at
 
 from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
 from sero_mj.assemble.double import Double
@@ -295,3 +295,19 @@ def test_a_tolerance_takes_no_click_from_what_is_exactly_there(world) -> None:
         exact = pick(world, data, pen, view, tuple(pixel))
         if exact is not None and exact.kind not in ("link", "double", "object"):
             assert pick(world, data, pen, view, tuple(pixel), 12.0) == exact
+
+
+def test_the_name_under_the_pointer_stands_where_it_covers_no_number(world) -> None:
+    toggles, view, decor = toggles_of(world), view_at(), Decor(world)
+    data = placed(world)
+    toggles.billboards[:] = True
+    pen = decor.draw(data, toggles, view)
+    written = set(labels(pen.rows[: pen.count]))
+    for joint in range(7):
+        low, high = rectangle(view, belonging(pen, Kind.BILLBOARD, joint)[0])
+        for at in ((low[0] - 4, high[1] + 4), (high[0] + 4, low[1] - 4)):
+            toggles.hover = ("lwr/link", at)
+            there = decor.draw(data, toggles, view)
+            assert set(labels(there.rows[: there.count])) == written | {"lwr/link"}
+            toggles.hover = None
+            pen = decor.draw(data, toggles, view)

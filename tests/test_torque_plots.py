@@ -45,7 +45,7 @@ def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
             world.set_input(data, "lwr.commanded_torques", np.full(7, 0.8 * limit))
         history.add(data)
     figure, error = plot.fill(history, 1)
-    assert figure.title == "lwr/A2: torque [Nm] over time [s]"
+    assert figure.title == "lwr/A2: torque [Nm] over time [s], limit 176"
     assert figure.linepnt[:4].tolist() == [50, 30, 2, 0]
     assert figure.linedata[1][1:60:2] == pytest.approx(np.full(30, 0.8 * limit), rel=1e-6)
     assert figure.range[1][1] > limit
@@ -61,7 +61,8 @@ def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
     fed.set_input(data, "lwr.torques", np.full(7, 5.0))
     for k in range(400):
         data.time = 0.01 * k
-        set_source(data, fed, "udp", age=3.0 if 150 <= k < 250 else 0.001)
+        # The last packet came with sample 149; that it is quiet is noticed half a second later.
+        set_source(data, fed, "udp", age=0.01 * (k - 149) if 150 <= k < 250 else 0.001)
         history.add(data)
     times, values = history.of(2)
     assert np.isnan(values[0]).sum() == 100

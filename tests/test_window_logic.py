@@ -16,6 +16,7 @@ from sero_mj.show.events import LEFT, MIDDLE, RIGHT, Event
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
 from sero_mj.show.mouse import Clicked, Mouse, Moved
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
+from sero_mj.show.torque_history import TorqueHistory
 from sero_mj.show.window_film import due_frames, free_name
 from sero_mj.show.window_help import help_columns, pages
 from sero_mj.show.window_keys import WindowKeys
@@ -91,12 +92,34 @@ def test_plots_are_as_fine_at_a_low_frame_rate(simulated: Mirror) -> None:
     assert len(seen) >= 10
     assert np.diff(seen).max() < 0.011
     assert seen[-1] == clock.time
-    clock.seek(3.0)  # a jump is no way
-    seen.clear()
+
+
+@pytest.mark.parametrize("way", [(4.5, 3.0), (4.5, 0.0), (4.99, 2.0, 4.0)])
+def test_after_a_jump_plots_show_what_was_before_it(
+    simulated: Mirror, way: tuple[float, ...]
+) -> None:
+    clock, history = Clock(simulated), TorqueHistory(simulated.world)
+    clock.on_moment = lambda: history.add(simulated.data)
     clock.pause()
-    while simulated.data.time < 3.0:
+    for goal in way:
+        clock.seek(goal)
+        while simulated.data.time != goal:
+            clock.advance(0.0)
+    times, (measured, _) = history.of(1)
+    assert times[0] == pytest.approx(-goal, abs=0.01)
+    assert np.diff(times).max(initial=0.0) < 0.08
+    assert np.isfinite(measured).all()
+
+
+def test_at_the_end_the_same_key_begins_anew(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+    clock.seek(5.0)
+    while not clock.is_at_end or simulated.data.time < 5.0:
         clock.advance(0.0)
-    assert len(seen) < 60
+    assert clock.pause() == "from the start"
+    assert (clock.time, clock.is_paused) == (0.0, False)
+    assert clock.pause() == "paused"
+    assert clock.pause() == "goes on"
 
 
 def test_speeds_have_ends(simulated: Mirror) -> None:

@@ -87,17 +87,18 @@ class Decor:
         faults = below(right, self._status.panels(data, toggles, view))
         corners = [panels for panels in (right, legend, faults) if panels is not None]
         points = data.site_xpos[world.joints.centre_site[shown.joints]]
-        panels = [
+        found = [
             right,
             legend,
             *lay_out(pen, view, groups, points, corners, LEADER_RGBA[world.scene.view.look]),
             name_panels(world, data, shown.frame_names, view),
             faults,
             self._staleness.panels(pen, data, view, stale),
-            hover_panel(toggles, view),
         ]
+        panels = [group for group in found if group is not None]
+        label = hover_panel(toggles, view, panels)
         # Numbers first: what finds no room are boxes of arrows, and no text.
-        draw_panels(pen, view, [group for group in panels if group is not None])
+        draw_panels(pen, view, panels if label is None else [*panels, label])
         draw_axes(pen, world, data, shown.axes, among(world.frames.names, stale))
         of_cards = sum(2 + len(lines) for group in groups for lines in group.texts)
         others = 3 * int(np.count_nonzero(shown.axes)) + of_cards

@@ -87,6 +87,23 @@ class Staleness:
         """
         return among(self._owners, stale)[self._owner]
 
+    def silence(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
+        """How long there has been no data for every joint of the world, (N,), s.
+
+        Args:
+            data: the world's state.
+            stale: what `find` returned.
+
+        Returns:
+            0 for fresh joints, inf where there never was any.
+        """
+        of_owner = dict.fromkeys(self._owners, 0.0)
+        for fed in self._fed:
+            if fed.name in stale and fed.name in of_owner:
+                ages = data.userdata[fed.ages]
+                of_owner[fed.name] = np.inf if (ages < 0).any() else float(ages.max())
+        return np.array([*of_owner.values()], np.float64)[self._owner]
+
     def panels(
         self, pen: Pen, data: mujoco.MjData, view: View, stale: dict[str, str]
     ) -> Panels | None:

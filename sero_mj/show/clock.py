@@ -5,6 +5,8 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 
+import numpy as np
+
 from ..drive.mirror import Mirror
 from ..receive.replay import Replay
 from ..simulate.simulated_source import SimulatedSource
@@ -16,6 +18,8 @@ _PATIENCE = 0.03  # s of real time after which a frame is shown, so that the win
 _FINE = 0.008  # s between moments,
 _MOST_MOMENTS = 20  # of which a frame has at most so many
 _FLOWS = 0.5  # s; what goes on by more has jumped
+_PAST = 8.0  # s before a jump's end that are gone through,
+_PAST_MOMENTS = 120  # in so many moments
 _SMOOTHING = 0.1  # of the speed that is shown, for every frame
 _LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does not jump
 
@@ -95,8 +99,13 @@ class Clock:
 
     def _moments(self, goal: float) -> list[float]:
         """What is shown until then: more than a frame's end where somebody listens."""
+        if self.on_moment is None:
+            return [goal]
         passed = goal - (goal if self._shown is None else self._shown)
-        if self.on_moment is None or not 0 < passed <= _FLOWS:
+        if passed < 0 or passed > _FLOWS:  # a jump: plots show what was before it
+            begin = max(goal - _PAST, 0.0)
+            return np.linspace(begin, goal, _PAST_MOMENTS).tolist() if goal else [goal]
+        if not passed:
             return [goal]
         count = min(max(round(passed / _FINE), 1), _MOST_MOMENTS)
         return [goal - passed * k / count for k in range(count - 1, -1, -1)]
@@ -114,8 +123,10 @@ class Clock:
 
     def pause(self) -> str:
         """Stands still, or goes on; returns what to tell the user."""
-        if self.is_paused and self.is_at_end:
+        if self.is_at_end:
             self.seek(0.0)
+            self.is_paused = False
+            return "from the start"
         self.is_paused = not self.is_paused
         return "paused" if self.is_paused else "goes on"
 

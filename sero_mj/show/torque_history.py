@@ -45,11 +45,14 @@ class TorqueHistory:
             elif time - last < 0.9 * SPAN / _MOST:
                 return
         values = joint_values(self._world, data)
-        stale = self._staleness.joints(self._staleness.find(data))
+        stale = self._staleness.find(data)
         at = self._count % _MOST
         self._times[at] = time
         for row, key in zip(self._values, _SHOWN, strict=True):
-            row[:, at] = np.where(stale, np.nan, values[key])
+            row[:, at] = values[key]
+        if stale:  # the line ends where the last data came, not where that was noticed
+            silence = self._staleness.silence(data, stale)[:, None]
+            self._values[:, (silence > 0) & (self._times > time - silence + 1e-6)] = np.nan
         self._count += 1
 
     def of(self, joint: int) -> tuple[Array, Array]:

@@ -23,6 +23,7 @@ _LIMIT_RGB = (0.85, 0.30, 0.30)
 _BELOW, _ABOVE = 0.55, 0.85
 # Of the grid, by the whole units that are in the range.
 _STEPS = {1: 5, 2: 4, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7, 8: 4, 9: 3, 10: 5}
+_HUGE = 1e5  # Nm or N, from which on numbers are written with a power of ten
 _LEAST_RANGE = 1.0  # Nm or N
 
 
@@ -79,7 +80,9 @@ class TorquePlot:
         times, values = history.of(joint)
         limit = float(joints.torque_limit[joint])
         what, unit = ("torque", "Nm") if joints.revolute[joint] else ("force", "N")
-        self.torques.title = f"{joint_name(self._world, joint)}: {what} [{unit}] over time [s]"
+        bound = f", limit {limit:g}" if np.isfinite(limit) else ""
+        name = joint_name(self._world, joint)
+        self.torques.title = f"{name}: {what} [{unit}] over time [s]{bound}"
         _set_lines(self.torques, times, dict(zip(_NAMES, values, strict=True)), limit)
         self.error.title = f"error [{unit}] over time [s]"
         _set_lines(self.error, times, {"commanded - measured": values[1] - values[0]}, np.inf)
@@ -92,7 +95,8 @@ def _set_lines(
     low, high, steps = y_range(np.concatenate(list(lines.values())), limit)
     figure.range[1] = low, high
     figure.gridsize[1] = steps + 1
-    figure.yformat = f"%.{max(0, -int(np.floor(np.log10((high - low) / steps * 1.001))))}f"
+    places = -int(np.floor(np.log10((high - low) / steps * 1.001)))
+    figure.yformat = "%.3g" if max(-low, high) >= _HUGE else f"%.{max(0, places)}f"
     figure.linepnt[:] = 0
     spare = iter(range(_LIMITS[-1] + 1, len(figure.linepnt)))  # for what comes after a gap
     for line, (name, values) in enumerate(lines.items()):

@@ -31,6 +31,8 @@ _TOP = 34.0  # below Studio's menu bar
 _BAR_FLAGS = int(imgui.WindowFlags.NoTitleBar) | int(imgui.WindowFlags.NoResize)
 _BAR_FLAGS |= int(imgui.WindowFlags.NoScrollbar) | int(imgui.WindowFlags.NoDocking)
 _BAR_FLAGS |= int(imgui.WindowFlags.NoMove) | int(imgui.WindowFlags.NoSavedSettings)
+_HANDLE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
+_HANDLE_FLAGS |= int(imgui.WindowFlags.NoBackground) | int(imgui.WindowFlags.NoFocusOnAppearing)
 _NOTE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
 _NOTE_FLAGS |= int(imgui.WindowFlags.NoInputs) | int(imgui.WindowFlags.NoFocusOnAppearing)
 _PANEL_FLAGS = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
@@ -85,6 +87,7 @@ class Panels(plugin.ViewerPlugin):
         self._robots = RobotPanel(host.world, host.toggles)
         self._plots = TorquePlots(host.world)
         self.shows_status = True
+        self._is_narrow = False
         self.shows_plots = False
         self.shows_help = False
         self._pages: dict[str, tuple[float, float]] = {}  # on which windows were built last
@@ -110,10 +113,15 @@ class Panels(plugin.ViewerPlugin):
         """Builds all windows of a frame."""
         size = imgui.GetIO().DisplaySize
         self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
+        if self._is_narrow != (size.x < _NARROW):  # a browser's size is known once it is there
+            self._is_narrow = size.x < _NARROW
+            self.shows_status = not self._is_narrow
         self._menu()
         self._time(size)
         if self.shows_status:
             self._panel(size)
+        else:
+            self._handle()
         if self.shows_plots and self._host.world.joints.names:
             self._torques(size)
         if self.shows_help:
@@ -138,14 +146,21 @@ class Panels(plugin.ViewerPlugin):
             imgui.EndMenu()
         imgui.EndMainMenuBar()
 
+    def _handle(self) -> None:
+        """Where the panel was, a button that brings it back."""
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ALWAYS)
+        imgui.Begin("##handle", True, _HANDLE_FLAGS)
+        if imgui.Button("panel"):
+            self.flip_status()
+        imgui.SetItemTooltip("what is shown, sources and sizes: t")
+        imgui.End()
+
     def _panel(self, size: imgui.Vec2) -> None:
         imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), self._when("panel", size))
         room = max(size.y - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
-        if size.x < _NARROW:
-            imgui.SetNextWindowCollapsed(True, int(imgui.Cond.Once))
         imgui.SetNextWindowSizeConstraints(imgui.Vec2(_WIDTH, 0.0), imgui.Vec2(_WIDTH, room))
         shown, self.shows_status = imgui.Begin(
-            f"{self._host.world.scene.name}###sero", self.shows_status, _PANEL_FLAGS
+            f"{self._host.world.scene.name}###sero", True, _PANEL_FLAGS
         )
         self._cover(size.y)
         if shown:
@@ -224,10 +239,7 @@ class Panels(plugin.ViewerPlugin):
         left, _, right, above = self.inset
         self.inset = (left, height + _MARGIN, right, above)
         if imgui.Button("play" if clock.is_paused or clock.is_at_end else "pause"):
-            if clock.is_at_end and not clock.is_paused:
-                clock.seek(0.0)
-            else:
-                clock.pause()
+            clock.pause()
         for label, what in (("|<", clock.reset), ("<", lambda: clock.step(-1)), (">", clock.step)):
             imgui.SameLine()
             if imgui.Button(label):
@@ -283,5 +295,9 @@ class Panels(plugin.ViewerPlugin):
             return
         imgui.SetNextWindowPos(imgui.Vec2(size.x / 2, size.y - 90.0), _ALWAYS, imgui.Vec2(0.5, 1.0))
         imgui.Begin("##message", True, _NOTE_FLAGS)
-        tell(notice.text, "bad" if notice.is_bad else "plain")
+        rgb = MOODS["bad" if notice.is_bad else "plain"]
+        if rgb is None:
+            imgui.TextUnformatted(notice.text)  # there is no width at which it could wrap
+        else:
+            imgui.TextColored(imgui.Vec4(*rgb, 1.0), notice.text)
         imgui.End()

@@ -21,6 +21,7 @@ _POINTS = 320
 # Studio's ImPlot cannot be told the colours of lines; its own begin with blue, then orange.
 _LIMIT_RGB = (0.80, 0.20, 0.10)
 _NEAR = 0.6  # of the limit, from which on it is in the picture
+_LEGEND = int(implot.LegendFlags.Outside) | int(implot.LegendFlags.Horizontal)
 _ROOM_FOR_TWO = 240.0  # pixels, below which the error has no plot
 _LEAST = 0.5  # Nm or N, half the height of a plot
 
@@ -111,6 +112,7 @@ class TorquePlots:
         if not implot.BeginPlot(f"##{title}", imgui.Vec2(-1.0, max(height, 50.0))):
             return
         implot.SetupAxes("s", title)
+        implot.SetupLegend(int(implot.Location.North), _LEGEND)
         implot.SetupAxisLimits(int(implot.Axis.X1), -SPAN, 0.0, int(implot.Cond.Always))
         low, high = self._range(names, limit)
         implot.SetupAxisLimits(int(implot.Axis.Y1), low, high, int(implot.Cond.Always))
