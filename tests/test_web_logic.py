@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import socket
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco.studio.web import state_payload
+from websockets.exceptions import ConnectionClosedError
 
 from sero_mj.cli import main
 from sero_mj.cli.view import wants_page
@@ -23,7 +25,7 @@ from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
 from sero_mj.show.web import app
 from sero_mj.show.web.host import check_address, page_url
 from sero_mj.show.web.site import make_site, with_head
-from sero_mj.show.web.studio import CalmUi, QuietServer
+from sero_mj.show.web.studio import _NO_GOODBYES, CalmUi, QuietServer
 from sero_mj.show.window_help import help_columns
 
 
@@ -220,3 +222,14 @@ def test_options_of_the_other_host_are_refused(
     monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
     with pytest.raises(UsageError, match=expected):
         wants_page(options(**given))
+
+
+def test_a_browser_that_is_there_when_the_page_ends_is_no_error() -> None:
+    log = logging.getLogger("asyncio")
+    log.addFilter(_NO_GOODBYES)
+    try:
+        for error, is_told in ((ConnectionClosedError(None, None), False), (OSError("no"), True)):
+            record = log.makeRecord("asyncio", 40, "", 1, "x", (), (type(error), error, None))
+            assert bool(log.filter(record)) == is_told
+    finally:
+        log.removeFilter(_NO_GOODBYES)

@@ -170,7 +170,8 @@ def test_times_are_written_as_people_do(time: float, text: str) -> None:
 
 def found(**values: Any) -> dict[str, Any]:
     nothing = dict.fromkeys(("lost", "dropped", "malformed", "received"), 0)
-    return {"source": "udp", "age": 0.003, "receiving": True, "rate": 999.6, **nothing, **values}
+    now = {"source": "udp", "age": 0.003, "receiving": True, "rate": 999.6, "fault_age": None}
+    return {**now, **nothing, **values}
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,13 @@ def found(**values: Any) -> dict[str, Any]:
         ({}, "udp: 1000/s, 3 ms old", "good"),
         ({"lost": 50, "received": 950}, "udp: 1000/s, 3 ms old, 5.0 % lost", "good"),
         ({"lost": 1, "received": 10**6}, "udp: 1000/s, 3 ms old, 1 lost", "good"),
-        ({"malformed": 7}, "udp: 1000/s, 3 ms old, 7 not applied", "bad"),
+        ({"malformed": 7, "fault_age": 1}, "udp: 1000/s, 3 ms old, 7 not applied", "bad"),
+        ({"malformed": 7, "fault_age": 9}, "udp: 1000/s, 3 ms old, 7 not applied", "good"),
+        (
+            {"receiving": False, "age": 2.5, "malformed": 7, "fault_age": 0.1},
+            "udp: nothing usable for 2.5 s, 7 not applied",
+            "bad",
+        ),
         ({"receiving": False, "age": 2.5}, "udp: quiet for 2.5 s", "bad"),
         ({"age": None}, "udp: no data yet", "quiet"),
         ({"age": None, "malformed": 3}, "udp: no data yet, 3 not applied", "bad"),

@@ -32,7 +32,8 @@ def report(source: Receiver) -> dict[str, Any]:
         every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s
         since the last good packet, None before the first), `jitter` and `delay` (s, None where
         the packets have no time stamp), `good`, `trouble` (what keeps packets from coming, where
-        that is known: shared memory that is not there, say).
+        that is known: shared memory that is not there, say), `fault_age` (s since the last packet
+        that was not applied, None where all were).
     """
     counters, timing = source.counters, source.timing
     since = age(source.latest(), source.now())
@@ -47,6 +48,7 @@ def report(source: Receiver) -> dict[str, Any]:
         "delay": timing.delay if source.time else None,
         "trouble": source.trouble,
         "malformed": counters.malformed,
+        "fault_age": source.now() - counters.last_fault_time if counters.malformed else None,
         **{field.name: getattr(counters, field.name) for field in fields(Counters)},
     }
 

@@ -13,6 +13,7 @@ Mood = Literal["good", "quiet", "bad", "plain"]
 Piece = tuple[str, Mood]
 
 _SEEN_LOSS = 0.0005  # a share of lost packets below it is written in numbers
+_RECENT = 5.0  # s in which a packet that was not applied is worth a colour
 _SLOW = 0.85  # of the chosen speed; what is slower is said
 
 
@@ -29,10 +30,13 @@ def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
     if found["age"] is None:
         malformed = f", {found['malformed']} not applied" if found["malformed"] else ""
         return f"{name}: no data yet{malformed}", "bad" if malformed else "quiet"
+    fault_age = found["fault_age"]
+    is_faulty = fault_age is not None and fault_age < _RECENT
     if not found["receiving"]:
-        return f"{name}: quiet for {found['age']:.1f} s{_loss(found)}", "bad"
+        what = "nothing usable" if is_faulty else "quiet"
+        return f"{name}: {what} for {found['age']:.1f} s{_loss(found)}", "bad"
     text = f"{name}: {found['rate']:.0f}/s, {1e3 * found['age']:.0f} ms old{_loss(found)}"
-    return text, "bad" if found["malformed"] else "good"
+    return text, "bad" if is_faulty else "good"
 
 
 def _loss(found: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 from mujoco.studio import endpoints, viewer_protocol, web_viewer
 from mujoco.studio.web import web_server
+from websockets.exceptions import ConnectionClosed
 
 from .site import make_site
 
@@ -18,6 +19,17 @@ LOOPBACK = "127.0.0.1"
 RATE = 60.0  # pictures/s
 _UI_RATE = 30.0  # user interfaces/s
 _ALIVE = 0.5  # s after which a state is sent although nothing has changed
+
+
+class _Goodbyes(logging.Filter):
+    """Leaves out that a browser was being sent something when the page ended."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether a record is to be logged."""
+        return record.exc_info is None or not isinstance(record.exc_info[1], ConnectionClosed)
+
+
+_NO_GOODBYES = _Goodbyes()  # one, which is added once
 
 
 class QuietServer(web_server.WebServer):
@@ -134,6 +146,7 @@ class StudioViewer(web_viewer.WebViewer):
         logging.getLogger("WebServer").setLevel(logging.WARNING)
         # A browser that is killed, or a port scanner, is no error worth a traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
+        logging.getLogger("asyncio").addFilter(_NO_GOODBYES)
 
     @property
     def _host(self) -> str:
