@@ -102,7 +102,9 @@ def test_text_is_inside_its_panel_and_panels_clear_of_each_other(
     world.set_input(data, "lwr.torques", rng.uniform(-1, 1, 7) * 10.0 ** rng.integers(0, 7, 7))
     follow(world.model, data)
     view = view_at(azimuth, distance, *size)
-    pen = Decor(world).draw(data, Toggles(world), view)
+    toggles = Toggles(world)
+    toggles.status = False  # its panel has several lines
+    pen = Decor(world).draw(data, toggles, view)
     rows = pen.rows[: pen.count]
     panels = [rectangle(view, row) for row in of_kind(rows, GEOM.mjGEOM_BOX)]
     texts = text_boxes(view, rows)

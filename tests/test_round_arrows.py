@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from decor_tools import GEOM, drawn, of_kind, toggles_of, view_at, world_of
+from decor_tools import GEOM, drawn, labels, of_kind, toggles_of, view_at, world_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,7 +30,9 @@ def ribbons(world: World, data=None, toggles=None):
     """Boxes of every arrow, (arrows, segments)."""
     decor = Decor(world)
     data = world.make_data() if data is None else data
-    pen = decor.draw(data, toggles or toggles_of(world), view_at())
+    toggles = toggles or toggles_of(world)
+    toggles.status = False  # its panel is a box as well
+    pen = decor.draw(data, toggles, view_at())
     boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
     arrows = len(set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW].tolist()))
     return boxes.reshape(arrows, -1 if arrows else 1)
@@ -308,3 +310,19 @@ def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
     assert SerialRobot.from_model("lwr").arrow_radii.tolist() == [0.1] * 7
     declared = SerialRobot(dh_convention="craig", arrow_radius=0.3)
     assert declared.arrow_radii.tolist() == [0.3]
+
+
+def test_a_torque_that_cannot_be_is_said_where_no_arrow_shows_it() -> None:
+    world = world_of(torques=np.full(7, 20.0), show_arrows=True)
+    data = world.make_data()
+    slot = world.slots["lwr.torques"]
+    limit = world.joints.torque_limit[2]
+    for value, said in (
+        (1e12, ["E1: 1e+12 Nm cannot be, no arrow"]),
+        (-1e300, ["E1: -1e+300 Nm cannot be, no arrow"]),
+        (999.0 * limit, []),  # an arrow, striped
+        (np.nan, []),
+    ):
+        data.userdata[slot][2] = value
+        pen = Decor(world).draw(data, toggles_of(world), view_at())
+        assert [text for text in labels(pen.rows[: pen.count]) if "cannot be" in text] == said

@@ -15,7 +15,7 @@ from .hover import hover_panel
 from .legend import Legend
 from .panels import Panels, draw_panels
 from .pen import CAPACITY, Pen
-from .quantities import arrow_values, joint_values
+from .quantities import arrow_values, beyond_belief, joint_values
 from .round_arrows import FINEST, RoundArrows
 from .smart_arrows import arrow_vectors, draw_smart_arrows, drawn_sizes
 from .staleness import Staleness, among
@@ -84,7 +84,8 @@ class Decor:
             cards.append(off)
         groups = [group for group in cards if group is not None]
         legend = self._legend.panels(toggles, view, limit)
-        faults = below(right, self._status.panels(data, toggles, view))
+        wrong = beyond_belief(world, values)
+        faults = below(right, self._status.panels(data, toggles, view, wrong))
         corners = [panels for panels in (right, legend, faults) if panels is not None]
         points = data.site_xpos[world.joints.centre_site[shown.joints]]
         found = [

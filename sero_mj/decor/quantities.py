@@ -40,6 +40,19 @@ def joint_values(world: World, data: mujoco.MjData) -> dict[str, Array]:
     return values
 
 
+def beyond_belief(world: World, values: dict[str, Array]) -> list[str]:
+    """Joints whose measured torque is `ABSURD` times its limit, which no arrow shows, in words.
+
+    Args:
+        world: the compiled scene.
+        values: what `joint_values` returned.
+    """
+    joints, torques = world.joints, values["torques"]
+    found = (np.abs(torques) > ABSURD * joints.torque_limit).nonzero()[0]  # false for NaN
+    units = np.where(joints.revolute, "Nm", "N")
+    return [f"{joints.names[i]}: {torques[i]:.3g} {units[i]} cannot be, no arrow" for i in found]
+
+
 def arrow_values(
     world: World, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
 ) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -21,6 +21,7 @@ _MARGIN = 0.5  # of a line's height
 
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
+_MOST_MORE = 3  # lines
 _SHOWN_FOR = 5.0  # s after a malformed packet, or one that was lost
 
 
@@ -97,9 +98,18 @@ class Status:
             if name in world.scene.sources_of()
         ]
 
-    def panels(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Panels | None:
-        """Returns the panel in the upper left corner, or None when there is nothing to say."""
-        lines = []
+    def panels(
+        self, data: mujoco.MjData, toggles: Toggles, view: View, more: Sequence[str] = ()
+    ) -> Panels | None:
+        """Returns the panel in the upper left corner, or None when there is nothing to say.
+
+        Args:
+            data: the world's state.
+            toggles: whether it is shown.
+            view: of the picture.
+            more: what else is wrong, a line each; the first few are written.
+        """
+        lines = [*more[:_MOST_MORE]]
         for name, slot, answers in self._slots:
             state = SourceState(*data.userdata[slot])
             lines += _complaints(name, state) + _link_complaints(name, state)
