@@ -57,7 +57,6 @@ def serve(joints: int) -> None:
                 )
             if page.viewer.has_ui and begin == float("inf"):
                 begin = now + 5.0  # until the browser has drawn its first pictures
-                server.sent = server.sent_bytes = 0
             if now < begin:
                 server.sent = server.sent_bytes = 0
                 continue

@@ -33,7 +33,7 @@ def list_models() -> list[str]:
 
 def list_scenes() -> list[str]:
     """Names of the shipped scenes."""
-    return sorted(path.stem for path in scenes_dir().glob("*.toml"))
+    return _toml_files(scenes_dir())
 
 
 def _is_file(path: Path) -> bool:
@@ -85,6 +85,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
 
 
 def _toml_files(folder: Path) -> list[str]:
+    """Names of the TOML files of a folder, without their ending; none where it cannot be read."""
     try:
         return sorted(path.stem for path in folder.glob("*.toml"))
     except (OSError, ValueError):
@@ -112,7 +113,7 @@ def scenarios_dir() -> Path:
 
 def list_scenarios() -> list[str]:
     """Names of the shipped scenarios."""
-    return sorted(path.stem for path in scenarios_dir().glob("*.toml"))
+    return _toml_files(scenarios_dir())
 
 
 def find_scenario(name: str) -> Path:

@@ -332,18 +332,30 @@ except RenderError as error:
 """
 
 
-def test_a_viewer_that_is_closed_says_so_and_a_wrong_size_is_told(display: str) -> None:
-    environment = {**os.environ, "DISPLAY": display, "MUJOCO_GL": "glfw", "PYTHONPATH": str(ROOT)}
+def run_script(text: str, folder: Path, display: str, **more: str) -> str:
+    """What a script prints that opens a window."""
+    environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
+    environment.pop("MUJOCO_GL", None)
     done = subprocess.run(
-        [sys.executable, "-c", _CLOSED],
+        [sys.executable, "-c", text],
         capture_output=True,
         text=True,
-        env=environment,
+        cwd=folder,
+        env={**environment, **more},
         timeout=60,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "window size 0x-5: expected 1 to 16384 a side"
+    return done.stdout
+
+
+def test_a_viewer_that_is_closed_says_so_and_a_wrong_size_is_told(
+    display: str, tmp_path: Path
+) -> None:
+    assert (
+        run_script(_CLOSED, tmp_path, display, MUJOCO_GL="glfw").strip()
+        == "window size 0x-5: expected 1 to 16384 a side"
+    )
 
 
 _LOOP = """
@@ -374,16 +386,4 @@ print("done")
 
 
 def test_a_loop_of_ones_own_moves_the_robot(display: str, tmp_path: Path) -> None:
-    environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
-    environment.pop("MUJOCO_GL", None)
-    done = subprocess.run(
-        [sys.executable, "-c", _LOOP],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=environment,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "done\n"
+    assert run_script(_LOOP, tmp_path, display) == "done\n"

@@ -25,6 +25,9 @@ def _direction(vector: Array) -> Array:
     return vector
 
 
+Look = Literal["light", "dark"]
+
+
 class Camera(Declaration):
     """A camera with a name.
 
@@ -67,7 +70,7 @@ class View(Declaration):
     elevation_deg: float = -14.0
     distance: float | None = Field(None, gt=0)
     look_at: Point | None = None
-    look: Literal["light", "dark"] = "light"
+    look: Look = "light"
 
 
 @dataclass(frozen=True)

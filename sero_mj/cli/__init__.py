@@ -48,7 +48,10 @@ Every command has its own help: sero-mj render --help
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs one command; exits with 0, or with 2 and a clear line when it cannot be done."""
+    """Runs one command; exits with 0, or with 2 and a clear line when it cannot be done.
+
+    Ctrl+C is left to `__main__`, where it is caught while commands are loaded as well.
+    """
     choose_backend()
     logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
     given = sys.argv[1:] if arguments is None else arguments
@@ -69,9 +72,6 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:  # the reader of a pipe has gone, as in `sero-mj list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
-    except KeyboardInterrupt:
-        print("sero-mj: interrupted", file=sys.stderr)
-        sys.exit(130)
     sys.exit(status)
 
 

@@ -49,8 +49,11 @@ def beyond_belief(world: World, values: dict[str, Array]) -> list[str]:
     """
     joints, torques = world.joints, values["torques"]
     found = (np.abs(torques) > ABSURD * joints.torque_limit).nonzero()[0]  # false for NaN
-    units = np.where(joints.revolute, "Nm", "N")
-    return [f"{joints.names[i]}: {torques[i]:.3g} {units[i]} cannot be, no arrow" for i in found]
+    return [
+        f"{joints.names[i]}: {torques[i]:.3g} {'Nm' if joints.revolute[i] else 'N'} cannot be, "
+        "no arrow"
+        for i in found
+    ]
 
 
 def arrow_values(

@@ -22,13 +22,13 @@ _MARGIN = 0.5  # of a line's height
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
 _MOST_MORE = 3  # lines
-_SHOWN_FOR = 5.0  # s after a malformed packet, or one that was lost
+SHOWN_FOR = 5.0  # s after a malformed packet, or one that was lost
 
 
 def _complaints(name: str, state: Any) -> list[str]:
     """What is wrong with one source, a line each."""
     lines = []
-    if state.malformed and state.fault_age < _SHOWN_FOR:
+    if state.malformed and state.fault_age < SHOWN_FOR:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
             lines.append(f"  {state.last_size:.0f} bytes, expected {state.size:.0f}")
@@ -44,7 +44,7 @@ def _complaints(name: str, state: Any) -> list[str]:
 def _link_complaints(name: str, state: Any) -> list[str]:
     """What went wrong between a source and who sends to it."""
     lines = []
-    if 0 <= state.link_age < _SHOWN_FOR:
+    if 0 <= state.link_age < SHOWN_FOR:
         # One of another size, or kind, has no number that could be read: it may be one of these.
         unread = " or not applied" if state.wrong_size or state.wrong_constant else ""
         counts = {

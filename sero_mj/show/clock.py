@@ -10,6 +10,7 @@ import numpy as np
 from ..drive.mirror import Mirror
 from ..receive.replay import Replay
 from ..simulate.simulated_source import SimulatedSource
+from .torque_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # s, of a recording that has no time step
@@ -18,8 +19,7 @@ _PATIENCE = 0.03  # s of real time after which a frame is shown, so that the win
 _FINE = 0.008  # s between moments,
 _MOST_MOMENTS = 20  # of which a frame has at most so many
 _FLOWS = 0.5  # s; what goes on by more has jumped
-_PAST = 8.0  # s before a jump's end that are gone through,
-_PAST_MOMENTS = 120  # in so many moments
+_PAST_MOMENTS = 120  # in which what plots show before a jump's end is gone through
 _SMOOTHING = 0.1  # of the speed that is shown, for every frame
 _LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does not jump
 
@@ -103,7 +103,7 @@ class Clock:
             return [goal]
         passed = goal - (goal if self._shown is None else self._shown)
         if passed < 0 or passed > _FLOWS:  # a jump: plots show what was before it
-            begin = max(goal - _PAST, 0.0)
+            begin = max(goal - SPAN, 0.0)
             return np.linspace(begin, goal, _PAST_MOMENTS).tolist() if goal else [goal]
         if not passed:
             return [goal]

@@ -20,14 +20,13 @@ from ..errors import RenderError
 from .camera import find_camera
 from .font_scale import font_scale
 from .interaction import Gesture, click, hover
-from .offscreen import offscreen_size
+from .offscreen import check_size, offscreen_size
 from .picking import Picked, pick
 from .picture import Picture
 
 log = logging.getLogger(__name__)
 
 DEFAULT_SIZE = (1280, 800)
-MAX_SIDE = 16384  # pixels; what the software GL of Mesa allows
 
 
 class HeadlessRenderer:
@@ -59,8 +58,7 @@ class HeadlessRenderer:
         height: int = DEFAULT_SIZE[1],
         camera: str | None = None,
     ) -> None:
-        if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-            raise RenderError(f"picture size {width}x{height}: expected 1 to {MAX_SIDE} a side")
+        check_size("picture", width, height)
         self.world = world
         self.toggles = Toggles(world)
         self.camera = find_camera(world, camera)

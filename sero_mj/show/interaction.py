@@ -233,18 +233,31 @@ def _flip(name: str) -> Callable[[Toggles], None]:
     return flip
 
 
+# Key, the field of `Toggles` that it flips, and what that is called.
+SWITCHES: dict[str, tuple[str, str]] = {
+    "a": ("arrows", "arrows"),
+    "b": ("billboards", "billboards"),
+    "x": ("axes", "axes"),
+    "n": ("frame_names", "names of axes"),
+    "d": ("doubles", "transparent doubles"),
+    "v": ("vectors", "smart arrows"),
+    "c": ("flange_checks", "comparison of flange frames"),
+    "l": ("legend", "legend"),
+    "s": ("status", "faults of the sources"),
+}
+KeyAction = tuple[str, Callable[[Toggles], None]]
+
+
+def _flips(keys: str) -> dict[str, KeyAction]:
+    return {key: (f"{SWITCHES[key][1]} on or off", _flip(SWITCHES[key][0])) for key in keys}
+
+
 # Key, what it does, and how: every host reads this one table.
-KEYS: dict[str, tuple[str, Callable[[Toggles], None]]] = {
-    "a": ("arrows on or off", _flip("arrows")),
-    "b": ("billboards on or off", _flip("billboards")),
-    "x": ("axes on or off", _flip("axes")),
-    "n": ("names of all axes on or off", _flip("frame_names")),
+KEYS: dict[str, KeyAction] = {
+    **_flips("abx"),
+    "n": ("names of all axes on or off", _flip("frame_names")),  # a click is for one
     "q": ("arrows show the next quantity", _next_quantity),
-    "d": ("transparent doubles on or off", _flip("doubles")),
-    "v": ("smart arrows on or off", _flip("vectors")),
-    "c": ("comparison of flange frames on or off", _flip("flange_checks")),
-    "l": ("legend on or off", _flip("legend")),
-    "s": ("faults of the sources on or off", _flip("status")),
+    **_flips("dvcls"),
     "r": ("what the scene declares", Toggles.reset),
 }
 # What keys do to the camera, the clock and the window of a live host: the name of what it does, and

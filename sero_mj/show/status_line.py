@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Literal
 
+from ..decor.status import SHOWN_FOR
 from ..receive.receiver import Receiver
 from ..receive.report import report
 from .clock import Clock, time_text
@@ -13,7 +14,6 @@ Mood = Literal["good", "quiet", "bad", "plain"]
 Piece = tuple[str, Mood]
 
 _SEEN_LOSS = 0.0005  # a share of lost packets below it is written in numbers
-_RECENT = 5.0  # s in which a packet that was not applied is worth a colour
 _SLOW = 0.85  # of the chosen speed; what is slower is said
 
 
@@ -31,7 +31,7 @@ def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
         malformed = f", {found['malformed']} not applied" if found["malformed"] else ""
         return f"{name}: no data yet{malformed}", "bad" if malformed else "quiet"
     fault_age = found["fault_age"]
-    is_faulty = fault_age is not None and fault_age < _RECENT
+    is_faulty = fault_age is not None and fault_age < SHOWN_FOR
     if not found["receiving"]:
         what = "nothing usable" if is_faulty else "quiet"
         return f"{name}: {what} for {found['age']:.1f} s{_loss(found)}", "bad"

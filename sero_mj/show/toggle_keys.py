@@ -9,20 +9,7 @@ from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world import World
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
-from .interaction import KEYS
-
-# Key, the field of `Toggles` that it flips, and what that is called.
-_FLIPPED = {
-    "a": ("arrows", "arrows"),
-    "b": ("billboards", "billboards"),
-    "x": ("axes", "axes"),
-    "n": ("frame_names", "names of axes"),
-    "d": ("doubles", "transparent doubles"),
-    "v": ("vectors", "smart arrows"),
-    "c": ("flange_checks", "comparison of flange frames"),
-    "l": ("legend", "legend"),
-    "s": ("status", "faults of the sources"),
-}
+from .interaction import KEYS, SWITCHES
 
 
 def press_toggle(key: str, world: World, data: mujoco.MjData, toggles: Toggles) -> str:
@@ -41,9 +28,9 @@ def press_toggle(key: str, world: World, data: mujoco.MjData, toggles: Toggles) 
     act(toggles)
     if key == "q" or (key == "a" and toggles.arrows.any()):
         return _arrows_text(world, data, toggles)
-    if key not in _FLIPPED:
+    if key not in SWITCHES:
         return words
-    field, name = _FLIPPED[key]
+    field, name = SWITCHES[key]
     shown = np.atleast_1d(getattr(toggles, field))
     if not len(shown):
         return f"no {name} in this scene"

@@ -6,12 +6,13 @@ import copy
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.looks import Look
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
@@ -19,13 +20,12 @@ from ..drive.mirror import Mirror
 from ..drive.watch import Watch
 from ..errors import UsageError, did_you_mean
 from ..simulate.named_scene import read_named_scene
+from .clicks import OnClick
 from .display import has_display
 from .headless import DEFAULT_SIZE
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
-from .picking import Picked
 
-Look = Literal["light", "dark"]
 log = logging.getLogger(__name__)
 
 
@@ -83,7 +83,7 @@ class Viewer:
             return self.host.frame(wait=False)
         return self.is_open
 
-    def on_click(self, callback: Callable[[Picked | None, str], None]) -> None:
+    def on_click(self, callback: OnClick) -> None:
         """Calls `callback(picked, gesture)` after every click, None for the sky and the floor.
 
         Raises:

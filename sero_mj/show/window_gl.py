@@ -15,12 +15,11 @@ from ..decor.font import Font, nearest_font_scale
 from ..errors import RenderError
 from .events import LEFT, MIDDLE, RIGHT, Event
 from .font_scale import font_scale
-from .offscreen import offscreen_size
+from .offscreen import check_size, offscreen_size
 
 _SAMPLES = 4  # per pixel, against jagged edges
 _HUD_TEXT = 18.0  # pixels, of the window's own text at content scale 1
 _SMALLEST = (320, 240)
-_LARGEST = 16384  # pixels a side
 _NAMED_KEYS = {
     glfw.KEY_BACKSPACE: "backspace",
     glfw.KEY_LEFT: "left",
@@ -251,8 +250,7 @@ def _check(size: Any) -> None:
         width, height = (int(side) for side in size)
     except (TypeError, ValueError):
         raise RenderError(f"window size {size!r}: expected width and height") from None
-    if not (min(width, height) > 0 and max(width, height) <= _LARGEST):
-        raise RenderError(f"window size {width}x{height}: expected 1 to {_LARGEST} a side")
+    check_size("window", width, height)
 
 
 def _make_window(size: tuple[int, int], title: str) -> Any:

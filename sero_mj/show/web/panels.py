@@ -51,14 +51,14 @@ MOODS: dict[Mood, tuple[float, float, float] | None] = {
 }
 
 
-def tell(text: str, mood: Mood = "plain") -> None:
-    """Writes a line in the colour of a mood, broken where the window ends."""
-    rgb = MOODS[mood]
+def tell(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
+    """Writes a line in the colour of a mood, broken where the window ends or as it is."""
+    write, rgb = imgui.TextWrapped if is_wrapped else imgui.TextUnformatted, MOODS[mood]
     if rgb is None:
-        imgui.TextWrapped(text)
+        write(text)
         return
     imgui.PushStyleColor(int(imgui.Col.Text), imgui.Vec4(*rgb, 1.0))
-    imgui.TextWrapped(text)
+    write(text)
     imgui.PopStyleColor(1)
 
 
@@ -295,9 +295,6 @@ class Panels(plugin.ViewerPlugin):
             return
         imgui.SetNextWindowPos(imgui.Vec2(size.x / 2, size.y - 90.0), _ALWAYS, imgui.Vec2(0.5, 1.0))
         imgui.Begin("##message", True, _NOTE_FLAGS)
-        rgb = MOODS["bad" if notice.is_bad else "plain"]
-        if rgb is None:
-            imgui.TextUnformatted(notice.text)  # there is no width at which it could wrap
-        else:
-            imgui.TextColored(imgui.Vec4(*rgb, 1.0), notice.text)
+        # A window that fits its text has no width at which it could wrap.
+        tell(notice.text, "bad" if notice.is_bad else "plain", is_wrapped=False)
         imgui.End()

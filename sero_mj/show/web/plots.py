@@ -128,8 +128,7 @@ class TorquePlots:
 
     def _range(self, names: tuple[str, ...], limit: float) -> tuple[float, float]:
         """The ends of the axis; it moves by leaps, so that the plot stands still meanwhile."""
-        values = [value for name in names for value in self._lines[name][1]]
-        values = [value for value in values if math.isfinite(value)]
+        values = [v for name in names for v in self._lines[name][1] if math.isfinite(v)]
         low, high = (min(values), max(values)) if values else (0.0, 0.0)
         if np.isfinite(limit):
             high = limit if high > _NEAR * limit else high
