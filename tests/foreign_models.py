@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pytest
 
 ARM = """
 <mujoco>
@@ -64,7 +65,7 @@ def arm(**qpos: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 @cache
 def _jaco_xml(count: int) -> tuple[str, Any]:
-    from dm_control import mjcf
+    mjcf = pytest.importorskip("dm_control.mjcf", reason="dm-control is not installed")
     from dm_control.entities.manipulators import kinova
 
     root = mjcf.RootElement(model="scene")

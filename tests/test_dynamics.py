@@ -110,7 +110,7 @@ def test_mass_matrix_is_newtons_and_eulers_and_that_of_the_motors(world):
 def test_mujoco_has_mended_nothing(world):
     (part,) = world.robots.values()
     (dynamics,) = world.dynamics.values()
-    assert not re.search("balanceinertia|boundmass=.[^0]", world._root.to_xml_string())
+    assert not re.search("balanceinertia|boundmass=.[^0]", world._spec.to_xml())
     links = part.bodies[1:]
     np.testing.assert_allclose(world.model.body_mass[links], dynamics.masses[1:], rtol=1e-12)
     for k, body in enumerate(links):

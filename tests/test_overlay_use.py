@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from foreign_models import arm, compiled
+from foreign_models import ARM, arm, compiled
 
 import sero_mj
 from sero_mj.errors import DeclarationError, SeroError, UnknownName, UsageError
@@ -248,3 +248,19 @@ def test_fields_of_a_robot_stand_over_what_the_model_says() -> None:
     assert joints.arrow_radius.tolist() == [0.2] * 4
     limited = sero_mj.overlay(*arm(), robots={"arm": {"torque_limits": 9.0}}).world.joints
     assert limited.torque_limit.tolist() == [9.0] * 4
+
+
+def test_a_model_may_come_as_what_it_is_compiled_from_and_without_data() -> None:
+    spec = mujoco.MjSpec.from_string(ARM)
+    for model in (spec, spec.compile()):
+        over = sero_mj.overlay(model)
+        assert over.robots == {"arm": ["turn", "lift", "elbow", "grip"]}
+        np.testing.assert_allclose(over.frame("arm/gripper")[:3, 3], arm()[1].body("gripper").xpos)
+
+
+def test_entities_of_composer_are_taken() -> None:
+    kinova = pytest.importorskip("dm_control.entities.manipulators.kinova")
+    hand = kinova.JacoHand()
+    over = sero_mj.overlay(hand)
+    (joints,) = over.robots.values()
+    assert joints == [joint.name for joint in hand.mjcf_model.find_all("joint")]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import struct
 
 import mujoco
 import numpy as np
+import PIL.Image
 import pytest
 
 from sero_mj.assemble import frames
@@ -153,6 +155,88 @@ def test_angles_in_a_piece_of_mjcf_that_says_radian_are_radians():
     _, _, data = compiled(objects=[Object(name="it", mjcf=text)])
     turned = frames.rotation_about(2, 0.5)
     np.testing.assert_allclose(pose_of(data, "geom", "it/g")[:3, :3], turned, atol=1e-12)
+
+
+TEXTURED = """
+<mujoco>
+  <compiler meshdir="parts" texturedir="looks"/>
+  <asset>
+    <mesh name="m" file="m.stl"/>
+    <texture name="t" type="2d" file="t.png"/>
+    <material name="t" texture="t"/>
+  </asset>
+  <worldbody><geom name="part" type="mesh" mesh="m" material="t"/></worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("as_file", [False, True])
+def test_files_of_a_piece_are_found_and_exported_under_names_of_their_own(tmp_path, as_file):
+    # Two pieces name their files alike; each has its own.
+    objects = []
+    for k in (1, 2):
+        folder = tmp_path / f"tool{k}"
+        (folder / "parts").mkdir(parents=True)
+        (folder / "looks").mkdir()
+        stl(folder / "parts" / "m.stl", k * CORNERS)
+        PIL.Image.new("RGB", (k, k)).save(folder / "looks" / "t.png")
+        (folder / "tool.xml").write_text(TEXTURED)
+        source = "tool.xml" if as_file else TEXTURED
+        objects.append(Object(name=f"tool{k}", mjcf=source, directory=str(folder)))
+    world, model, _ = compiled(objects=objects)
+    written = world.export(tmp_path / "out" / "scene.xml")
+    assert len(written) == 5
+    again = mujoco.MjModel.from_xml_path(str(written[0]))
+    for loaded in (model, again):
+        assert loaded.tex_width[-2:].tolist() == [1, 2]
+        state = mujoco.MjData(loaded)
+        mujoco.mj_kinematics(loaded, state)
+        for k in (1, 2):
+            found = mesh_corners(loaded, state, loaded.geom(f"tool{k}/part").id)
+            assert_same_points(found, k * CORNERS)
+
+
+def test_text_may_include_files_that_stand_in_its_folder(tmp_path):
+    (tmp_path / "outer.xml").write_text('<mujocoinclude><include file="in.xml"/></mujocoinclude>')
+    (tmp_path / "in.xml").write_text('<mujocoinclude><geom name="g" size=".3"/></mujocoinclude>')
+    text = '<mujoco><worldbody><include file="outer.xml"/></worldbody></mujoco>'
+    _, model, _ = compiled(objects=[Object(name="it", mjcf=text, directory=str(tmp_path))])
+    assert model.geom("it/g").size[0] == 0.3
+
+
+def mjcf_objects():
+    """The same piece as an `MjSpec`, and as PyMJCF and composer hold it where installed."""
+    held = {"MjSpec": mujoco.MjSpec.from_string(SNIPPET)}
+    if importlib.util.find_spec("dm_control"):
+        from dm_control import composer, mjcf
+
+        class Tool(composer.Entity):
+            def _build(self):
+                self._root = mjcf.from_xml_string(SNIPPET)
+
+            @property
+            def mjcf_model(self):
+                return self._root
+
+        held |= {"PyMJCF": mjcf.from_xml_string(SNIPPET), "composer": Tool()}
+    return held
+
+
+def test_what_holds_mjcf_is_taken_as_text_is():
+    _, wanted, _ = compiled(objects=[Object(name="it", mjcf=SNIPPET, frame=POSE)])
+    for kind, held in mjcf_objects().items():
+        item = Object(name="it", mjcf=held, frame=POSE)
+        for _ in range(2):  # a second time as well: what is handed in is not changed
+            _, model, _ = compiled(objects=[item])
+            names = [model.geom(i).name for i in range(model.ngeom)]
+            assert "it/pad" in names, kind
+            np.testing.assert_allclose(model.geom_pos, wanted.geom_pos, atol=1e-12)
+            np.testing.assert_allclose(model.geom_quat, wanted.geom_quat, atol=1e-12)
+
+
+def test_what_holds_no_mjcf_is_told_by_its_type():
+    with pytest.raises(DeclarationError, match="mjcf: found dict; expected a file's name, MJCF"):
+        Object(name="it", mjcf={})
 
 
 def test_link_meshes_stand_in_their_dh_frames_in_their_colours(tmp_path):

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from dm_control import mjcf
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError
 from . import frames
-from .mjcf_geoms import mesh_asset, shape_geom
+from .mjcf_geoms import MESH, hull_asset, mesh_asset, shape_geom
 from .robot import SerialRobot
 from .shapes import grow_links
 
@@ -55,7 +53,7 @@ def link_hulls(robot: SerialRobot) -> list[Array | None]:
     hulls: list[Array | None] = [None] * (robot.n + 1)
     if not robot.filenames:
         return hulls
-    root = mjcf.RootElement(model="meshes")
+    root = mujoco.MjSpec()
     owners = []
     for i, meshes in enumerate(robot.filenames):
         for k, mesh in enumerate(meshes):
@@ -66,9 +64,9 @@ def link_hulls(robot: SerialRobot) -> list[Array | None]:
                 raise DeclarationError([p.inside(f"filenames.{i}") for p in error.problems]) from (
                     error
                 )
-            root.worldbody.add("geom", type="mesh", mesh=asset)
+            root.worldbody.add_geom(type=MESH, meshname=asset)
             owners.append(i)
-    model = _compile(root)
+    model = root.compile()
     clouds: list[list[Array]] = [[] for _ in hulls]
     for mesh_id, i in enumerate(owners):
         clouds[i].append(_corners(model, mesh_id))
@@ -86,28 +84,23 @@ def estimate_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertia
         hulls: what `link_hulls` returned; where there is none, shapes grow from the DH table.
     """
     density = min(robot.dynamics.density, _STEEL)
-    root = mjcf.RootElement(model="estimate")
-    root.default.geom.density = density
+    root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
     grown = grow_links(robot.dh, robot.flange_frame, robot.strokes)
     for i, hull in enumerate(hulls):
-        body = root.worldbody.add("body", name=f"link{i}")
+        body = root.worldbody.add_body(name=f"link{i}")
         if hull is None:
             for shape in grown[i]:
-                body.add("geom", **shape_geom(shape))
+                body.add_geom(density=density, **shape_geom(shape))
         else:
-            asset = root.asset.add("mesh", name=f"hull{i}", vertex=hull.ravel(), inertia="convex")
-            body.add("geom", type="mesh", mesh=asset)
-    model = _compile(root)
+            asset = hull_asset(root, f"hull{i}", hull)
+            body.add_geom(type=MESH, meshname=asset, density=density)
+    model = root.compile()
     tensors = np.empty((robot.n + 1, 3, 3))
     for i in range(robot.n + 1):
         axes = frames.rotation_from_quat(model.body_iquat[i + 1])
         tensors[i] = axes @ np.diag(model.body_inertia[i + 1]) @ axes.T
     return LinkInertias(model.body_mass[1:].copy(), model.body_ipos[1:].copy(), tensors)
-
-
-def _compile(root: Any) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
 
 
 def _corners(model: mujoco.MjModel, mesh: int) -> Array:
@@ -120,10 +113,9 @@ def _corners(model: mujoco.MjModel, mesh: int) -> Array:
 
 def _hull(cloud: Array) -> Array:
     """Corners (k, 3) of the convex hull of points (m, 3)."""
-    root = mjcf.RootElement(model="hull")
-    asset = root.asset.add("mesh", name="hull", vertex=cloud.ravel(), inertia="convex")
-    root.worldbody.add("geom", type="mesh", mesh=asset)
-    model = _compile(root)
+    root = mujoco.MjSpec()
+    root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", cloud))
+    model = root.compile()
     # Layout of mesh_graph: number of corners and faces, an address and a vertex per corner, ...
     graph = model.mesh_graph[model.mesh_graphadr[0] :]
     count = int(graph[0])

@@ -1,4 +1,4 @@
-"""A scene's robots and surroundings as MJCF, built with PyMJCF.
+"""A scene's robots and surroundings as MJCF, built with `mujoco.MjSpec`.
 
 A robot becomes one mocap body at its base frame with a chain of bodies, one per row of its DH
 table, whose frames are the DH frames: body i stands at T_{i-1,i}(q_i = 0) and turns about, or
@@ -7,29 +7,30 @@ slides along, z of its own frame (craig) or of its parent's (standard).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
-from dm_control import mjcf
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
 from .inputs import moving
-from .looks import PALETTES
+from .looks import PALETTES, Palette
 from .mjcf_double import add_double
 from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
 from .mjcf_geoms import (
+    MESH,
     SITE_GROUP,
+    geom_type,
     joint_axis_frame,
     joint_centre,
     mesh_asset,
-    set_pose,
+    pose,
     shape_geom,
 )
-from .mjcf_piece import read_piece
+from .mjcf_piece import as_spec
 from .objects import Object
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
@@ -40,16 +41,15 @@ from .shapes import SHELL, grow_links
 Array = NDArray[np.float64]
 
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
-_DENSITY = 1000.0  # kg/m3: what links weigh when their file does not say
 # Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
 _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
+_DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+_SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
 _STILL = {"contype": 0, "conaffinity": 0}  # what only mirrors a robot does not collide
 
 
-def build_mjcf(
-    scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
-) -> mjcf.RootElement:
-    """Returns the scene as one MJCF tree, names scoped by robot (`lwr/link1`).
+def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
+    """Returns the scene as one `MjSpec`, names scoped by robot (`lwr/link1`).
 
     Args:
         scene: what to build.
@@ -59,7 +59,8 @@ def build_mjcf(
     Raises:
         DeclarationError: an MJCF piece cannot be read, or a file is missing.
     """
-    root = mjcf.RootElement(model=scene.name)
+    root = mujoco.MjSpec()
+    root.modelname = scene.name
     _set_up(root)
     moved = moving(scene)
     _surroundings(root, scene, moved)
@@ -89,24 +90,35 @@ def build_mjcf(
     return root
 
 
-def _add_frames(root: mjcf.RootElement, scene: Scene) -> None:
+def _add_frames(root: mujoco.MjSpec, scene: Scene) -> None:
     for name in scene.frames:
-        body = root.worldbody.add("body", name=f"frame-{name}", mocap=True)
-        _add_site(body, f"frame-{name}")
+        body = root.worldbody.add_body(name=f"frame-{name}", mocap=True)
+        body.add_site(name=f"frame-{name}", group=SITE_GROUP)
     for arrow in scene.arrows.values():
         if arrow.site is not None:
-            root.worldbody.add("site", name=arrow.site, pos=arrow.at, group=SITE_GROUP)
+            root.worldbody.add_site(name=arrow.site, pos=arrow.at, group=SITE_GROUP)
 
 
-def _add_robot(root: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDynamics | None) -> None:
-    piece = build_robot_mjcf(robot)
+def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics | None) -> None:
+    piece = build_robot(robot)
     if dynamics is not None:
         add_dynamics(piece, robot, dynamics)
-    base = root.attach(piece)
+    base = _attach(root, root.worldbody, piece, robot.name, robot.base_frame)
     base.mocap = True
-    set_pose(base, robot.base_frame)
     if dynamics is not None:
-        exclude_neighbours(root, base, robot)
+        exclude_neighbours(root, robot)
+
+
+def _attach(
+    root: mujoco.MjSpec, parent: Any, piece: mujoco.MjSpec, name: str, T: Array
+) -> mujoco.MjsBody:
+    """Attaches a piece by a body `NAME/`, which carries what the piece has in its world."""
+    prefix = f"{name}/"
+    piece.compiler.boundmass = max(piece.compiler.boundmass, root.compiler.boundmass)
+    piece.compiler.boundinertia = max(piece.compiler.boundinertia, root.compiler.boundinertia)
+    base = parent.add_body(name=prefix, **pose(T))
+    root.attach(piece, prefix=prefix, frame=base.add_frame())
+    return base
 
 
 def moved_body(name: str) -> str:
@@ -114,10 +126,8 @@ def moved_body(name: str) -> str:
     return f"moved-{name}"
 
 
-def _moved_body(root: mjcf.RootElement, name: str, T: Array) -> Any:
-    body = root.worldbody.add("body", name=moved_body(name), mocap=True)
-    set_pose(body, T)
-    return body
+def _moved_body(root: mujoco.MjSpec, name: str, T: Array) -> mujoco.MjsBody:
+    return root.worldbody.add_body(name=moved_body(name), mocap=True, **pose(T))
 
 
 def _clashes(scene: Scene) -> list[Problem]:
@@ -134,40 +144,30 @@ def _clashes(scene: Scene) -> list[Problem]:
     return problems
 
 
-def xml_text(root: mjcf.RootElement) -> str:
-    """Returns the tree as XML."""
-    # A floor in its own shadow map is strewn with speckles. PyMJCF 1.0.50 does not know the
-    # attribute that MuJoCo 4 has for it.
-    text: str = root.to_xml_string()
-    return re.sub(r'(<geom name="floor"(?=[^>]*type="plane"))', r'\1 castshadow="false"', text)
-
-
-def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
+def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
     """Returns one robot; its world body is the robot's base."""
-    root = mjcf.RootElement(model=robot.name)
+    root = mujoco.MjSpec()
+    root.compiler.degree = False
     geometry = _Geometry(root, robot)
     body = root.worldbody
     geometry.add_link(body, 0)
-    _add_site(body, "base")
+    body.add_site(name="base", group=SITE_GROUP)
     table = robot.dh
     at_zero = table.link_transforms(np.zeros(robot.n))
     for i in range(robot.n):
-        body = body.add("body", name=f"link{i + 1}")
-        set_pose(body, at_zero[i])
+        body = body.add_body(name=f"link{i + 1}", **pose(at_zero[i]))
         axis_frame = joint_axis_frame(robot, i)
         joint: dict[str, Any] = {"axis": axis_frame[:3, 2], "pos": axis_frame[:3, 3]}
         if robot.position_limits is not None:
             joint |= {"range": robot.position_limits[i], "limited": True}
-        kind = "hinge" if table.revolute[i] else "slide"
-        body.add("joint", name=robot.names[i], type=kind, **joint)
+        kind = mujoco.mjtJoint.mjJNT_HINGE if table.revolute[i] else mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(name=robot.names[i], type=kind, **joint)
         geometry.add_link(body, i + 1)
-        _add_site(body, f"frame{i + 1}")
+        body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
         # Arrows and billboards stand here; its z is the joint's axis in both conventions.
-        centre = body.add("site", name=f"centre{i + 1}", group=SITE_GROUP)
-        set_pose(centre, joint_centre(robot, i))
-    flange = body.add("body", name="flange")
-    set_pose(flange, robot.flange_frame)
-    _add_site(flange, "flange_frame")
+        body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(joint_centre(robot, i)))
+    flange = body.add_body(name="flange", **pose(robot.flange_frame))
+    flange.add_site(name="flange_frame", group=SITE_GROUP)
     problems: list[Problem] = []
     for k, child in enumerate(robot.children):
         try:
@@ -183,7 +183,7 @@ def build_robot_mjcf(robot: SerialRobot) -> mjcf.RootElement:
 class _Geometry:
     """Adds the visible geometry of a robot's links: its mesh files, or shapes grown from DH."""
 
-    def __init__(self, root: mjcf.RootElement, robot: SerialRobot) -> None:
+    def __init__(self, root: mujoco.MjSpec, robot: SerialRobot) -> None:
         self._root = root
         self._robot = robot
         self._grown = (
@@ -195,7 +195,7 @@ class _Geometry:
         if self._grown:
             for shape in self._grown[i]:
                 look = {"rgba": shape.rgba, "group": ROBOT_GROUP}
-                body.add("geom", **look, **shape_geom(shape), **_STILL)
+                body.add_geom(**look, **shape_geom(shape), **_STILL)
             return
         for k, mesh in enumerate(self._robot.filenames[i]):
             try:
@@ -207,18 +207,16 @@ class _Geometry:
         path = Path(self._robot.directory) / mesh.file
         asset = mesh_asset(self._root, name, path, self._robot.mesh_scale)
         rgba = SHELL if mesh.color is None else self._robot.colors[mesh.color]
-        body.add("geom", type="mesh", mesh=asset, rgba=rgba, group=ROBOT_GROUP, **_STILL)
+        body.add_geom(type=MESH, meshname=asset, rgba=rgba, group=ROBOT_GROUP, **_STILL)
 
 
-def _set_up(root: mjcf.RootElement) -> None:
-    root.compiler.angle = "radian"
-    root.compiler.autolimits = True
+def _set_up(root: mujoco.MjSpec) -> None:
+    root.compiler.degree = False
     # A link without geometry (an axis of a wrist) still needs a mass to be a moving body.
     root.compiler.boundmass, root.compiler.boundinertia = 1e-3, 1e-6
-    root.default.geom.density = _DENSITY
 
 
-def _surroundings(root: mjcf.RootElement, scene: Scene, moved: Collection[str]) -> None:
+def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> None:
     visual = root.visual
     palette = PALETTES[scene.view.look]
     ambient, diffuse = palette.headlight
@@ -229,29 +227,22 @@ def _surroundings(root: mjcf.RootElement, scene: Scene, moved: Collection[str]) 
     visual.quality.numslices, visual.quality.numstacks = 24, 10
     visual.quality.numquads = 1  # boxes of 12 triangles: arrows have hundreds of them
     visual.map.znear, visual.map.zfar = 0.01, 50.0
-    root.asset.add(
-        "texture", name="sky", type="skybox", builtin="gradient",
+    root.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=palette.sky[0], rgb2=palette.sky[1], width=64, height=384,
     )  # fmt: skip
     if scene.floor:
-        root.asset.add(
-            "texture", name="tiles", type="2d", builtin="checker", mark="edge",
-            rgb1=palette.tiles[0], rgb2=palette.tiles[1], markrgb=palette.tiles[2],
-            width=256, height=256,
-        )  # fmt: skip
-        root.asset.add("material", name="floor", texture="tiles", texrepeat=[2, 2], texuniform=True)
-        root.worldbody.add(
-            "geom", name="floor", type="plane", size=[0, 0, 0.05], material="floor",
-            group=OBJECT_GROUP,
-        )  # fmt: skip
+        _add_floor(root, palette)
     for name, light in scene.lights.items():
-        root.worldbody.add(
-            "light", name=name, pos=light.position, dir=light.direction, diffuse=light.diffuse,
-            directional=light.directional, castshadow=light.cast_shadow,
+        kind = _DIRECTIONAL if light.directional else _SPOT
+        root.worldbody.add_light(
+            name=name, pos=light.position, dir=light.direction, diffuse=light.diffuse, type=kind,
+            castshadow=light.cast_shadow,
         )  # fmt: skip
     if not scene.lights:
-        root.worldbody.add(
-            "light", name="key", pos=[1.5, -1.5, 4], dir=[-0.35, 0.4, -1], directional=True,
+        root.worldbody.add_light(
+            name="key", pos=[1.5, -1.5, 4], dir=[-0.35, 0.4, -1], type=_DIRECTIONAL,
             diffuse=[palette.key] * 3, specular=[0.2] * 3, castshadow=True,
         )  # fmt: skip
     for name, camera in scene.cameras.items():
@@ -259,12 +250,27 @@ def _surroundings(root: mjcf.RootElement, scene: Scene, moved: Collection[str]) 
         if name in moved:
             body = _moved_body(root, name, camera.frame)
         elif (camera.frame != np.eye(4)).any():
-            body = body.add("body", name=f"camera-{name}")
-            set_pose(body, camera.frame)
-        body.add(
-            "camera", name=name, pos=camera.position, fovy=camera.fovy_deg,
+            body = body.add_body(name=f"camera-{name}", **pose(camera.frame))
+        body.add_camera(
+            name=name, pos=camera.position, fovy=camera.fovy_deg,
             xyaxes=_look_axes(camera.look_at - camera.position),
         )  # fmt: skip
+
+
+def _add_floor(root: mujoco.MjSpec, palette: Palette) -> None:
+    root.add_texture(
+        name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=palette.tiles[0], rgb2=palette.tiles[1], markrgb=palette.tiles[2],
+        width=256, height=256,
+    )  # fmt: skip
+    floor = root.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    # A floor in its own shadow map is speckled.
+    root.worldbody.add_geom(
+        name="floor", type=geom_type("plane"), size=[0, 0, 0.05], material="floor",
+        group=OBJECT_GROUP, castshadow=False,
+    )  # fmt: skip
 
 
 def _look_axes(forward: Array) -> Array:
@@ -276,18 +282,12 @@ def _look_axes(forward: Array) -> Array:
     return np.concatenate([right, np.cross(right, forward)])
 
 
-def _add_site(body: Any, name: str) -> None:
-    body.add("site", name=name, group=SITE_GROUP)
-
-
-def _add_object(root: mjcf.RootElement, body: Any, item: Object, T: Array) -> None:
+def _add_object(root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Array) -> None:
     if item.mjcf is not None:
-        piece = read_piece(item.mjcf, Path(item.directory))
-        piece.model = item.name
-        set_pose(body.add("site", name=f"{item.name}_at", group=SITE_GROUP).attach(piece), T)
+        _attach(root, body, as_spec(item.mjcf, Path(item.directory)), item.name, T)
         return
     if item.shape == "axes":
-        set_pose(body.add("site", name=f"axes_{item.name}", group=SITE_GROUP), T)
+        body.add_site(name=f"axes_{item.name}", group=SITE_GROUP, **pose(T))
         return
     kind: dict[str, Any]
     if item.mesh is not None:
@@ -296,8 +296,8 @@ def _add_object(root: mjcf.RootElement, body: Any, item: Object, T: Array) -> No
             asset = mesh_asset(root, f"object_{item.name}", path, item.mesh_scale)
         except DeclarationError as error:
             raise DeclarationError([p.inside("mesh") for p in error.problems]) from error
-        kind = {"type": "mesh", "mesh": asset}
+        kind = {"type": MESH, "meshname": asset}
     else:
         assert item.size is not None and item.shape is not None  # checked by Object
-        kind = {"type": item.shape, "size": item.size * _HALF.get(item.shape, 1.0)}
-    set_pose(body.add("geom", name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind), T)
+        kind = {"type": geom_type(item.shape), "size": item.size * _HALF.get(item.shape, 1.0)}
+    body.add_geom(name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind, **pose(T))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
-from dm_control import mjcf
 
 from .double import PATH_FADE, Double
-from .mjcf_geoms import SITE_GROUP, joint_centre, mesh_asset, set_pose, shape_geom
+from .mjcf_geoms import MESH, SITE_GROUP, joint_centre, mesh_asset, pose, shape_geom
 from .robot import SerialRobot
 from .shapes import grow_links
 
@@ -35,7 +35,7 @@ def frame_names(double: Double, robot: SerialRobot) -> list[str]:
     return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
 
 
-def add_double(root: mjcf.RootElement, double: Double, robot: SerialRobot) -> None:
+def add_double(root: mujoco.MjSpec, double: Double, robot: SerialRobot) -> None:
     """Adds the bodies of a double, where MuJoCo has its robot at first: at zero.
 
     A world hides them at once; were they compiled out of sight, MuJoCo would take the scene for
@@ -48,31 +48,28 @@ def add_double(root: mjcf.RootElement, double: Double, robot: SerialRobot) -> No
     for names, share in zip(rows, fade, strict=True):
         look = {"rgba": double.rgba * [1, 1, 1, share], "group": DOUBLE_GROUP}
         for i, name in enumerate(names):
-            body = root.worldbody.add("body", name=name, mocap=True)
-            set_pose(body, at_zero[i])
+            body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
             geoms = [shape_geom(s, _SHRINK) for s in grown[i]] if grown else _meshes(root, robot, i)
             for geom in geoms:
-                body.add("geom", **look, contype=0, conaffinity=0, mass=0, **geom)
+                body.add_geom(**look, contype=0, conaffinity=0, mass=0, **geom)
     # A link that coincides with the robot's is out of sight; its frame must not be.
     for i, name in enumerate(frame_names(double, robot)):
-        body = root.worldbody.add("body", name=name, mocap=True)
-        set_pose(body, at_zero[i + 1])
-        body.add("site", name=name, group=SITE_GROUP)
-        centre = body.add("site", name=f"double-{double.name}-centre{i + 1}", group=SITE_GROUP)
-        set_pose(centre, joint_centre(robot, i))
+        body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i + 1]))
+        body.add_site(name=name, group=SITE_GROUP)
+        centre = f"double-{double.name}-centre{i + 1}"
+        body.add_site(name=centre, group=SITE_GROUP, **pose(joint_centre(robot, i)))
         if i == robot.n - 1:
-            flange = body.add("site", name=f"double-{double.name}-flange", group=SITE_GROUP)
-            set_pose(flange, robot.flange_frame)
+            flange = f"double-{double.name}-flange"
+            body.add_site(name=flange, group=SITE_GROUP, **pose(robot.flange_frame))
 
 
-def _meshes(root: mjcf.RootElement, robot: SerialRobot, i: int) -> list[dict[str, Any]]:
+def _meshes(root: mujoco.MjSpec, robot: SerialRobot, i: int) -> list[dict[str, Any]]:
     """Geoms of a link's mesh files, a little smaller; all doubles of a robot share the assets."""
     geoms = []
     for k, mesh in enumerate(robot.filenames[i]):
         name = f"double-{robot.name}-link{i}-{k}"
-        asset = root.find("mesh", name)
-        if asset is None:
+        if root.mesh(name) is None:
             path = Path(robot.directory) / mesh.file
-            asset = mesh_asset(root, name, path, _SHRINK * robot.mesh_scale)
-        geoms.append({"type": "mesh", "mesh": asset})
+            mesh_asset(root, name, path, _SHRINK * robot.mesh_scale)
+        geoms.append({"type": MESH, "meshname": name})
     return geoms

@@ -11,10 +11,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from dm_control import mjcf
 from numpy.typing import NDArray
 
 from .inertia import principal
+from .mjcf_geoms import MESH, hull_asset
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .shapes import housing_radii
@@ -28,7 +28,7 @@ PAYLOAD = "payload"  # a body at the flange that weighs nothing until something 
 # collision. So near are neighbours, in housing radii.
 _ONE_HOUSING = 4.0
 # Coulomb friction that holds creeps by no more than 1e-6 rad/s (the default: 1e-4).
-_FRICTION = {"solreffriction": [0.004, 1.0], "solimpfriction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
+_FRICTION = {"solref_friction": [0.004, 1.0], "solimp_friction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
 # Friction of metal, plastic and wood on each other; MuJoCo's default is that of rubber.
 _SLIDING = [0.3, 0.005, 1e-4]
 _RUBBER = [1.0, 0.005, 1e-4]
@@ -37,16 +37,18 @@ _RUBBER = [1.0, 0.005, 1e-4]
 _SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
 _TIME_CONSTANT = [0.03, 1.0]
 # The stops of joints have rubber on them, or gears would break.
-_STOP = {"solreflimit": [0.02, 1.0], "solimplimit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
+_STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
 
-def set_up_dynamics(root: mjcf.RootElement) -> None:
+def set_up_dynamics(root: mujoco.MjSpec) -> None:
     """Sets how time is stepped; nothing is mended that is not physical."""
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
     root.option.timestep = TIMESTEP
-    root.option.integrator = "Euler"
-    root.option.cone = "elliptic"  # pyramids give a third too little friction when all is soft
-    floor = root.find("geom", "floor")
+    root.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    root.option.cone = (
+        mujoco.mjtCone.mjCONE_ELLIPTIC
+    )  # pyramids give a third too little friction when all is soft
+    floor = root.geom("floor")
     if floor is not None:
         # Links that are built into the floor do not feel it, see _collide.
         floor.contype, floor.conaffinity = 0, 1
@@ -60,24 +62,23 @@ def smooth(model: mujoco.MjModel) -> None:
     model.geom_solimp[sudden], model.geom_solref[sudden] = _SOFT, _TIME_CONSTANT
 
 
-def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDynamics) -> None:
+def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics) -> None:
     """Gives a robot its masses, joints and collisions, before it is attached to its scene.
 
     Args:
-        piece: what `build_robot_mjcf` returned.
+        piece: what `build_robot` returned.
         robot: which robot that is.
         dynamics: of it.
     """
     for i in range(robot.n):
-        body = piece.find("body", f"link{i + 1}")
+        body = piece.body(f"link{i + 1}")
         moments, axes = principal(dynamics.tensors[i + 1])
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, axes.ravel())
-        inertial = {"mass": dynamics.masses[i + 1], "pos": dynamics.centers[i + 1]}
-        body.add("inertial", quat=quat, diaginertia=moments, **inertial)
-        joint = piece.find("joint", robot.names[i])
+        mujoco.mju_mat2Quat(body.iquat, axes.ravel())
+        body.explicitinertial, body.mass = True, dynamics.masses[i + 1]
+        body.ipos, body.inertia = dynamics.centers[i + 1], moments
+        joint = piece.joint(robot.names[i])
         joint.armature = dynamics.motor_inertias[i]
-        joint.damping = dynamics.viscous_friction[i]
+        joint.damping[0] = dynamics.viscous_friction[i]
         joint.frictionloss = dynamics.coulomb_friction[i]
         for key, value in {**_FRICTION, **_STOP}.items():
             setattr(joint, key, value)
@@ -85,8 +86,7 @@ def add_dynamics(piece: mjcf.RootElement, robot: SerialRobot, dynamics: RobotDyn
             _add_deflection(piece, body, joint, robot, dynamics, i)
     _add_hulls(piece, robot, dynamics.hulls)
     # A body without mass must not move by itself; this one is part of the last link.
-    flange = piece.find("body", "flange")
-    flange.add("body", name=PAYLOAD)
+    piece.body("flange").add_body(name=PAYLOAD)
 
 
 def deflection_joint(name: str) -> str:
@@ -113,7 +113,7 @@ def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
 
 
 def _add_deflection(
-    piece: mjcf.RootElement,
+    piece: mujoco.MjSpec,
     body: Any,
     joint: Any,
     robot: SerialRobot,
@@ -122,33 +122,32 @@ def _add_deflection(
 ) -> None:
     """Puts a spring between motor and link: two joints on one axis, whose angles add up."""
     name = deflection_joint(robot.names[i])
-    body.add(
-        "joint", name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False,
-        stiffness=dynamics.joint_stiffness[i],
-        damping=spring_damping(dynamics, TIMESTEP)[i],
-    )  # fmt: skip
+    deflection = body.add_joint(
+        name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False
+    )
+    deflection.stiffness[0] = dynamics.joint_stiffness[i]
+    deflection.damping[0] = spring_damping(dynamics, TIMESTEP)[i]
     if robot.position_limits is not None:  # of the link, not of the motor
         joint.limited = False
-        stop = piece.tendon.add(
-            "fixed", name=f"{robot.names[i]}-stop", limited=True,
-            range=robot.position_limits[i], **_STOP,
-        )  # fmt: skip
-        stop.add("joint", joint=joint, coef=1.0)
-        stop.add("joint", joint=name, coef=1.0)
+        stop = piece.add_tendon(
+            name=f"{robot.names[i]}-stop", limited=True, range=robot.position_limits[i], **_STOP
+        )
+        stop.wrap_joint(joint.name, 1.0)
+        stop.wrap_joint(name, 1.0)
 
 
-def _add_hulls(piece: mjcf.RootElement, robot: SerialRobot, hulls: list[Array | None]) -> None:
+def _add_hulls(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
     """Lets links collide: with the hull of their meshes, or with the shapes that have grown."""
     sunk = _in_the_floor(robot)
     for i in range(robot.n + 1):
-        body = piece.find("body", f"link{i}") if i else piece.worldbody
+        body = piece.body(f"link{i}") if i else piece.worldbody
         touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1}
         hull = hulls[i]
         if hull is not None:
-            asset = piece.asset.add("mesh", name=f"hull{i}", vertex=hull.ravel(), inertia="convex")
-            body.add("geom", type="mesh", mesh=asset, group=HULL_GROUP, mass=0, **touches)
+            asset = hull_asset(piece, f"hull{i}", hull)
+            body.add_geom(type=MESH, meshname=asset, group=HULL_GROUP, mass=0, **touches)
         elif not robot.filenames:
-            for geom in body.geom:
+            for geom in body.geoms:
                 for key, value in touches.items():
                     setattr(geom, key, value)
 
@@ -160,28 +159,21 @@ def _in_the_floor(robot: SerialRobot) -> NDArray[np.bool_]:
     return np.asarray((along < near) | (np.arange(robot.n + 1) < 2))
 
 
-def exclude_neighbours(root: mjcf.RootElement, base: Any, robot: SerialRobot) -> None:
-    """Lets links of one housing pass through each other, when the robot is in its scene.
+def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
+    """Lets links of one housing pass through each other.
 
     Args:
-        root: the scene.
-        base: the body that the robot's base has become.
-        robot: which robot that is.
+        root: the scene, with the robot attached.
+        robot: which one.
     """
-    bodies = [base, *(_below(base, f"link{i + 1}") for i in range(robot.n))]
-    flange = _below(base, "flange")
-    tools = [flange, *flange.find_all("body")]
+    flange = root.body(f"{robot.name}/flange")
+    tools = [flange.name, *(body.name for body in flange.find_all("body"))]
+    bodies = [f"{robot.name}/", *(f"{robot.name}/link{i + 1}" for i in range(robot.n))]
     near = _ONE_HOUSING * housing_radii(robot.dh, robot.flange_frame)[0]
     steps = np.abs(robot.dh.a) + np.abs(robot.dh.d)
     ends_before = robot.dh_convention == "standard"
     for i, k in combinations(range(robot.n + 1), 2):
         # Link i ends at joint i + 1, link k begins at joint k: the offsets between are these.
         if k - i <= 2 or steps[i + 1 : k - ends_before].sum() < near:
-            pairs = [bodies[k], *(tools if k == robot.n else [])]
-            for other in pairs:
-                root.contact.add("exclude", body1=bodies[i], body2=other)
-
-
-def _below(base: Any, name: str) -> Any:
-    """The body of a robot with that name in the robot's own file."""
-    return next(body for body in base.find_all("body") if body.name == name)
+            for other in [bodies[k], *(tools if k == robot.n else [])]:
+                root.add_exclude(bodyname1=bodies[i], bodyname2=other)

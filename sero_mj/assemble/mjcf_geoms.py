@@ -1,4 +1,4 @@
-"""Poses, mesh files and grown shapes as PyMJCF writes them, for robots and their doubles."""
+"""Poses, mesh files and grown shapes as `MjSpec` takes them, for robots and their doubles."""
 
 from __future__ import annotations
 
@@ -7,24 +7,26 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from dm_control import mjcf
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
 from . import frames
+from .mjcf_piece import add_file
 from .robot import SerialRobot
 from .shapes import LinkShape
 
 Array = NDArray[np.float64]
 
+MESH = mujoco.mjtGeom.mjGEOM_MESH
+_CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
 SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
 
 
-def set_pose(element: Any, T: Array) -> None:
-    """Sets `pos` and `quat` of an element from a frame (4, 4)."""
+def pose(T: Array) -> dict[str, Array]:
+    """`pos` and `quat` of an element that stands at a frame (4, 4)."""
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
-    element.pos, element.quat = T[:3, 3], quat
+    return {"pos": T[:3, 3], "quat": quat}
 
 
 def joint_axis_frame(robot: SerialRobot, i: int) -> Array:
@@ -39,8 +41,8 @@ def joint_centre(robot: SerialRobot, i: int) -> Array:
     return joint_axis_frame(robot, i) @ frames.frame(position=robot.offsets[i])
 
 
-def mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> Any:
-    """Adds a mesh file to the assets and returns the element.
+def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: float) -> str:
+    """Adds a mesh file to the assets and returns the mesh's name.
 
     Raises:
         DeclarationError: the file cannot be read.
@@ -49,17 +51,28 @@ def mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> A
         contents = path.read_bytes()
     except OSError as error:
         raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
-    asset = mjcf.Asset(contents, path.suffix.lower(), prefix=path.stem)
     # The hull gives a mass even to a mesh with holes; the surface is drawn as it is.
-    return root.asset.add("mesh", name=name, file=asset, scale=[scale] * 3, inertia="convex")
+    file = add_file(spec, path, contents)
+    spec.add_mesh(name=name, file=file, scale=[scale] * 3, inertia=_CONVEX)
+    return name
+
+
+def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
+    """Adds a mesh with these corners (k, 3), m, to the assets and returns its name."""
+    spec.add_mesh(name=name, uservert=corners.ravel(), inertia=_CONVEX)
+    return name
+
+
+def geom_type(kind: str) -> Any:
+    """MuJoCo's constant for `box`, `sphere`, ..."""
+    return getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
 
 
 def shape_geom(shape: LinkShape, scale: float = 1.0) -> dict[str, Any]:
     """Attributes of a geom for a grown shape, scaled about its own middle."""
     middle = shape.ends.mean(axis=0)
-    size = shape.size * scale
+    look = {"type": geom_type(shape.kind), "size": np.atleast_1d(shape.size * scale)}
     if shape.kind == "box":
-        axis = shape.ends[1] - shape.ends[0]
-        return {"type": "box", "size": size, "pos": middle, "zaxis": axis}
+        return {**look, "pos": middle, "zaxis": shape.ends[1] - shape.ends[0]}
     ends = shape.ends if scale == 1.0 else middle + scale * (shape.ends - middle)
-    return {"type": shape.kind, "size": size, "fromto": ends.ravel()}
+    return {**look, "fromto": ends.ravel()}

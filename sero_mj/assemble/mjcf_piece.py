@@ -1,70 +1,112 @@
-"""Pieces of MJCF that a scene brings along, read so that they fit into ours."""
+"""Pieces of MJCF that a scene brings along, as a file, as text, or as an object that holds one."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
-from dm_control import mjcf
+import mujoco
 
 from ..errors import DeclarationError, Problem
 
-_JOINT_ANGLES = ("range", "ref", "springref")
 
-
-def read_piece(source: str, folder: Path) -> mjcf.RootElement:
-    """Reads a piece of MJCF and turns its angles into radians, which our models use.
-
-    PyMJCF merges the `angle` of all parts into one, and its own default is none; MuJoCo's is
-    degrees, so that is what a piece means that says nothing.
+def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
+    """Reads a piece of MJCF; the files that it names are read too and kept with the spec.
 
     Args:
-        source: a file's name, or text that starts with `<`.
-        folder: where the name, and the files that the piece names, start from.
+        source: a file's name; text that starts with `<`; or what `is_mjcf_object` takes, which
+            is not changed.
+        folder: where the name, and the files that a text names, start from.
 
     Raises:
         DeclarationError: it cannot be read.
     """
     try:
-        if source.lstrip().startswith("<"):
-            piece = mjcf.from_xml_string(source, model_dir=str(folder))
-        else:
-            piece = mjcf.from_path(str(folder / source))
-    except Exception as error:  # PyMJCF raises lxml's, OS and value errors alike
-        raise DeclarationError([Problem("mjcf", f"cannot be read: {error}")]) from error
-    if piece.compiler.angle != "radian":
-        for element in _elements(piece):
-            _to_radians(element)
-        piece.compiler.angle = "radian"
-    return piece
+        spec = _read(source, folder)
+        _keep_files(spec)
+    except (ValueError, TypeError, OSError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
+    for k, body in enumerate(spec.bodies[1:]):
+        if not body.name:
+            body.name = f"body{k + 1}"  # contacts are excluded by name
+    return spec
 
 
-def _elements(element: Any) -> Iterator[Any]:
-    yield element
-    for child in element.all_children():
-        yield from _elements(child)
+def is_mjcf_object(source: Any) -> bool:
+    """Whether it holds MJCF: an `MjSpec`, PyMJCF's `RootElement`, or an entity of composer."""
+    root = _root_element(source)
+    return isinstance(source, mujoco.MjSpec) or (
+        hasattr(root, "to_xml_string") and hasattr(root, "get_assets")
+    )
 
 
-def _to_radians(element: Any) -> None:
-    attributes = element.get_attributes()
-    if "euler" in attributes:
-        element.euler = [math.radians(angle) for angle in element.euler]
-    if "axisangle" in attributes:
-        element.axisangle = [*element.axisangle[:3], math.radians(element.axisangle[3])]
-    if element.tag == "joint" and _joint_type(element) in ("hinge", "ball"):
-        for name in _JOINT_ANGLES:
-            if name in attributes:
-                value = getattr(element, name)
-                turned = [math.radians(angle) for angle in value] if name == "range" else None
-                setattr(element, name, math.radians(value) if turned is None else turned)
+def _root_element(source: Any) -> Any:
+    """PyMJCF's root element of an entity of composer; anything else as it is."""
+    return getattr(source, "mjcf_model", source)
 
 
-def _joint_type(joint: Any) -> str:
-    """The type of a joint, its own or that of its default class."""
-    if joint.type is not None:
-        return str(joint.type)
-    dclass = getattr(joint, "dclass", None) or getattr(joint.root, "default", None)
-    inherited = getattr(getattr(dclass, "joint", None), "type", None)
-    return str(inherited or "hinge")
+def _read(source: Any, folder: Path) -> mujoco.MjSpec:
+    if isinstance(source, mujoco.MjSpec):
+        return source.copy()
+    if not isinstance(source, str):
+        root = _root_element(source)
+        return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
+    if not source.lstrip().startswith("<"):
+        return mujoco.MjSpec.from_file(str(folder / source))
+    spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
+    spec.modelfiledir = str(folder)
+    return spec
+
+
+def _included(text: str, folder: Path) -> Mapping[str, bytes]:
+    """The files that a text includes, and those that these include, by name."""
+    found: dict[str, bytes] = {}
+    waiting = [text.encode()]
+    while waiting:
+        try:
+            names = {
+                tag.get("file", "") for tag in ElementTree.fromstring(waiting.pop()).iter("include")
+            }
+        except ElementTree.ParseError:
+            continue  # MuJoCo says where
+        for name in names - set(found):
+            found[name] = (folder / name).read_bytes()
+            waiting.append(found[name])
+    return found
+
+
+def _keep_files(spec: mujoco.MjSpec) -> None:
+    """Reads the files of meshes, height fields, skins and textures into the spec's assets."""
+    for folder, elements in (
+        (spec.meshdir, [*spec.meshes, *spec.skins]),
+        (spec.texturedir, [*spec.textures]),
+        (spec.meshdir, [*spec.hfields]),
+    ):
+        for element in elements:
+            element.file = _kept(spec, folder, element.file)
+    for texture in spec.textures:
+        texture.cubefiles = [_kept(spec, spec.texturedir, file) for file in texture.cubefiles]
+    spec.meshdir = spec.texturedir = ""
+
+
+def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
+    """Name in the assets of a file that an element of the spec names."""
+    if not file or file in spec.assets:
+        return file
+    name = Path(file).name if spec.strippath else file
+    path = Path(spec.modelfiledir) / folder / name
+    return add_file(spec, path, path.read_bytes())
+
+
+def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes) -> str:
+    """Keeps a file's contents with a spec, and returns the name by which its elements know it.
+
+    The name tells files of different folders apart when specs are attached to each other.
+    """
+    file = f"{path.stem}-{sha256(contents).hexdigest()[:16]}{path.suffix.lower()}"
+    spec.assets[file] = contents
+    return file

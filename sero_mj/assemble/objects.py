@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from .declaration import Declaration, Frame, Name, Rgba, Vector
+from .mjcf_piece import is_mjcf_object
 
+_MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
 MESH_FORMATS = (".stl", ".obj", ".msh")
 
 # How many numbers `size` has for each shape, and what they are (m).
@@ -58,7 +60,9 @@ class Object(Declaration):
         size: full lengths and radii in m, see `SHAPE_SIZES`.
         mesh: mesh file, relative to `directory`.
         mesh_scale: metres per unit of the mesh file.
-        mjcf: MJCF file relative to `directory`, or MJCF text that starts with `<mujoco`.
+        mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in
+            Python what holds MJCF: a `mujoco.MjSpec`, an element of PyMJCF
+            (`mjcf.RootElement`), an entity of dm_control's composer.
         frame: pose in the world, or in the flange's frame for a robot's child.
         rgba: colour; an MJCF piece has its own.
         directory: folder of the files, set by whoever read the declaration.
@@ -69,7 +73,7 @@ class Object(Declaration):
     size: Vector | None = None
     mesh: str | None = None
     mesh_scale: float = Field(1.0, gt=0)
-    mjcf: str | None = None
+    mjcf: Any = None
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
     directory: str = ""
@@ -81,8 +85,12 @@ class Object(Declaration):
 
     @field_validator("mjcf")
     @classmethod
-    def _mjcf_is_inside(cls, mjcf: str | None) -> str | None:
-        if mjcf is None or mjcf.lstrip().startswith("<"):
+    def _mjcf_is_inside(cls, mjcf: Any) -> Any:
+        if mjcf is None or is_mjcf_object(mjcf):
+            return mjcf
+        if not isinstance(mjcf, str):
+            raise ValueError(f"found {type(mjcf).__name__}; expected {_MJCF_KINDS}")
+        if mjcf.lstrip().startswith("<"):
             return mjcf
         if not mjcf.strip():
             raise ValueError("is empty; expected an MJCF file or text that starts with <mujoco")

@@ -7,6 +7,9 @@ copies, history and recordings carry it. `mj_resetData` zeroes it: apply the lat
 
 from __future__ import annotations
 
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +26,7 @@ from .ghost import Ghost
 from .inputs import BLANKABLE, Input, list_inputs, userdata_slots
 from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
-from .mjcf import build_mjcf, moved_body, xml_text
+from .mjcf import build_spec, moved_body
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
 from .mjcf_dynamics import smooth
 from .parts import DoublePart, Owner, RobotPart
@@ -75,11 +78,11 @@ class World:
         self.inputs = list_inputs(scene)
         self.slots, self.flags = userdata_slots(scene)
         self.dynamics = _dynamics(scene) if dynamic else {}
-        root = build_mjcf(scene, self.dynamics if dynamic else None)
-        root.size.nuserdata = len(self.flags) + sum(
+        root = build_spec(scene, self.dynamics if dynamic else None)
+        root.nuserdata = len(self.flags) + sum(
             slot.stop - slot.start for slot in self.slots.values()
         )
-        self._root = root
+        self._spec = root
         self.model = _compile(root, scene)
         if dynamic:
             smooth(self.model)
@@ -243,18 +246,21 @@ class World:
             the files written, the XML first.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
-        written = [path]
-        if self.model.nq and self._root.find("key", "home") is None:
-            self._root.keyframe.add("key", name="home", qpos=self.make_data().qpos)
-        text = xml_text(self._root)
-        folder = path.parent / f"{path.stem}_assets"
-        for name, contents in self._root.get_assets().items():
+        written, folder = [path], path.parent / f"{path.stem}_assets"
+        if self.model.nq and self._spec.key("home") is None:
+            self._spec.add_key(name="home", qpos=self.make_data().qpos)
+        with _all_digits():
+            text = self._spec.to_xml()
+        for name, contents in self._spec.assets.items():
+            file = folder / name.rpartition("/")[2]
+            if f'file="{name}"' not in text:
+                continue  # nothing in the scene needs it
             folder.mkdir(exist_ok=True)
-            (folder / name).write_bytes(contents)
-            written.append(folder / name)
-            text = text.replace(f'file="{name}"', f'file="{folder.name}/{name}"')
-        path.write_text(text + "\n", encoding="utf-8")
-        return written
+            file.write_bytes(contents)
+            written.append(file)
+            text = text.replace(f'file="{name}"', f'file="{folder.name}/{file.name}"')
+        path.write_text(text, encoding="utf-8")
+        return list(dict.fromkeys(written))
 
     def _id(self, kind: Any, name: str) -> int:
         return int(mujoco.mj_name2id(self.model, kind, name))
@@ -336,11 +342,32 @@ def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:
     return found
 
 
-def _compile(root: Any, scene: Scene) -> mujoco.MjModel:
+def _compile(spec: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
     try:
-        return mujoco.MjModel.from_xml_string(xml_text(root), root.get_assets())
-    except ValueError as error:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
         raise _not_compiled(scene, error) from error
+
+
+@contextmanager
+def _all_digits() -> Iterator[None]:
+    """Has MuJoCo write numbers as they are; on its own it writes six digits of them.
+
+    There is no public call for it in MuJoCo 4.0.0; where a later one lacks this, six it is.
+    """
+    folder = Path(mujoco.__file__).parent
+    library = ctypes.CDLL(str(next(folder.glob("*mujoco.*[0-9dl]"))))
+    get, put = (
+        getattr(library, f"_mjPRIVATE__{what}_xml_precision", None) for what in ("get", "set")
+    )
+    before = get() if get else 6
+    if put:
+        put(17)
+    try:
+        yield
+    finally:
+        if put:
+            put(before)
 
 
 def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:

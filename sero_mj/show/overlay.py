@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
+from ..assemble.mjcf_piece import as_spec, is_mjcf_object
 from ..assemble.model_world import ModelWorld
 from ..assemble.scene_toggles import SceneToggles
 from ..decor.draw import Decor
@@ -221,8 +223,8 @@ _NOTEBOOK_SIZE = (960, 600)
 
 
 def overlay(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
+    model: Any,
+    data: mujoco.MjData | None = None,
     *,
     robots: Mapping[str, Mapping[str, Any]] | None = None,
     doubles: Sequence[Double] = (),
@@ -240,8 +242,10 @@ def overlay(
     Free and ball joints, which have no single axis, carry no arrow.
 
     Args:
-        model: stays the user's, and is not changed.
-        data: of that model, likewise.
+        model: a `mujoco.MjModel`, which stays the user's and is not changed; or what one is
+            compiled from: a `mujoco.MjSpec`, PyMJCF's `RootElement`, an entity of dm_control's
+            composer.
+        data: of that model, likewise; None for new data, in the overlay's `data`.
         robots: fields of robots, by name, over what the model says: `torque_limits`,
             `arrow_radius`, `axes_size`, `billboard_lines`, `show_axes`, ... as in `SerialRobot`.
         doubles: transparent doubles of its robots; only MuJoCo's classic renderer shows them.
@@ -255,7 +259,13 @@ def overlay(
         DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
         UnknownName: no robot, body or site of that name; names the nearest.
     """
-    _check(model, data)
+    if is_mjcf_object(model):
+        model = as_spec(model, Path()).compile()
+    _check_model(model)
+    if data is None:
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+    _check_data(model, data)
     return Overlay(
         ModelWorld(
             model,
@@ -270,12 +280,15 @@ def overlay(
     )
 
 
-def _check(model: Any, data: Any) -> None:
+def _check_model(model: Any) -> None:
     if not isinstance(model, mujoco.MjModel):
         raise UsageError(
             f"model: found {type(model).__name__}; expected a compiled mujoco.MjModel, as of "
-            "mujoco.MjModel.from_xml_path"
+            "mujoco.MjModel.from_xml_path, or an MjSpec or a PyMJCF model"
         )
+
+
+def _check_data(model: mujoco.MjModel, data: Any) -> None:
     if not isinstance(data, mujoco.MjData):
         raise UsageError(f"data: found {type(data).__name__}; expected mujoco.MjData(model)")
     other = data.model
