@@ -15,12 +15,11 @@ Conventions, everywhere in this package:
 - The data moves one way: assemble, receive, drive, decor, show. A file imports only from folders
   above its own in that list.
 
-The public names are imported when they are first used, because `import mujoco` takes a while and
-fixes the OpenGL backend. Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet
-imported, the first use of a name sets it to what works without one.
+The public names are imported when they are first used, because `import mujoco` takes a while.
+Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet imported, importing this
+package sets it to what works without one; no graphics driver is loaded before the first picture.
 """
 
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +64,12 @@ if TYPE_CHECKING:
     from .simulate.sensors import SensorErrors as SensorErrors
     from .simulate.sensors import Sensors as Sensors
     from .simulate.simulation import Simulation as Simulation
+
+from .show.display import has_display as _has_display
+from .show.gl import choose_backend as _choose_backend
+
+if not _has_display():
+    _choose_backend()
 
 __version__ = "0.1.0"
 
@@ -118,8 +123,6 @@ __all__ = ["__version__", *_HOME]  # noqa: PLE0604
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'sero_mj' has no attribute '{name}'")
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        import_module(".show.gl", __name__).choose_backend()
     value = getattr(import_module(f".{_HOME[name]}", __name__), name)
     globals()[name] = value
     return value

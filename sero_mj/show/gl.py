@@ -1,10 +1,19 @@
-"""Chooses the OpenGL backend for pictures without a window, before `import mujoco` fixes it."""
+"""Chooses the OpenGL backend for pictures without a window.
+
+MuJoCo takes the backend from `MUJOCO_GL` when it is imported. Nothing here loads a graphics
+driver: Mesa's brings its own LLVM, and a process in which torch has loaded another one ends.
+"""
 
 from __future__ import annotations
 
-import ctypes
+import importlib
 import os
+import subprocess
 import sys
+from functools import cache
+from pathlib import Path
+
+from .display import has_display
 
 BACKENDS = ("egl", "osmesa", "glfw")
 # What a Debian or Ubuntu machine needs for software rendering with each backend.
@@ -13,60 +22,66 @@ PACKAGES = {
     "osmesa": "libosmesa6",
     "glfw": "libgl1 libgl1-mesa-dri, and a display (xvfb has one)",
 }
-_OSMESA_NAMES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
-_EGL_PLATFORM_DEVICE = 0x313F
+# Where drivers tell libglvnd's EGL of themselves.
+_EGL_DRIVERS = (Path("/etc/glvnd/egl_vendor.d"), Path("/usr/share/glvnd/egl_vendor.d"))
 
 
 def choose_backend() -> str | None:
-    """Sets `MUJOCO_GL` to what works here, unless the user has set it.
+    """Sets `MUJOCO_GL` to what should work here, unless the user has set it.
 
     Returns:
         the backend in force; None where MuJoCo's own choice is right (macOS, Windows).
     """
     if os.environ.get("MUJOCO_GL") or "mujoco" in sys.modules or sys.platform != "linux":
         return os.environ.get("MUJOCO_GL")
-    # EGL is also what the error should be about when neither is there.
-    backend = "osmesa" if not egl_works() and osmesa_is_there() else "egl"
-    os.environ["MUJOCO_GL"] = backend
+    os.environ["MUJOCO_GL"] = backend = _headless_backend()
     return backend
 
 
-def egl_works() -> bool:
-    """Whether an EGL device, hardware or software, can be initialised."""
+def adopt_backend() -> None:
+    """Gives MuJoCo a backend that needs no display, where it was imported without one.
+
+    To be called before the first picture. A user who imports mujoco before sero_mj on a server
+    has GLFW's backend, which cannot work there; `MUJOCO_GL` that the user has set is respected.
+    """
+    if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
+        return
+    # MuJoCo 4.0.0 has no public way to change it; `Renderer` reads this name for every context.
+    context = importlib.import_module("mujoco.rendering.classic.gl_context")
+    context.GLContext = importlib.import_module("mujoco.egl").GLContext  # type: ignore[attr-defined]
+
+
+def _headless_backend() -> str:
+    # EGL is also what the error should be about when neither is there.
+    return "osmesa" if not egl_is_there() and osmesa_is_there() else "egl"
+
+
+def egl_is_there() -> bool:
+    """Whether EGL, OpenGL and a driver for them are installed; `doctor` tries whether they work."""
+    libraries = _libraries()
     # PyOpenGL looks GL's own functions up in one of these two, beside EGL.
-    if not (_can_load("libEGL.so.1") and (_can_load("libOpenGL.so.0") or _can_load("libGL.so.1"))):
-        return False
-    egl = ctypes.CDLL("libEGL.so.1")
-    pointer, integer = ctypes.c_void_p, ctypes.c_int
-    egl.eglGetProcAddress.restype = pointer
-    egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
-    query = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
-    display_of = egl.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
-    if not query or not display_of:
-        return False
-    devices, count = (pointer * 16)(), integer()
-    query_devices = ctypes.CFUNCTYPE(ctypes.c_uint, integer, ctypes.POINTER(pointer), pointer)(
-        query
-    )
-    if not query_devices(16, devices, ctypes.byref(count)):
-        return False
-    get_display = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(display_of)
-    egl.eglInitialize.argtypes = [pointer, pointer, pointer]
-    for device in devices[: count.value]:
-        display = get_display(_EGL_PLATFORM_DEVICE, device, None)
-        if display and egl.eglInitialize(display, None, None):
-            return True
-    return False
+    has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries
+    named = os.environ.get("__EGL_VENDOR_LIBRARY_FILENAMES")
+    has_driver = bool(named) or any(any(folder.glob("*.json")) for folder in _EGL_DRIVERS)
+    return "libEGL.so.1" in libraries and has_gl and has_driver
 
 
 def osmesa_is_there() -> bool:
-    """Whether the off-screen Mesa library can be loaded."""
-    return any(_can_load(name) for name in _OSMESA_NAMES)
+    """Whether the off-screen Mesa library is installed."""
+    return any(name.startswith("libOSMesa.so") for name in _libraries())
 
 
-def _can_load(library: str) -> bool:
+@cache
+def _libraries() -> frozenset[str]:
+    """File names of the shared libraries that the loader knows; empty where it does not say."""
     try:
-        ctypes.CDLL(library)
+        listing = subprocess.run(
+            ["ldconfig", "-p"],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PATH": f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin"},
+        ).stdout
     except OSError:
-        return False
-    return True
+        return frozenset()
+    return frozenset(line.split()[0] for line in listing.splitlines()[1:] if line.strip())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from typing import Any
 
 import mujoco
@@ -19,6 +18,7 @@ from ..decor.view import View
 from ..errors import RenderError
 from .camera import find_camera
 from .font_scale import font_scale
+from .gl import adopt_backend
 from .interaction import Gesture, click, hover
 from .offscreen import check_size, offscreen_size
 from .picking import Picked, pick
@@ -163,16 +163,12 @@ def _from_below(view: View, x: float, y: float) -> tuple[float, float]:
 def _make_renderer(world: World, width: int, height: int) -> Any:
     model = world.model
     font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{font_scale(world, height)}")
+    adopt_backend()
     try:
         with offscreen_size(model, width, height):
             return mujoco.Renderer(model, height, width, font_scale=font)
     except Exception as error:  # every GL backend raises its own
-        advice = "`sero-mj doctor` says what is missing"
-        if not os.environ.get("MUJOCO_GL"):
-            advice = (
-                "mujoco chose its OpenGL backend when it was imported: import sero_mj before it, "
-                "or set MUJOCO_GL=egl"
-            )
         raise RenderError(
-            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; {advice}"
+            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
+            "`sero-mj doctor` says what is missing"
         ) from error
