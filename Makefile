@@ -8,21 +8,21 @@ BIN := .venv/bin
 
 .PHONY: demo test lint bench wheel clean
 
-.venv/.installed: pyproject.toml .ci/setup
-	@.ci/setup
+.venv/.run .venv/.test: pyproject.toml .ci/setup
+	@.ci/setup $(@:.venv/.%=%)
 
-demo: .venv/.installed
+demo: .venv/.run
 	@$(BIN)/sero-mj demo --out out
 
-test: .venv/.installed
+test: .venv/.test
 	$(BIN)/python -m pytest -q
 
-lint: .venv/.installed
+lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: .venv/.installed
+bench: .venv/.test
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/streams.py
 	$(BIN)/python benchmarks/controllers.py
@@ -31,7 +31,7 @@ bench: .venv/.installed
 	$(BIN)/python benchmarks/many.py
 	$(BIN)/python benchmarks/web.py
 
-wheel: .venv/.installed
+wheel: .venv/.test
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 
 clean:

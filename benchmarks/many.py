@@ -8,7 +8,6 @@ run, the fastest of several, so that a busy machine disturbs little.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 
@@ -25,6 +24,7 @@ from sero_mj import make_environment
 from sero_mj.paths import find_scenario
 from sero_mj.simulate.sweep import Sweep
 from sero_mj.simulate.vary import Vary
+from sero_mj.simulate.workers import available_cpus
 
 ENVIRONMENTS = (
     ("lwr/reach", {}),
@@ -79,7 +79,7 @@ def main() -> None:
     )
     rates = Table("processes", "variants/s", "times one")
     one = 0.0
-    for jobs in dict.fromkeys((1, 2, len(os.sched_getaffinity(0)))):
+    for jobs in dict.fromkeys((1, 2, available_cpus())):
         begin = time.perf_counter()
         count = sum(1 for _ in sweep.run(jobs))
         rate = count / (time.perf_counter() - begin)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import re
 import reprlib
-from collections.abc import Callable
-from typing import Annotated, Any, Literal, get_args, get_origin
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from ..errors import DeclarationError, Problem, did_you_mean
@@ -25,7 +26,30 @@ Array = NDArray[np.float64]
 LARGEST = 1e9  # no length, angle, torque or mass of a robot is larger in SI units
 
 
-class Declaration(BaseModel):
+if TYPE_CHECKING:
+
+    class _Model:
+        """`BaseModel` for type checkers.
+
+        They would ask for the types that fields have, where lists are taken for arrays, and for
+        fields whose default is a positional argument; so all keywords are free to them. What is
+        wrong is told when a declaration is made.
+        """
+
+        model_config: ClassVar[ConfigDict]
+        model_fields: ClassVar[dict[str, FieldInfo]]
+        model_fields_set: set[str]
+        __pydantic_fields_set__: set[str]
+
+        def __init__(self, /, **fields: Any) -> None: ...
+        def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self: ...
+        def model_dump(self, **options: Any) -> dict[str, Any]: ...
+
+else:
+    _Model = BaseModel
+
+
+class Declaration(_Model):
     """Base of everything that can be declared in a file or built in Python.
 
     Raises:

@@ -22,6 +22,10 @@ fixed once MuJoCo is imported. Exits with 1 when none works. MUJOCO_GL=osmesa (s
 command chooses one by hand.
 """
 
+_NO_DM_CONTROL = """\
+  dm-control is not installed; only models made with PyMJCF or composer need it (it needs labmaze,
+  which has no release for Python 3.13 and later)"""
+
 _TRIAL = """
 import time, mujoco
 model = mujoco.MjModel.from_xml_string(
@@ -54,10 +58,8 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0 when a backend works, else 1."""
-    versions = {
-        name: importlib.metadata.version(name)
-        for name in ("sero-mj", "mujoco", "dm-control", "numpy", "av")
-    }
+    versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
+    versions["dm-control"] = _version("dm-control")
     backends = {name: try_backend(name) for name in BACKENDS}
     live = {"window": window_problem(), "page": page_problem()}
     chosen = os.environ.get("MUJOCO_GL")
@@ -67,8 +69,11 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps({**found, "chosen": chosen, "live": live}, indent=2))
         return 0 if works else 1
     print(
-        f"Python {platform.python_version()}, " + ", ".join(f"{k} {v}" for k, v in versions.items())
+        f"Python {platform.python_version()}, "
+        + ", ".join(f"{name} {version}" for name, version in versions.items() if version)
     )
+    if versions["dm-control"] is None:
+        print(_NO_DM_CONTROL)
     for name, found in backends.items():
         if found["works"]:
             print(f"  {name:7} works: {found['renderer']}, {found['ms']} ms for 64x64")
@@ -81,6 +86,13 @@ def run(options: argparse.Namespace) -> int:
     if not works:
         print("no backend works: pictures cannot be rendered on this machine")
     return 0 if works else 1
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def window_problem() -> str | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 import time
 from pathlib import Path
@@ -139,6 +138,8 @@ def _run_variants(sweep: Sweep, table: SweepTable, options: argparse.Namespace) 
     from rich import progress as bars
     from rich.console import Console
 
+    from ..simulate.workers import available_cpus
+
     columns = (
         bars.TextColumn("variants"), bars.BarColumn(), bars.MofNCompleteColumn(),
         bars.TimeRemainingColumn(),
@@ -146,7 +147,7 @@ def _run_variants(sweep: Sweep, table: SweepTable, options: argparse.Namespace) 
     console = Console(stderr=True)
     quiet = options.quiet or not console.is_terminal
     count = len(sweep.variants)
-    jobs = min(options.jobs or len(os.sched_getaffinity(0)), max(count - len(table.rows), 1))
+    jobs = min(options.jobs or available_cpus(), max(count - len(table.rows), 1))
     with bars.Progress(*columns, console=console, disable=quiet, transient=True) as progress:
         task = progress.add_task("", total=count, completed=len(table.rows))
         with closing(sweep.run(jobs, done=set(table.rows))) as results:

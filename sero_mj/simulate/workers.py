@@ -23,6 +23,15 @@ Variant = tuple[int, Mapping[str, Any]]
 Result = tuple[int, dict[str, Any]]
 
 
+def available_cpus() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "process_cpu_count"):  # since Python 3.13
+        return os.process_cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):  # neither on macOS nor on Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def work(connection: Connection, file: Path, fixed: Mapping[str, Any]) -> None:
     """Runs variants until the other end is closed, also by the end of its process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked for it closes the connection
