@@ -167,7 +167,7 @@ Name = Annotated[str, AfterValidator(is_name)]
 Frame = Annotated[Array, BeforeValidator(_frame)]
 
 
-def _problems(detail: ErrorDetails, kind: type[BaseModel]) -> list[Problem]:
+def _problems(detail: ErrorDetails, kind: type[Declaration]) -> list[Problem]:
     key = ".".join(str(part) for part in detail["loc"])
     cause = detail.get("ctx", {}).get("error")
     if isinstance(cause, DeclarationError):  # a declaration inside this one: keep its own keys
@@ -175,7 +175,7 @@ def _problems(detail: ErrorDetails, kind: type[BaseModel]) -> list[Problem]:
     return [Problem(key, _MESSAGES.get(detail["type"], _plain_message)(detail, kind))]
 
 
-def _plain_message(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+def _plain_message(detail: ErrorDetails, kind: type[Declaration]) -> str:
     if detail["type"] == "value_error":
         return str(detail["ctx"]["error"])
     expected = detail["msg"].replace("Input should be ", "").removeprefix("a valid ")
@@ -186,12 +186,12 @@ def _plain_message(detail: ErrorDetails, kind: type[BaseModel]) -> str:
     return f"found {reprlib.repr(detail['input'])}; expected {expected}"
 
 
-def _unknown_key(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+def _unknown_key(detail: ErrorDetails, kind: type[Declaration]) -> str:
     names = {field.alias or name for name, field in kind.model_fields.items()}
     return f"unknown key{did_you_mean(str(detail['loc'][-1]), names)}"
 
 
-def _missing(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+def _missing(detail: ErrorDetails, kind: type[Declaration]) -> str:
     name = str(detail["loc"][-1])
     field = kind.model_fields.get(name)
     literal = field is not None and get_origin(field.annotation) is Literal
@@ -199,7 +199,7 @@ def _missing(detail: ErrorDetails, kind: type[BaseModel]) -> str:
     return "is required" + (f"; expected {' or '.join(choices)}" if choices else "")
 
 
-def _literal(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+def _literal(detail: ErrorDetails, kind: type[Declaration]) -> str:
     found = detail["input"]
     expected = detail["ctx"]["expected"]
     choices = [choice.strip("' ") for choice in expected.replace(" or ", ",").split(",")]
@@ -207,7 +207,7 @@ def _literal(detail: ErrorDetails, kind: type[BaseModel]) -> str:
     return f"found {found!r}; expected {expected}" + (near if "did you mean" in near else "")
 
 
-_MESSAGES: dict[str, Callable[[ErrorDetails, type[BaseModel]], str]] = {
+_MESSAGES: dict[str, Callable[[ErrorDetails, type[Declaration]], str]] = {
     "extra_forbidden": _unknown_key,
     "missing": _missing,
     "literal_error": _literal,
