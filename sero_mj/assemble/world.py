@@ -353,21 +353,20 @@ def _compile(spec: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
 def _all_digits() -> Iterator[None]:
     """Has MuJoCo write numbers as they are; on its own it writes six digits of them.
 
-    There is no public call for it in MuJoCo 4.0.0; where a later one lacks this, six it is.
+    MuJoCo 4.0.0 has no public call for it. Where a later one lacks this, six digits it is.
     """
     folder = Path(mujoco.__file__).parent
-    library = ctypes.CDLL(str(next(folder.glob("*mujoco.*[0-9dl]"))))
-    get, put = (
-        getattr(library, f"_mjPRIVATE__{what}_xml_precision", None) for what in ("get", "set")
-    )
-    before = get() if get else 6
-    if put:
-        put(17)
+    files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))
+    library = ctypes.CDLL(str(next(files)))
+    set_digits = getattr(library, "_mjPRIVATE__set_xml_precision", lambda digits: None)
+    set_digits(17)
     try:
         yield
     finally:
-        if put:
-            put(before)
+        set_digits(6)
+
+
+_LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 
 
 def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
