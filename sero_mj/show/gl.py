@@ -6,7 +6,6 @@ driver: Mesa's brings its own LLVM, and a process in which torch has loaded anot
 
 from __future__ import annotations
 
-import importlib
 import os
 import subprocess
 import sys
@@ -46,9 +45,11 @@ def adopt_backend() -> None:
     """
     if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
         return
+    from mujoco.egl import GLContext
+    from mujoco.rendering.classic import gl_context
+
     # MuJoCo 4.0.0 has no public way to change it; `Renderer` reads this name for every context.
-    context = importlib.import_module("mujoco.rendering.classic.gl_context")
-    context.GLContext = importlib.import_module("mujoco.egl").GLContext  # type: ignore[attr-defined]
+    gl_context.GLContext = GLContext
 
 
 def _headless_backend() -> str:
