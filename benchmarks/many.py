@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from sero_mj.show.gl import choose_backend
+from sero_mj.show.headless.gl import choose_backend
 
 choose_backend()
 
@@ -22,9 +22,9 @@ from rich.table import Table
 
 from sero_mj import make_environment
 from sero_mj.paths import find_scenario
-from sero_mj.simulate.sweep import Sweep
-from sero_mj.simulate.vary import Vary
-from sero_mj.simulate.workers import available_cpus
+from sero_mj.study.sweep import Sweep
+from sero_mj.study.vary import Vary
+from sero_mj.study.workers import available_cpus
 
 ENVIRONMENTS = (
     ("lwr/reach", {}),

@@ -9,6 +9,7 @@
     ├── RecordingError        a recording that cannot be written on, or read
     ├── SimulationError       a simulation that cannot go on
     ├── CsvError              a table of comma-separated values that cannot be read or written
+    ├── PluginError           an entry point of another package that cannot be loaded
     ├── RenderError           no picture can be made (no GL, no room for the file)
     └── UsageError            a command line that asks for something impossible
 
@@ -21,6 +22,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
@@ -206,6 +208,23 @@ class SimulationError(SeroError, RuntimeError):
 
 class RenderError(SeroError, RuntimeError):
     """No picture can be made: no software or hardware GL, or no place to write to."""
+
+
+class PluginError(SeroError):
+    """An entry point that cannot be loaded.
+
+    Attributes:
+        group: `sero_mj.sources`, say.
+        point: the entry point.
+    """
+
+    def __init__(self, group: str, point: EntryPoint, cause: Exception) -> None:
+        self.group, self.point = group, point
+        package = "?" if point.dist is None else f"{point.dist.name} {point.dist.version}"
+        super().__init__(
+            f"{group}: '{point.name}' of {package} ({point.value}) cannot be loaded: "
+            f"{type(cause).__name__}: {cause}"
+        )
 
 
 class UsageError(SeroError, ValueError):

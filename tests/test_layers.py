@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -17,18 +18,24 @@ PACKAGE = Path(sero_mj.__file__).parent
 ORDER = (
     "",
     "assemble",
+    "foreign",
     "receive",
+    "record",
     "drive",
+    "send",
+    "control",
+    "runs",
     "simulate",
+    "study",
     "decor",
     "show",
     "environment",
     "cli",
     "__main__",
 )
-ABOVE_ALL = ("errors", "paths")
+ABOVE_ALL = ("errors", "paths", "plugins", "declaration", "frames", "toml_file", "kinds")
 # What the independent check and the packet layer must do without.
-NO_MUJOCO = ("assemble.dh", "assemble.frames", "assemble.shapes", "receive")
+NO_MUJOCO = ("assemble.dh", "frames", "assemble.shapes", "receive", "record.replay")
 MUJOCO = ("mujoco", "dm_control")
 HOMES: dict[str, str] = sero_mj._HOME
 
@@ -170,14 +177,14 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("receive.source", "from ..drive.follow import follow", "imports drive.follow"),
         ("drive.follow", "from ..decor.pen import Pen", "imports decor.pen"),
         ("drive.follow", "if TYPE_CHECKING:\n    from ..decor.pen import Pen", "decor.pen"),
-        ("drive.follow", "def f():\n    from ..show import gl", "imports show.gl"),
+        ("drive.follow", "def f():\n    from ..show import camera", "imports show.camera"),
         ("decor.pen", "from ..show.camera import list_cameras", "imports show.camera"),
-        ("show.gl", "from ..cli import main", "imports cli"),
-        ("errors", "from .assemble import frames", "imports assemble.frames"),
+        ("show.camera", "from ..cli import main", "imports cli"),
+        ("errors", "from .assemble import dh", "imports assemble.dh"),
         ("paths", "def f():\n    from .cli import main", "imports cli"),
         ("assemble", "from .. import decor", "imports decor"),
         ("cli.fk", "from ..__main__ import main", "imports __main__"),
-        ("assemble.dh", "from .mjcf import build_mjcf", "circle: assemble.dh > assemble.mjcf"),
+        ("assemble.dh", "from .mjcf import build_spec", "circle: assemble.dh > assemble.mjcf"),
         ("errors", "from . import paths", "circle: errors > paths > errors"),
         ("drive.follow", "from . import follow", "circle: drive.follow > drive.follow"),
         ("drive.follow", "import_module('sero_mj.decor.pen')", "hides what it imports"),
@@ -200,7 +207,7 @@ def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> 
         ("drive.follow", "from .. import paths, __version__"),
         ("drive.follow", "from .. import SerialRobot"),
         ("cli.fk", "from .arguments import port"),
-        ("__main__", "import sero_mj.show.gl"),
+        ("__main__", "import sero_mj.show.headless.gl"),
         ("errors", "import mujoco.viewer, decor"),  # somebody else's decor
     ],
 )
@@ -221,7 +228,7 @@ def test_what_checks_mujoco_and_what_reads_packets_does_without_it(name: str) ->
 def test_mujoco_is_found_wherever_it_is_imported() -> None:
     modules = read_package()
     for module, line in (
-        ("assemble.frames", "def f():\n    import mujoco.viewer"),
+        ("frames", "def f():\n    import mujoco.viewer"),
         ("errors", "from dm_control.mjcf import RootElement"),
     ):
         found = reachable("receive.udp", {**modules, module: f"{modules[module]}\n{line}\n"})
@@ -282,3 +289,18 @@ def test_a_lazy_name_is_the_thing_in_its_home(name: str) -> None:
 def test_a_name_that_is_not_there_is_told() -> None:
     with pytest.raises(AttributeError, match=r"^module 'sero_mj' has no attribute 'Miror'$"):
         sero_mj.Miror  # noqa: B018
+
+
+def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:
+    text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    mapped = re.findall(r"^\| `(\w+)` \| ", text, re.MULTILINE)
+    assert mapped == [folder for folder in ORDER if folder and folder != "__main__"]
+    assert set(mapped) == {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+
+
+@pytest.mark.parametrize("folder", [folder for folder in ORDER[1:-2] if folder])
+def test_every_room_says_what_comes_in_what_goes_out_and_where_to_begin(folder: str) -> None:
+    about = import_module(f"sero_mj.{folder}").__doc__ or ""
+    assert "\nIn: " in about and "Out: " in about and "\nOpen first: " in about
+    for file in re.findall(r"`([\w/]+\.py)`", about):
+        assert (PACKAGE / folder / file).is_file(), file

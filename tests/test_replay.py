@@ -18,11 +18,10 @@ from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
 from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
 from sero_mj.drive.mirror import load_scene
-from sero_mj.drive.record_sources import record_sources
 from sero_mj.errors import DeclarationError, SourceError
-from sero_mj.receive.live import decoding_fields
-from sero_mj.receive.recording import Recording
-from sero_mj.receive.replay import Replay
+from sero_mj.record.record_sources import record_sources
+from sero_mj.record.recording import Recording
+from sero_mj.record.replay import Replay
 
 STRUCTURE = "number:1H 7F1M 7f"
 ROUTES = {
@@ -173,11 +172,11 @@ def test_a_replay_knows_how_the_source_decoded() -> None:
         structure="1F x:1Tf", is_double=False, column_major=False, scale=0.5, alignment=8,
         udpport=7, host="0.0.0.0",
     )  # fmt: skip
-    assert decoding_fields(source) == {
+    assert source.decoding_fields() == {
         "is_double": False, "column_major": False, "alignment": 8, "scale": 0.5,
         "structure": "1F x:1Tf",
     }  # fmt: skip
-    again = UdpReceiver(**decoding_fields(source))
+    again = UdpReceiver(**source.decoding_fields())
     assert again.layout.dtype == source.layout.dtype
 
 

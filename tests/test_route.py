@@ -20,11 +20,12 @@ from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.drive.route import wire
 from sero_mj.drive.router import Router
 from sero_mj.errors import DeclarationError
-from sero_mj.receive.kinds import KINDS, make_source
+from sero_mj.plugins import SOURCES, plugins
+from sero_mj.receive.kinds import make_source
 from sero_mj.receive.source import Packet
 from sero_mj.receive.udp import UdpReceiver
 
-ANY = " or ".join(map(repr, KINDS))
+ANY = " or ".join(map(repr, plugins(SOURCES)))
 
 INPUTS = ("joint_angles", *VALUE_INPUTS)
 ROBOT = """\

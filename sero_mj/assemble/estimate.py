@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import frames
 from ..errors import DeclarationError
-from . import frames
 from .mjcf_geoms import MESH, hull_asset, mesh_asset, shape_geom
 from .robot import SerialRobot
 from .shapes import grow_links

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import frames
 from ..errors import DeclarationError, Problem
-from . import frames
 from .mjcf_piece import add_file
 from .robot import SerialRobot
 from .shapes import LinkShape

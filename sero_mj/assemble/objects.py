@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from .declaration import Declaration, Frame, Name, Rgba, Vector
+from ..declaration import Declaration, Frame, Name, Rgba, Vector
 from .mjcf_piece import is_mjcf_object
 
 _MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"

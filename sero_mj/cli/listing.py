@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from .. import paths
+from ..plugins import DECOR, SOURCES, is_own, plugins
 from .arguments import Commands, add_command
 
 if TYPE_CHECKING:
-    from ..assemble.declaration import Declaration
+    from ..declaration import Declaration
 
 
 def add_to(commands: Commands) -> None:
@@ -46,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
         about = tomllib.loads(paths.find_scenario(name).read_text(encoding="utf-8"))
         print(f"  {name:18} {about.get('description', '')}")
     _print_environments()
+    _print_plugins()
     return 0
 
 
@@ -58,6 +60,14 @@ def _print_environments() -> None:
             about, *_ = (task.__doc__ or "").splitlines()
             print(f"  {f'{robot}/{name}':18} {about}")
     print("  and every scenario, with an agent in the place of its controller")
+
+
+def _print_plugins() -> None:
+    for group, about in ((SOURCES, "kinds of sources"), (DECOR, "visual features")):
+        print(f"{about} (entry points {group})")
+        for name, point in plugins(group).items():
+            package = "" if is_own(point) else f", of {point.dist.name}" if point.dist else ""
+            print(f"  {name:18} {point.value}{package}")
 
 
 def _first_comment(scene: str) -> str:
@@ -73,14 +83,14 @@ def _print_fields() -> None:
 
 def _print_scenario_fields() -> None:
     """Every table of a scenario with its kinds, keys, defaults and meanings."""
-    from ..simulate.cartesian_laws import CARTESIAN_LAWS
-    from ..simulate.controllers import CONTROLLERS
+    from ..control.cartesian_laws import CARTESIAN_LAWS
+    from ..control.controllers import CONTROLLERS
+    from ..control.laws import LAWS
+    from ..runs.measures import MEASURES
+    from ..runs.monitor import KINDS, Monitor
     from ..simulate.disturbances import DISTURBANCES
     from ..simulate.expect import Expect
     from ..simulate.faults import FAULTS
-    from ..simulate.laws import LAWS
-    from ..simulate.measures import MEASURES
-    from ..simulate.monitor import KINDS, Monitor
     from ..simulate.scenario import Run
     from ..simulate.sensors import SIGNALS, SensorErrors
 

@@ -1,1 +1,7 @@
-"""Values to `MjData`, every tick: routes, kinematics, motions."""
+"""Values to `MjData`, every tick.
+
+In: packets of sources and the scene's routes. Out: joint angles, frames and `userdata`, with every
+follower and double in its place.
+Open first: `mirror.py`; `route.py` says what a route means, `router.py` applies them, `place.py`
+moves what depends on them.
+"""

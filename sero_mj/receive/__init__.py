@@ -1,1 +1,7 @@
-"""Bytes to values: the packet language and the sources that speak it."""
+"""Bytes to values, on a thread of each source's own.
+
+In: UDP packets, shared memory, KUKA FRI. Out: checked packets by event name, and counters of all
+that was not applied.
+Open first: `source.py` (what a source is) and `receiver.py` (what all of ours share);
+`structure.py` and STRUCTURE.md are the packet language, `intake.py` is what a packet has to pass.
+"""

@@ -1,24 +1,20 @@
-"""The kinds of sources that a scene can name."""
+"""Sources by the `kind` that a scene names; other packages add kinds by entry points."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from ..errors import DeclarationError, Problem, nearest
-from .live import LIVE
-from .receiver import Receiver
-from .replay import Replay
+from ..errors import DeclarationError, PluginError, Problem, nearest
+from ..plugins import SOURCES, load_plugin, plugins
 from .source import Source
-
-KINDS: dict[str, type[Receiver]] = {**LIVE, "replay": Replay}
 
 
 def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
     """Builds a source from a scene's table; a source object passes through.
 
     Raises:
-        DeclarationError: no such kind, or wrong fields.
+        DeclarationError: no such kind, one that cannot be loaded, or wrong fields.
     """
     if not isinstance(declared, Mapping):
         if not hasattr(declared, "events"):
@@ -29,12 +25,18 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
     kind = fields.pop("kind", None)
     if "name" in fields:
         raise DeclarationError([Problem("name", "is what stands in the header; leave it out")])
-    if not isinstance(kind, str) or kind not in KINDS:
+    kinds = plugins(SOURCES)
+    if not isinstance(kind, str) or kind not in kinds:
+        expected = " or ".join(map(repr, kinds))
         if kind is None:
-            message = f"is required; expected {' or '.join(map(repr, KINDS))}"
+            message = f"is required; expected {expected}"
         else:
-            message = f"found {kind!r}; expected {' or '.join(map(repr, KINDS))}"
-            near = nearest(kind, KINDS) if isinstance(kind, str) else None
+            message = f"found {kind!r}; expected {expected}"
+            near = nearest(kind, kinds) if isinstance(kind, str) else None
             message += f"; did you mean '{near}'?" if near else ""
         raise DeclarationError([Problem("kind", message)])
-    return KINDS[kind](**{**fields, "name": name})
+    try:
+        source: Source = load_plugin(SOURCES, kind)(**{**fields, "name": name})
+    except PluginError as error:
+        raise DeclarationError([Problem("kind", str(error))]) from error
+    return source

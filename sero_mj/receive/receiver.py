@@ -9,14 +9,15 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from ..assemble.declaration import Declaration
+from ..declaration import Declaration
 from ..errors import StructureError, UnknownName, did_you_mean
+from ..plugins import SOURCES, plugin_name
 from .intake import Intake
 from .source import QUIET_AFTER, Counters, Packet, Packets
 from .structure import Alignment, Structure
@@ -30,6 +31,11 @@ Ints = NDArray[np.intp]
 # Gets the packets of a batch as they came: rows, lengths (n,), arrivals (n,) s.
 Tap = Callable[[Rows, Ints, Array], None]
 
+# The fields that decide what packets mean; those that say where they come from do not matter.
+DECODING = (
+    "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
+    "time_scale",
+)  # fmt: skip
 QUEUE_BYTES = 64 * 2**20  # of packets that wait to be taken when none may be lost
 _WARN_EVERY = 10.0  # s
 
@@ -113,6 +119,16 @@ class Receiver(Declaration):
             alignment=self.alignment,
             scale=self.scale,
         )
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind in files."""
+        return plugin_name(SOURCES, type(self))
+
+    def decoding_fields(self) -> dict[str, Any]:
+        """The fields that decide what packets mean, as JSON's types; for recordings."""
+        fields = self.model_dump(mode="json", include=set(DECODING), exclude_defaults=True)
+        return {key: value for key, value in fields.items() if value != ""}
 
     @property
     def intake(self) -> Intake:

@@ -1,1 +1,7 @@
-"""Motor torques in, measured angles, velocities and torques out: the robot that is simulated."""
+"""Torques in, measured angles, velocities and torques out: the robot that is simulated.
+
+In: a scenario: a scene, controllers, targets, disturbances, faults, expectations. Out: a `RunLog`,
+and whether everything held.
+Open first: `scenario.py` (what can be declared), `simulation.py` (the loop), `plant.py` (the
+robots).
+"""

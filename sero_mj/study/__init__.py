@@ -1,0 +1,5 @@
+"""Runs looked at afterwards.
+
+In: `RunLog`s. Out: comparisons, summaries, figures, sweeps over many variants.
+Open first: `compare.py`; `plot.py` and `figure.py` draw, `sweep.py` runs variants.
+"""
