@@ -15,8 +15,7 @@ from sero_mj.decor.quantities import joint_values
 from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.decor.toggles import Toggles
 from sero_mj.decor.view import View
-from sero_mj.drive.follow import follow
-from sero_mj.drive.place import Placer
+from sero_mj.drive.place import Placer, follow
 from sero_mj.errors import UnknownName
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.drive.follow import follow
+from sero_mj.drive.place import follow
 from sero_mj.send.motion import InverseDynamics, SineMotion
 
 Array = NDArray[np.float64]

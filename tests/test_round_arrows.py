@@ -15,7 +15,7 @@ from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
 from sero_mj.decor.ribbons import TURNING_SPEED
 from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA, WIDEST, arrow_widths
-from sero_mj.drive.follow import follow
+from sero_mj.drive.place import follow
 
 BAND = np.array([0.002])  # the default dead band
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])

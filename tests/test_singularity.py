@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sero_mj.decor.singularity import FAR, inverse_condition, jacobian, towards_singularity
-from sero_mj.drive.follow import follow
+from sero_mj.drive.place import follow
 
 
 def condition_at(world, data, q) -> tuple[float, np.ndarray]:

@@ -19,26 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..declaration import numbers
-from ..errors import DeclarationError, Problem, UnknownName
-from ..frames import frame_from, inverse
+from ..errors import DeclarationError, Problem
+from ..frames import frame_from
 from .frame_table import arrow_table, frame_table
 from .ghost import Ghost
-from .inputs import BLANKABLE, Input, list_inputs, userdata_slots
+from .inputs import BLANKABLE, list_inputs, userdata_slots
 from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
 from .mjcf import build_spec, moved_body
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
 from .mjcf_dynamics import smooth
-from .parts import DoublePart, Owner, RobotPart
+from .parts import DoublePart, RobotPart
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
+from .world_view import WorldView
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 
-class World:
+class World(WorldView):
     """A compiled scene.
 
     Args:
@@ -47,27 +48,14 @@ class World:
             friction and may be elastic (see `assemble.mjcf_dynamics`).
 
     Attributes:
-        scene: what it was compiled from.
         dynamic: whether it is to be simulated.
         dynamics: what every robot's equations of motion are made of, by name; where `dynamic`.
-        model: the `MjModel`.
-        robots: `RobotPart` by name.
-        doubles: `DoublePart` by name.
-        owners: robots and doubles that have joints, by name, in the order of `joints`.
-        joints: arrays over all joints.
-        frames: arrays over all frames.
-        arrows: arrays over all smart arrows.
-        inputs: everything that can be routed to, by `name.key`.
-        slots: name to slice of `userdata`, e.g. `lwr.torques`, `sources.udp`.
-        flags: name of an input to the index in `userdata` that says whether something came.
-        placed: index in `mocap_pos` of what a `frame` or `base_frame` input places, by name.
-        is_borrowed: whether the model is somebody else's (`ModelWorld`).
+
+    The others are those of `WorldView`.
 
     Raises:
         DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
     """
-
-    is_borrowed = False
 
     def __init__(self, scene: Scene, *, dynamic: bool = False) -> None:
         self.scene = scene
@@ -86,7 +74,7 @@ class World:
         self.model = _compile(root, scene)
         if dynamic:
             smooth(self.model)
-            # What is unstable shall be told, not begin anew.
+            # Report instability instead of resetting.
             self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if scene.doubles:
             self._measure_without_doubles()
@@ -95,7 +83,7 @@ class World:
         self.robots = self._find_robots()
         self.doubles = self._find_doubles()
         single = {name: part for name, part in self.doubles.items() if part.path is None}
-        self.owners: dict[str, Owner] = {**self.robots, **single}
+        self.owners = {**self.robots, **single}
         sites = partial(site_ids, self.model)
         self.joints = joint_table(self.owners, self.slots, self.flags, sites)
         self.frames = frame_table(scene, list(self.owners), self.flags, sites)
@@ -114,42 +102,33 @@ class World:
         return data
 
     def state(self, data: mujoco.MjData) -> Any:
-        """What decor reads of `data`: here `data` itself, which has a site for all that it needs.
-
-        A `ModelWorld` returns an object with the same fields.
-        """
+        """What decor reads of `data`: `data` itself, which has a site for all that it needs."""
         return data
 
-    def ghosts(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
-        """Doubles that are drawn and not compiled in: none here, those of a `ModelWorld`.
-
-        Args:
-            state: what `state` returned.
-            shown: which doubles are switched on, (D,).
-        """
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+        """None: they are compiled in."""
         return []
+
+    def geoms_in_view(self) -> NDArray[np.bool_]:
+        """All but the floor, (ngeom,)."""
+        return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
 
     def reset(self, data: mujoco.MjData) -> None:
         """Puts every robot at its declared joint angles and shows what the scene declares."""
         mujoco.mj_resetData(self.model, data)
         for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
-            self._set_declared(data, part.robot, VALUE_INPUTS)
+            self.set_declared(data, part.robot, VALUE_INPUTS)
         for double in self.doubles.values():
             data.mocap_pos[double.mocap] = data.mocap_pos[double.frames] = OUT_OF_SIGHT
             if double.path is None:
-                self._set_declared(data, double.double, ("joint_angles", *VALUE_INPUTS))
+                self.set_declared(data, double.double, ("joint_angles", *VALUE_INPUTS))
         for arrow in self.scene.arrows.values():
-            self._set_declared(data, arrow, ("vector",))
+            self.set_declared(data, arrow, ("vector",))
         for name, frame in self.scene.frames.items():
             data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
-            self._set_declared(data, frame, ("frame",))
+            self.set_declared(data, frame, ("frame",))
         mujoco.mj_forward(self.model, data)
-
-    def _set_declared(self, data: mujoco.MjData, declared: Any, keys: tuple[str, ...]) -> None:
-        for key in keys:
-            if getattr(declared, key) is not None:
-                self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
         """Sets an input; call `drive.place` afterwards to move the frames.
@@ -185,56 +164,6 @@ class World:
         else:
             data.userdata[self.slots[target]] = np.where(np.isfinite(array), array, np.nan).ravel()
         data.userdata[self.flags[target]] = 1.0
-
-    def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
-        """Places a robot's base, a received frame, or a routed object or camera at (4, 4)."""
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
-        data.mocap_pos[self.placed[name]] = T_world[:3, 3]
-        data.mocap_quat[self.placed[name]] = quat
-
-    def resolve_input(self, target: str) -> Input:
-        """Returns the input that `name.key` names.
-
-        Raises:
-            UnknownName: no such name, or no such input of it; lists those that exist.
-        """
-        if target in self.inputs:
-            item = self.inputs[target]
-            if item.kind != "pose" or item.name in self.placed:
-                return item
-            raise UnknownName("moving object or camera (nothing is routed to)", item.name, [])
-        name, _, key = target.partition(".")
-        keys = [item.key for item in self.inputs.values() if item.name == name]
-        if keys:
-            raise UnknownName(f"input of {name}", key, keys)
-        names = dict.fromkeys(item.name for item in self.inputs.values())
-        raise UnknownName("robot", name, list(names))
-
-    def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
-        """T_base_flange (4, 4) of the compiled model at `data`, translation in m."""
-        if robot not in self.robots:
-            raise UnknownName("robot", robot, self.robots)
-        part = self.robots[robot]
-        data = self.state(data)
-        T_world_base, T_world_flange = np.eye(4), np.eye(4)
-        for T, body in ((T_world_base, part.bodies[0]), (T_world_flange, part.flange_body)):
-            T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
-        return np.asarray(inverse(T_world_base) @ T_world_flange)
-
-    def frame(self, data: mujoco.MjData, name: str) -> Array:
-        """T_world_name (4, 4) of a named frame (`lwr/flange`) at `data`, translation in m.
-
-        Raises:
-            UnknownName: no such frame.
-        """
-        if name not in self.frames.names:
-            raise UnknownName("frame", name, self.frames.names)
-        data = self.state(data)
-        site = self.frames.site[self.frames.names.index(name)]
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
-        return T
 
     def export(self, path: Path) -> list[Path]:
         """Writes the MJCF and the files it needs beside it; key frame `home` has the pose.

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .pen import GREY, Kind, Pen
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def _earlier(m: int) -> Array:
     return np.tril(np.ones((m, m)), -1)
 
 
-def draw_axes(pen: Pen, world: World, data: mujoco.MjData, shown: Bools, stale: Bools) -> None:
+def draw_axes(pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, stale: Bools) -> None:
     """Draws three bars for every frame whose axes are shown.
 
     Bars, for a box has 12 triangles and an arrow a thousand: axes would cost more than the robot.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import DoublePart
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .cards import Cards, heights_in_order
 from .lines import Line, billboard_lines, declared_lines, detail_lines
 from .panels import PANEL_RGBA, panel_sizes
@@ -24,7 +24,7 @@ _TINT = 0.30  # how much of a double's colour its panels have
 class Billboards:
     """The billboards of one world; holds what their lines look like."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         joints = world.joints
         parts = list(world.owners.values())
@@ -119,7 +119,7 @@ def _tinted(part: object) -> Array:
     return rgba
 
 
-def _declared_heights(world: World) -> Array:
+def _declared_heights(world: WorldView) -> Array:
     """Height of every joint where the scene declares it, a double's where its robot's is, (N,)."""
     data = world.state(world.make_data())
     joints = world.joints

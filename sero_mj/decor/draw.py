@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .axes import draw_axes
 from .billboards import Billboards
 from .cards import LEADER_RGBA, below, lay_out
@@ -37,7 +37,7 @@ class Decor:
         pen: the geoms of the frame that was drawn last.
     """
 
-    def __init__(self, world: World, capacity: int = CAPACITY, finest: int = FINEST) -> None:
+    def __init__(self, world: WorldView, capacity: int = CAPACITY, finest: int = FINEST) -> None:
         self.pen = Pen(capacity)
         self._world = world
         self._arrows = RoundArrows(world, finest)
@@ -62,7 +62,7 @@ class Decor:
         toggles.follow(data)
         shown = toggles.shown(data)
         pen.hidden = toggles.hidden_geoms()
-        pen.ghosts = world.ghosts(data, toggles.doubles)
+        pen.ghosts = world.drawn_doubles(data, toggles.doubles)
         stale = self._staleness.find(data)
         for name, on in zip(world.doubles, toggles.doubles, strict=True):
             if not on:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import RobotPart
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..frames import rotation_angle
 from .axes import AXIS_RGB, draw_bars
 from .cards import Cards
@@ -34,7 +34,9 @@ _CORNER_RGBA = (0.09, 0.11, 0.14, 0.6)
 _MARGIN = 0.5  # of a line's height
 
 
-def flange_difference(world: World, data: mujoco.MjData, robot: str) -> tuple[float, float] | None:
+def flange_difference(
+    world: WorldView, data: mujoco.MjData, robot: str
+) -> tuple[float, float] | None:
     """How far the received flange frame is from the robot's own.
 
     Args:
@@ -54,7 +56,7 @@ def flange_difference(world: World, data: mujoco.MjData, robot: str) -> tuple[fl
     return distance, rotation_angle(own[:3, :3].T @ received[:3, :3])
 
 
-def _received(world: World, data: mujoco.MjData, robot: str) -> Array | None:
+def _received(world: WorldView, data: mujoco.MjData, robot: str) -> Array | None:
     """T_base_flange (4, 4) as received."""
     target = f"{robot}.flange_check"
     if data.userdata[world.flags[target]] <= 0:
@@ -66,7 +68,7 @@ def _received(world: World, data: mujoco.MjData, robot: str) -> Array | None:
 class FlangeCheck:
     """Draws the comparison for every robot that one has been received for."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         self._flags = np.array([world.flags[f"{name}.flange_check"] for name in world.robots], int)
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .panels import Panels, labels_at
 from .pen import Kind
 from .toggles import Bools
@@ -15,7 +15,7 @@ from .view import View
 _SPACED = 1.05  # distance of two names that stand under each other, over their height
 
 
-def name_panels(world: World, data: mujoco.MjData, named: Bools, view: View) -> Panels | None:
+def name_panels(world: WorldView, data: mujoco.MjData, named: Bools, view: View) -> Panels | None:
     """Returns a panel under the origin of every frame whose name is shown (M,), or None."""
     shown = named.nonzero()[0]
     if not len(shown):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .panels import Panels, panel_sizes
 from .toggles import Toggles
 from .view import View
@@ -33,7 +33,7 @@ _UNLIMITED = "width grows with the value"
 class Legend:
     """One panel for every quantity that arrows show, in the lower left corner."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         self._key: object = None
         self._panels: Panels | None = None

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .singularity import towards_singularity
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ QUANTITY_NAMES = {
 ABSURD = 1e3
 
 
-def joint_values(world: World, data: mujoco.MjData) -> dict[str, Array]:
+def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
     """All received values of all joints, and those that follow from them.
 
     Returns:
@@ -40,7 +40,7 @@ def joint_values(world: World, data: mujoco.MjData) -> dict[str, Array]:
     return values
 
 
-def beyond_belief(world: World, values: dict[str, Array]) -> list[str]:
+def beyond_belief(world: WorldView, values: dict[str, Array]) -> list[str]:
     """Joints whose measured torque is `ABSURD` times its limit, which no arrow shows, in words.
 
     Args:
@@ -57,7 +57,7 @@ def beyond_belief(world: World, values: dict[str, Array]) -> list[str]:
 
 
 def arrow_values(
-    world: World, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
+    world: WorldView, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
 ) -> tuple[Array, Array]:
     """What every joint's arrow shows, and at which value it is at full width.
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
 from .toggles import Shown
@@ -70,7 +70,7 @@ class RoundArrows:
         finest: how many boxes a ribbon has at most.
     """
 
-    def __init__(self, world: World, finest: int = FINEST) -> None:
+    def __init__(self, world: WorldView, finest: int = FINEST) -> None:
         self._world = world
         self._finest = finest
 

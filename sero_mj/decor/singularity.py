@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import Owner
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 
 Array = NDArray[np.float64]
 
 FAR = 0.15  # inverse condition number above which nothing is shown
 
 
-def towards_singularity(world: World, data: mujoco.MjData, part: Owner) -> Array:
+def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
     """How near a singularity is, and which way every joint leads to it.
 
     Args:
@@ -46,7 +46,7 @@ def towards_singularity(world: World, data: mujoco.MjData, part: Owner) -> Array
     return towards
 
 
-def jacobian(world: World, data: mujoco.MjData, part: Owner) -> Array:
+def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
     """Geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
 
     Its columns are those joints that move the flange, all n of a serial robot. It is made from the

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
 from .quantities import ABSURD
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
@@ -30,7 +30,7 @@ _HALF_WIDTH_OF_LENGTH = 0.045
 _HALF_WIDTHS = (0.004, 0.012)  # m
 
 
-def arrow_vectors(world: World, data: mujoco.MjData) -> tuple[Array, Array]:
+def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
     """What every smart arrow shows.
 
     Returns:
@@ -49,7 +49,7 @@ def arrow_vectors(world: World, data: mujoco.MjData) -> tuple[Array, Array]:
 
 
 def draw_smart_arrows(
-    pen: Pen, world: World, data: mujoco.MjData, shown: Bools, vectors: Array, stale: Bools
+    pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, vectors: Array, stale: Bools
 ) -> None:
     """Draws every smart arrow that is shown, has data and is long enough to have a direction.
 
@@ -101,7 +101,7 @@ def draw_smart_arrows(
     rows["rgba"] = rgba[index]
 
 
-def drawn_sizes(world: World, vectors: Array) -> Array:
+def drawn_sizes(world: WorldView, vectors: Array) -> Array:
     """How far every smart arrow reaches from its point (K,), m; 0 where there is no data."""
     table = world.arrows
     magnitude = np.nan_to_num(np.linalg.norm(vectors, axis=1))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.parts import DoublePart
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..receive.source import QUIET_AFTER
 from .panels import Panels, labels_at
 from .pen import Pen
@@ -44,7 +44,7 @@ class _Fed:
 class Staleness:
     """Finds what has no fresh data, greys it and labels it."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         scene = world.scene
         self._fed: list[_Fed] = []
         names = (*world.robots, *world.doubles, *scene.arrows, *scene.frames)
@@ -141,7 +141,7 @@ def among(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
     return np.array([name in stale for name in names], bool)
 
 
-def _fed(world: World, name: str, ages: NDArray[np.intp]) -> _Fed:
+def _fed(world: WorldView, name: str, ages: NDArray[np.intp]) -> _Fed:
     model = world.model
     if name in world.robots:
         part = world.robots[name]

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from ..assemble.inputs import SOURCE_FIELDS
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..receive import fri_layout as fri
 from .panels import Panels, panel_sizes
 from .toggles import Toggles
@@ -91,7 +91,7 @@ def _answers(source: Any) -> bool:
 class Status:
     """What is wrong with sources that send what cannot be used."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._slots = [
             (name, world.slots[f"sources.{name}"], _answers(world.scene.sources[name]))
             for name in world.scene.sources

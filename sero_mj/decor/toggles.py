@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..assemble.inputs import SCENE, Input
 from ..assemble.parts import DoublePart
 from ..assemble.robot_parts import ARROW_QUANTITIES
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 
 Bools = NDArray[np.bool_]
 
@@ -60,7 +60,7 @@ class Toggles:
         hover: what is written beside the pointer, and where that is (pixels); None for nothing.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         self.hover: tuple[str, tuple[float, float]] | None = None
         self._last = np.full(0, np.nan)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from .cards import Cards, heights_in_order
 from .lines import NO_DATA
 from .panels import panel_sizes
@@ -20,7 +20,7 @@ Bools = NDArray[np.bool_]
 class VectorCards:
     """The cards of one world's smart arrows."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         heights = world.state(world.make_data()).site_xpos[world.arrows.site, 2]
         self._rank = heights_in_order(heights)

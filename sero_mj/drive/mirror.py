@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.scene_file import read_scene
 from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..errors import DeclarationError
 from ..paths import find_scene
-from ..receive.source import QUIET_AFTER, Packet, Packets, age
-from .follow import follow
-from .place import Placer
+from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
+from .place import Placer, follow
 from .route import wire
 from .router import Router
 from .source_state import SourceStates
@@ -47,6 +47,48 @@ def load_scene(path: Path | str, overrides: Mapping[str, Any] | None = None) -> 
     if problems:
         raise DeclarationError(problems)
     return scene
+
+
+class LiveWorld(Protocol):
+    """A world whose data changes by itself: what windows and pages show."""
+
+    @property
+    def world(self) -> WorldView:
+        """What is shown."""
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """Its state."""
+
+    @property
+    def routes(self) -> Sequence[Route]:
+        """The routes of numbers in force."""
+
+    @property
+    def sources(self) -> Mapping[str, Source]:
+        """Where packets come from, by name."""
+
+    @property
+    def is_live(self) -> bool:
+        """Whether it follows the real time, so that what shows it must as well."""
+
+    def open(self) -> None:
+        """Begins to follow; raises SourceError."""
+
+    def close(self) -> None:
+        """Ends following."""
+
+    def wait(self, timeout: float) -> list[str]:
+        """Waits up to `timeout` s for packets of every source; returns those still silent."""
+
+    def listen(self, listener: Listener) -> None:
+        """Calls `listener(source, packets)` in `advance` with all packets that are applied."""
+
+    def reset(self) -> None:
+        """Goes back to the declared pose."""
+
+    def advance(self, now: float | None = None) -> bool:
+        """Brings `data` up to date; `now` is the time to show, s since it was opened."""
 
 
 class Mirror:

@@ -6,12 +6,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE
 from ..assemble.mjcf_double import OUT_OF_SIGHT
 from ..assemble.named_frames import WORLD
-from ..assemble.world import World
+from ..assemble.parts import DoublePart
+from ..assemble.world_view import WorldView
 from ..errors import DeclarationError
-from .doubles import pose_doubles
-from .follow import follow
+from ..frames import frame, rotation_from_quat
 from .route import wire
 from .router import LateRouter, Packets
 from .wiring import FrameRoute, Wiring
@@ -30,7 +31,7 @@ class Placer:
         DeclarationError: the scene's routes are wrong.
     """
 
-    def __init__(self, world: World, wiring: Wiring | None = None) -> None:
+    def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
         wiring = wire(world.scene) if wiring is None else wiring
         if wiring.problems:
             raise DeclarationError(world.scene.located(wiring.problems))
@@ -96,3 +97,44 @@ class Placer:
         relative_to = world.scene.frames[name].relative_to
         parent = np.eye(4) if relative_to == WORLD else world.frame(data, relative_to)
         world.set_pose(data, name, parent @ T)
+
+
+def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Computes frames, cameras and lights from `qpos` and `mocap`; time does not pass."""
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)  # MuJoCo's own visualisation needs subtree centres
+    mujoco.mj_camlight(model, data)
+
+
+def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
+    """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
+    for name, part in world.doubles.items():
+        robot = part.of
+        base = frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
+        dh = robot.dh
+        if part.path is not None:
+            targets = dh.frames(part.path, base)
+        elif data.userdata[world.flags[f"{name}.joint_angles"]] > 0:
+            targets = dh.frames(data.userdata[world.slots[f"{name}.joint_angles"]], base)[None]
+            _set_poses(data, part.frames, targets[0, 1:])
+        else:
+            data.mocap_pos[part.mocap] = data.mocap_pos[part.frames] = OUT_OF_SIGHT
+            continue
+        _place(data, part, targets, dh.frames(data.qpos[robot.qpos], base))
+
+
+def _place(data: mujoco.MjData, part: DoublePart, targets: Array, actual: Array) -> None:
+    apart = np.linalg.norm(targets[..., :3, 3] - actual[:, :3, 3], axis=-1) > HIDDEN_DISTANCE
+    # The trace of R_target^T R_actual is 1 + 2 cos(angle between them).
+    trace = np.einsum("rkij,kij->rk", targets[..., :3, :3], actual[:, :3, :3])
+    apart |= trace < 1.0 + 2.0 * np.cos(HIDDEN_ANGLE)
+    _set_poses(data, part.mocap.ravel(), targets.reshape(-1, 4, 4))
+    data.mocap_pos[part.mocap[~apart]] = OUT_OF_SIGHT
+
+
+def _set_poses(data: mujoco.MjData, mocap: NDArray[np.intp], poses: Array) -> None:
+    data.mocap_pos[mocap] = poses[:, :3, 3]
+    quats = np.empty((len(mocap), 4))
+    for quat, rotation in zip(quats, poses[:, :3, :3].reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quat, rotation)
+    data.mocap_quat[mocap] = quats

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.inputs import BLANKABLE
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..receive.source import Packet
 from .affine import Origin
 from .wiring import Route
@@ -27,7 +27,7 @@ class Router:
         routes: those that take nothing but a packet of the source.
     """
 
-    def __init__(self, world: World, routes: Sequence[Route]) -> None:
+    def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
         # What goes as it comes, which is most of it, without a detour.
         self._to_qpos: list[tuple[str, Ints]] = []
@@ -73,7 +73,7 @@ class LateRouter:
         routes: such routes, each after those to what it reads.
     """
 
-    def __init__(self, world: World, routes: Sequence[Route]) -> None:
+    def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
         self._routes = [(route, _Place(world, route)) for route in routes]
 
@@ -112,7 +112,7 @@ class LateRouter:
 class _Place:
     """Where a route writes to."""
 
-    def __init__(self, world: World, route: Route) -> None:
+    def __init__(self, world: WorldView, route: Route) -> None:
         item = route.to
         self._world = world
         self._negated = route.negated

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import mujoco
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..receive.fri_layout import FriLayout
 from ..receive.source import Counters, Packet, Source, age
 
@@ -18,7 +18,7 @@ class SourceStates:
         world: whose slots.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._slots = world.slots
         self._link: dict[str, tuple[tuple[int, ...], float]] = {}
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import mujoco
 
 from ..foreign.model_world import ModelWorld
-from .mirror import Listener, Mirror
+from ..receive.source import Source
+from .mirror import Listener
+from .wiring import Route
 
 
-class Watch(Mirror):
+class Watch:
     """Follows the data of an overlay, as a mirror follows its sources.
 
     It shows a copy, so that a window that is paused stands still while the user's loop goes on.
@@ -21,8 +23,8 @@ class Watch(Mirror):
         self.world = world
         self.data = world.make_data()
         self._theirs: mujoco.MjData = world.data
-        self.routes = []
-        self.sources = {}
+        self.routes: list[Route] = []
+        self.sources: dict[str, Source] = {}
 
     @property
     def is_live(self) -> bool:

@@ -26,7 +26,7 @@ from ..assemble.named_frames import NamedFrame
 from ..assemble.parts import DoublePart
 from ..assemble.scene import Scene
 from ..assemble.scene_toggles import SceneToggles
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName
 from ..frames import frame_from
@@ -60,7 +60,7 @@ class FoundScene(Scene):
         return self._frames
 
 
-class ModelWorld(World):
+class ModelWorld(WorldView):
     """The world of an overlay.
 
     Args:
@@ -81,8 +81,6 @@ class ModelWorld(World):
         UnknownName: no robot, body or site of that name.
     """
 
-    is_borrowed = True
-
     def __init__(
         self,
         model: mujoco.MjModel,
@@ -96,7 +94,7 @@ class ModelWorld(World):
         name: str = "overlay",
     ) -> None:
         self.model, self.data, self.not_finite = model, data, 0
-        self.dynamic, self.dynamics, self.placed = False, {}, {}
+        self.placed = {}
         trees = find_trees(model)
         if not trees:
             raise DeclarationError([Problem("model", _no_joints(model))])
@@ -222,11 +220,11 @@ class ModelWorld(World):
         for double in self.doubles.values():
             if double.path is None:
                 keys = ("joint_angles", "torques", "commanded_torques")
-                self._set_declared(
+                self.set_declared(
                     self.data, double.double, (*keys, "joint_accelerations", "billboard_values")
                 )
         for arrow in self.scene.arrows.values():
-            self._set_declared(self.data, arrow, ("vector",))
+            self.set_declared(self.data, arrow, ("vector",))
 
     def make_data(self) -> mujoco.MjData:
         """Returns a copy of the user's data, frames up to date."""
@@ -255,7 +253,7 @@ class ModelWorld(World):
         positions, rotations = self._sites.read(data, doubles)
         return ModelState(data, self._userdata, positions, rotations, doubles)
 
-    def ghosts(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
         """What is to be drawn of the doubles that are switched on, (D,)."""
         return [
             ghost
@@ -263,6 +261,12 @@ class ModelWorld(World):
             if on
             for ghost in self._posed.ghosts(state, name)
         ]
+
+    def geoms_in_view(self) -> NDArray[np.bool_]:
+        """Those of its robots, (ngeom,): what is around them may be a whole house."""
+        bases = [part.bodies[0] for part in self.robots.values()]
+        of_robots = np.isin(self.model.body_rootid[self.model.geom_bodyid], bases)
+        return np.asarray(of_robots & (self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
         """Sets an input from now on; what the model itself says no longer counts for it.

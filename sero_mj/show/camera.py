@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.mjcf_double import OUT_OF_SIGHT
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError
 
 _MARGIN = 1.12  # room about the robots
 
 
-def find_camera(world: World, wanted: str | None = None) -> mujoco.MjvCamera:
+def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera:
     """Returns the camera to look through.
 
     Args:
@@ -53,19 +53,16 @@ def find_camera(world: World, wanted: str | None = None) -> mujoco.MjvCamera:
     return camera
 
 
-def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
+def bounding_sphere(world: WorldView) -> tuple[NDArray[np.float64], float]:
     """Centre (3,) and radius (m) of a sphere about all but the floor, as declared.
 
     What a route hangs on a robot's flange is where the robot has it.
     """
     model, data = world.model, world.make_data()
-    solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-    if world.is_borrowed:  # its surroundings may be a whole house
-        bases = [part.bodies[0] for part in world.robots.values()]
-        solid &= np.isin(model.body_rootid[model.geom_bodyid], bases)
-    else:
+    if world.scene.routes:
         with contextlib.suppress(DeclarationError):  # wrong routes are told by who follows them
             Placer(world).place(data)
+    solid = world.geoms_in_view()
     solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles that are nowhere yet
     if not solid.any():
         return np.zeros(3), 1.0
@@ -77,7 +74,7 @@ def bounding_sphere(world: World) -> tuple[NDArray[np.float64], float]:
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
 
 
-def list_cameras(world: World) -> list[str]:
+def list_cameras(world: WorldView) -> list[str]:
     """Names of the world's cameras, those of MJCF pieces included."""
     return [world.model.camera(i).name for i in range(world.model.ncam)]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..drive.mirror import Mirror
+from ..drive.mirror import LiveWorld
 from ..record.replay import Replay
 from ..simulate.simulated_source import SimulatedSource
 from .torque_history import SPAN
@@ -44,7 +44,7 @@ class Clock:
         real_speed: what came of `speed` in the last frames; a simulation may be slower.
     """
 
-    def __init__(self, mirror: Mirror) -> None:
+    def __init__(self, mirror: LiveWorld) -> None:
         self._mirror = mirror
         self.is_live = mirror.is_live
         self.is_paused = False
@@ -162,7 +162,7 @@ class Clock:
             self.time = min(max(time, 0.0), end)
 
 
-def end_of(mirror: Mirror) -> float | None:
+def end_of(mirror: LiveWorld) -> float | None:
     """How long its recordings and simulations play, s; None where nothing ends."""
     ends = []
     for source in mirror.sources.values():
@@ -175,7 +175,7 @@ def end_of(mirror: Mirror) -> float | None:
     return max(ends, default=None)
 
 
-def step_of(mirror: Mirror) -> float:
+def step_of(mirror: LiveWorld) -> float:
     """How long a single step is, s: that of the simulation, or a frame."""
     for source in mirror.sources.values():
         if isinstance(source, SimulatedSource):

@@ -10,24 +10,24 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..decor.toggles import Toggles
 from .picking import Picked
 
 Gesture = Literal["click", "shift", "double"]
 GESTURES: tuple[Gesture, ...] = ("click", "shift", "double")
-Action = Callable[[World, Toggles, Picked], None]
+Action = Callable[[WorldView, Toggles, Picked], None]
 
 DOUBLE_CLICK_TIME = 0.35  # s between the two presses
 _DOUBLE_CLICK_PIXELS = 8.0  # between the two presses
 
 
-def _joints(world: World, picked: Picked) -> slice:
+def _joints(world: WorldView, picked: Picked) -> slice:
     """All joints of what was clicked on."""
     return world.owners[picked.owner].joints
 
 
-def _frames(world: World, picked: Picked) -> Any:
+def _frames(world: WorldView, picked: Picked) -> Any:
     """All frames of what was clicked on, or the one that belongs to nothing."""
     if picked.owner not in world.owners:
         return [picked.index]
@@ -38,66 +38,66 @@ def _all_flipped(shown: Any, where: Any) -> None:
     shown[where] = not shown[where].any()
 
 
-def _toggle_billboard(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_billboard(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.billboards[picked.index] ^= True
 
 
-def _toggle_billboards(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_billboards(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     _all_flipped(toggles.billboards, _joints(world, picked))
 
 
-def _toggle_axes(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_axes(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     _all_flipped(toggles.axes, _frames(world, picked))
 
 
-def _hide_billboard(world: World, toggles: Toggles, picked: Picked) -> None:
+def _hide_billboard(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.billboards[picked.index] = toggles.details[picked.index] = False
 
 
-def _hide_billboards(world: World, toggles: Toggles, picked: Picked) -> None:
+def _hide_billboards(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     joints = _joints(world, picked)
     toggles.billboards[joints] = toggles.details[joints] = False
 
 
-def _toggle_details(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_details(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.details[picked.index] ^= True
 
 
-def _toggle_all_details(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_all_details(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     _all_flipped(toggles.details, _joints(world, picked))
 
 
-def _next_quantity_here(world: World, toggles: Toggles, picked: Picked) -> None:
+def _next_quantity_here(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     joints = _joints(world, picked)
     following = toggles.arrow_quantity[picked.index] + 1
     toggles.arrow_quantity[joints] = following % len(ARROW_QUANTITIES)
 
 
-def _toggle_name(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_name(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.frame_names[picked.index] ^= True
 
 
-def _toggle_names(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_names(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     _all_flipped(toggles.frame_names, _frames(world, picked))
 
 
-def _hide_axes(world: World, toggles: Toggles, picked: Picked) -> None:
+def _hide_axes(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.axes[picked.index] = toggles.frame_names[picked.index] = False
 
 
-def _toggle_card(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_card(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.cards[picked.index] ^= True
 
 
-def _toggle_cards(world: World, toggles: Toggles, picked: Picked) -> None:
+def _toggle_cards(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.cards[:] = not toggles.cards.any()
 
 
-def _hide_checks(world: World, toggles: Toggles, picked: Picked) -> None:
+def _hide_checks(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.flange_checks = False
 
 
-def _leave(world: World, toggles: Toggles, picked: Picked) -> None:
+def _leave(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     """Nothing that is shown changes."""
 
 
@@ -130,7 +130,7 @@ CLICKS |= {
 
 
 def click(
-    world: World, toggles: Toggles, picked: Picked | None, gesture: Gesture = "click"
+    world: WorldView, toggles: Toggles, picked: Picked | None, gesture: Gesture = "click"
 ) -> bool:
     """Does what a gesture on something does, see `CLICKS`.
 
@@ -168,7 +168,7 @@ class Pointer:
         toggles: changed in place.
     """
 
-    world: World
+    world: WorldView
     toggles: Toggles
     _before: dict[str, Any] = field(default_factory=dict)
     _first: Picked | None = None

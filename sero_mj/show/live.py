@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..decor.toggles import Toggles
-from ..drive.mirror import Mirror
+from ..drive.mirror import LiveWorld
 from ..errors import RenderError
 from .clicks import OnClick
 from .clock import Clock
@@ -33,7 +33,7 @@ class LiveHost(Protocol):
         on_click: called with what was clicked on and the gesture.
     """
 
-    world: World
+    world: WorldView
     data: mujoco.MjData
     toggles: Toggles
     clock: Clock
@@ -62,7 +62,7 @@ class LiveHost(Protocol):
         """Closes it."""
 
 
-def open_window(mirror: Mirror, **options: Any) -> Window:
+def open_window(mirror: LiveWorld, **options: Any) -> Window:
     """Shows a mirror in a window.
 
     Args:
@@ -78,7 +78,7 @@ def open_window(mirror: Mirror, **options: Any) -> Window:
     return Window(mirror, **options)
 
 
-def open_page(mirror: Mirror, **options: Any) -> WebHost:
+def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
     """Serves a mirror on a web page.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import RobotPart
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
 from ..decor.view import View
 
@@ -59,7 +59,7 @@ class Picked:
 
 
 def pick(
-    world: World,
+    world: WorldView,
     data: mujoco.MjData,
     pen: Pen,
     view: View,
@@ -89,7 +89,7 @@ def pick(
 
 
 def point_at(
-    world: World, data: mujoco.MjData, pen: Pen, view: View, pixel: tuple[float, float]
+    world: WorldView, data: mujoco.MjData, pen: Pen, view: View, pixel: tuple[float, float]
 ) -> Array | None:
     """The point of the world (3,), m, that is seen at a pixel, of the floor too; None for the sky.
 
@@ -111,7 +111,7 @@ def point_at(
 
 
 def _pick_decor(
-    world: World, pen: Pen, view: View, origin: Array, direction: Array, tolerance: float
+    world: WorldView, pen: Pen, view: View, origin: Array, direction: Array, tolerance: float
 ) -> Picked | None:
     rows = pen.rows[: pen.count]
     box, arrow = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ARROW)
@@ -138,7 +138,7 @@ def _pick_decor(
     return Picked(_KINDS[kind], name, owner, item, float(distance[nearest]))
 
 
-def _name_of(world: World, kind: Kind, item: int) -> tuple[str, str]:
+def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
     """Name and owner of a piece of decor."""
     if kind in (Kind.AXES, Kind.NAME):
         name = world.frames.names[item]
@@ -165,7 +165,7 @@ def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: 
 
 
 def _pick_solid(
-    world: World, data: mujoco.MjData, pen: Pen, origin: Array, direction: Array
+    world: WorldView, data: mujoco.MjData, pen: Pen, origin: Array, direction: Array
 ) -> Picked | None:
     model = world.model
     hit, distance = _ray(model, data, pen.hidden, origin, direction)
@@ -189,7 +189,7 @@ def _pick_solid(
     return Picked("object", model.geom(hit).name, "", -1, distance)
 
 
-def _link_of(world: World, part: RobotPart, body: int) -> tuple[str, int] | None:
+def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | None:
     """Name of a robot's link that a body belongs to, and the joint that moves it, from 0."""
     while body:  # children of a link belong to it
         found = (part.bodies == body).nonzero()[0]
@@ -202,7 +202,7 @@ def _link_of(world: World, part: RobotPart, body: int) -> tuple[str, int] | None
     return None
 
 
-def _pick_ghost(world: World, pen: Pen, origin: Array, direction: Array) -> Picked | None:
+def _pick_ghost(world: WorldView, pen: Pen, origin: Array, direction: Array) -> Picked | None:
     """The nearest double along a ray of those that are not compiled in."""
     nearest = None
     for ghost in pen.ghosts:

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
 from .interaction import KEYS, SWITCHES
 
 
-def press_toggle(key: str, world: World, data: mujoco.MjData, toggles: Toggles) -> str:
+def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
     """Does what a key of `KEYS` means.
 
     Args:
@@ -37,7 +37,7 @@ def press_toggle(key: str, world: World, data: mujoco.MjData, toggles: Toggles) 
     return f"{name}: {'on' if shown.any() else 'off'}"
 
 
-def _arrows_text(world: World, data: mujoco.MjData, toggles: Toggles) -> str:
+def _arrows_text(world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
     """What the arrows show, and whether there is anything to show."""
     quantity = toggles.arrow_quantity
     if not len(quantity):

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world import World
+from ..assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..decor.staleness import Staleness
 
@@ -24,7 +24,7 @@ class TorqueHistory:
     Going back in time forgets what came later.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         self._staleness = Staleness(world)
         self._times = np.full(_MOST, np.nan)
@@ -89,7 +89,7 @@ def runs(times: Array, values: Array) -> list[NDArray[np.intp]]:
     return np.split(there, is_gap.nonzero()[0] + 1)
 
 
-def joint_name(world: World, joint: int) -> str:
+def joint_name(world: WorldView, joint: int) -> str:
     """A joint with its robot or double: `lwr/A4`."""
     owner = list(world.owners)[int(world.joints.owner[joint])]
     name = world.joints.names[joint]

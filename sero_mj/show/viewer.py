@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..assemble.looks import Look
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
-from ..assemble.world import World
-from ..drive.mirror import Mirror
+from ..assemble.world_view import WorldView
+from ..drive.mirror import LiveWorld, Mirror
 from ..drive.watch import Watch
 from ..errors import UsageError, did_you_mean
 from ..simulate.named_scene import read_named_scene
@@ -39,8 +39,10 @@ class Viewer:
         url: of the page; None for a window.
     """
 
-    def __init__(self, mirror: Mirror, open_host: Callable[..., LiveHost], **options: Any) -> None:
-        self.world: World = mirror.world
+    def __init__(
+        self, mirror: LiveWorld, open_host: Callable[..., LiveHost], **options: Any
+    ) -> None:
+        self.world: WorldView = mirror.world
         self.data: mujoco.MjData = mirror.data
         self._mirror = mirror
         mirror.open()
@@ -171,14 +173,15 @@ def view(
     page: dict[str, Any] = {name: value for name, value in of_page.items() if value is not None}
     page["camera"] = camera
     viewer = Viewer(mirror, open_page, **page)
-    if mirror.world.is_borrowed and mirror.world.doubles:  # Studio draws no meshes of ours
+    toggles = viewer.host.toggles
+    if mirror.world.drawn_doubles(mirror.world.state(mirror.data), toggles.doubles):
         log.warning("a page shows no doubles of an overlay; a window and pictures do")
-        viewer.host.toggles.doubles[:] = False
+        toggles.doubles[:] = False
     print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
     return viewer
 
 
-def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> Mirror:
+def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> LiveWorld:
     """What is to be shown, in a look of its own where one is given; the user's scene stays."""
     if look is not None and look not in get_args(Look):
         raise UsageError(f"look: found {look!r}{did_you_mean(str(look), get_args(Look))}")

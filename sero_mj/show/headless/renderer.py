@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ...decor.draw import Decor
 from ...decor.font import Font
 from ...decor.pen import Host, Pen
@@ -53,7 +53,7 @@ class HeadlessRenderer:
 
     def __init__(
         self,
-        world: World,
+        world: WorldView,
         width: int = DEFAULT_SIZE[0],
         height: int = DEFAULT_SIZE[1],
         camera: str | None = None,
@@ -78,7 +78,7 @@ class HeadlessRenderer:
         """Renders one frame.
 
         Args:
-            data: the world's state, with frames up to date (`drive.follow`).
+            data: the world's state, with frames up to date (`drive.place.follow`).
             out: (height, width, 3), written to when given.
 
         Returns:
@@ -160,7 +160,7 @@ def _from_below(view: View, x: float, y: float) -> tuple[float, float]:
     return x + 0.5, view.height - y - 0.5
 
 
-def _make_renderer(world: World, width: int, height: int) -> Any:
+def _make_renderer(world: WorldView, width: int, height: int) -> Any:
     model = world.model
     font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{font_scale(world, height)}")
     adopt_backend()

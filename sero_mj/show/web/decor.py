@@ -10,7 +10,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
 from ...assemble.mjcf_double import OUT_OF_SIGHT
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ...decor.draw import Decor
 from ...decor.font import Font
 from ...decor.pen import MAX_GEOMS, Host
@@ -51,7 +51,7 @@ class WebDecor:
         grey: which geoms of the model are to be grey, (ngeom,); None for none.
     """
 
-    def __init__(self, world: World, toggles: Toggles) -> None:
+    def __init__(self, world: WorldView, toggles: Toggles) -> None:
         self.view: View | None = None
         self.count = self.left_out = 0
         self.grey: NDArray[np.bool_] | None = None

@@ -13,7 +13,7 @@ from mujoco.studio import launch_thread, messages, sim_history, ux, viewer_handl
 from numpy.typing import NDArray
 
 from ...decor.toggles import Toggles
-from ...drive.mirror import Mirror
+from ...drive.mirror import LiveWorld
 from ...errors import RenderError, SeroError
 from ..camera import find_camera, list_cameras
 from ..clicks import OnClick, take_click
@@ -61,7 +61,7 @@ class WebHost:
 
     def __init__(
         self,
-        mirror: Mirror,
+        mirror: LiveWorld,
         *,
         camera: str | None = None,
         host: str = LOOPBACK,

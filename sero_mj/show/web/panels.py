@@ -8,10 +8,10 @@ from typing import Any, Protocol
 from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ...decor.pen import MAX_GEOMS
 from ...decor.toggles import Toggles
-from ...drive.mirror import Mirror
+from ...drive.mirror import LiveWorld
 from ...receive.receiver import Receiver
 from ...receive.report import describe, report
 from ..clock import SPEEDS, Clock, time_text
@@ -65,8 +65,8 @@ def tell(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
 class Paneled(Protocol):
     """What the panels are about: a `WebHost`."""
 
-    world: World
-    mirror: Mirror
+    world: WorldView
+    mirror: LiveWorld
     toggles: Toggles
     clock: Clock
     decor: WebDecor

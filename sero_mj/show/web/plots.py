@@ -10,7 +10,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 from numpy.typing import NDArray
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ..torque_history import SPAN, TorqueHistory, joint_name, runs
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class TorquePlots:
         world: the compiled scene.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         self._names = [joint_name(world, i) for i in range(len(world.joints.names))]
         self._lines: dict[str, tuple[list[float], list[float]]] = {}

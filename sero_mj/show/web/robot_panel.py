@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...assemble.parts import Owner
 from ...assemble.robot_parts import ARROW_QUANTITIES
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ...decor.quantities import QUANTITY_NAMES
 from ...decor.toggles import Toggles
 
@@ -33,7 +33,7 @@ class RobotPanel:
         toggles: changed in place.
     """
 
-    def __init__(self, world: World, toggles: Toggles) -> None:
+    def __init__(self, world: WorldView, toggles: Toggles) -> None:
         self._world, self._toggles = world, toggles
         joints, frames = world.joints, world.frames
         # What sliders scale: its name, the array, the rows of an owner, what is declared.

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ..camera import find_camera, list_cameras
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class Navigator:
         UnknownName: no camera of that name.
     """
 
-    def __init__(self, world: World, wanted: str | None = None) -> None:
+    def __init__(self, world: WorldView, wanted: str | None = None) -> None:
         self.camera = find_camera(world, wanted)
         self.following: str | None = None
         self._world = world

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ...decor.draw import Decor
 from ...decor.font import Font
 from ...decor.pen import CAPACITY, Host, Pen
@@ -33,7 +33,7 @@ class Frame:
         rect: where that is in the window.
     """
 
-    def __init__(self, world: World, toggles: Toggles) -> None:
+    def __init__(self, world: WorldView, toggles: Toggles) -> None:
         model = world.model
         self.view: View | None = None
         self.rect = mujoco.MjrRect(0, 0, 1, 1)

@@ -10,7 +10,7 @@ from typing import Any
 import glfw
 import mujoco
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ...decor.font import Font, nearest_font_scale
 from ...errors import RenderError
 from ..events import LEFT, MIDDLE, RIGHT, Event
@@ -53,7 +53,7 @@ class GlWindow:
     """
 
     def __init__(
-        self, world: World, size: tuple[int, int], title: str, *, full_screen: bool = False
+        self, world: WorldView, size: tuple[int, int], title: str, *, full_screen: bool = False
     ) -> None:
         _check(size)
         _start_glfw()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...decor.toggles import Toggles
-from ...drive.mirror import Mirror
+from ...drive.mirror import LiveWorld
 from ...errors import SeroError
 from ..clicks import OnClick, take_click
 from ..clock import Clock, time_text
@@ -65,7 +65,7 @@ class Window:
 
     def __init__(
         self,
-        mirror: Mirror,
+        mirror: LiveWorld,
         *,
         size: tuple[int, int] = DEFAULT_SIZE,
         camera: str | None = None,

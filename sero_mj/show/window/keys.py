@@ -7,7 +7,7 @@ from typing import Protocol
 
 import mujoco
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ...errors import SeroError
 from ..clock import Clock
 from ..events import Event
@@ -25,7 +25,7 @@ _JUMP = 1.0  # s
 class Keyed(Protocol):
     """What keys act on: a `Window`."""
 
-    world: World
+    world: WorldView
     data: mujoco.MjData
     gl: GlWindow
     clock: Clock

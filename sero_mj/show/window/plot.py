@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assemble.world import World
+from ...assemble.world_view import WorldView
 from ..torque_history import SPAN, TorqueHistory, joint_name, runs
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def make_figure(rgb: tuple[tuple[float, float, float], ...]) -> mujoco.MjvFigure
 class TorquePlot:
     """Fills figures with the history of one joint: torques, and their error."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldView) -> None:
         self._world = world
         self.torques, self.error = make_figure(_RGB), make_figure((_ERROR_RGB,))
 
