@@ -79,7 +79,7 @@ def with_doubles(rounds: int) -> list[Row]:
             renderer.render(data)
 
         bare, full = alternate([lambda: frame(True), lambda: frame(False)], rounds)
-        view, decor = renderer.view, Decor(world)
+        view, decor = renderer.decor.view, Decor(world)
         assert view is not None
         pixels = iter(rng.uniform((0, 0), SIZE, (100_000, 2)))
         (laid_out,) = alternate([lambda: decor.draw(data, toggles, view)], rounds * 20)
@@ -90,7 +90,7 @@ def with_doubles(rounds: int) -> list[Row]:
     name = "51 joints and doubles"
     return [
         (f"layout, {name}", f"{laid_out * 1e3:.2f} ms", "", "", "under 2 ms"),
-        (f"geoms, {name}", f"{decor.pen.count}", f"left out {decor.pen.left_out}", "", "to 1024"),
+        (f"geoms, {name}", f"{decor.pen.count}", f"left out {decor.pen.dropped}", "", "to 1024"),
         (f"frame 1280x800, {name}", f"{full * 1e3:.1f} ms", f"bare {bare * 1e3:.1f} ms",
          f"{full / bare:.2f}", "at most 1.5"),
         (f"pick, {name}", f"{picked * 1e3:.2f} ms", "", "", "under 2 ms"),
@@ -107,7 +107,7 @@ def layout(rounds: int) -> list[Row]:
         data, decor, toggles = world.make_data(), Decor(world), Toggles(world)
         with HeadlessRenderer(world, *SIZE) as renderer:
             renderer.render(data)
-            view = renderer.view
+            view = renderer.decor.view
         assert view is not None
         draw, kinematics = alternate(
             [
@@ -208,7 +208,7 @@ def memory(count: int) -> list[Row]:
     find_camera(world)
     with HeadlessRenderer(world, 64, 64) as renderer:
         renderer.render(data)
-        view = renderer.view
+        view = renderer.decor.view
         assert view is not None
         q = np.random.default_rng(3).uniform(-1, 1, (97, 7))
 

@@ -65,7 +65,7 @@ def serve(joints: int) -> None:
                 break
         found = {
             "geoms": page.decor.count,
-            "left_out": page.decor.left_out,
+            "left_out": page.decor.dropped,
             "median": float(np.median(times)),
             "slow": float(np.percentile(times, 95)),
             "states": server.sent / SECONDS,

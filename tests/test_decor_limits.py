@@ -101,7 +101,7 @@ def test_51_joints_find_room_for_their_numbers(lines, own):
             Double(name=f"d{i}", of=f"r{i}", joint_angles=q + 0.5, torques=np.full(n, 9.0), **own)
         )
     pen = draw(Scene(robots=robots, doubles=doubles), view=view_at(0.0, 12, 3840, 2160))
-    assert pen.left_out == 0
+    assert pen.dropped == 0
 
 
 def test_precise_numbers_of_all_51_joints_find_room():
@@ -123,7 +123,7 @@ def test_precise_numbers_of_all_51_joints_find_room():
         t.details[:] = True
 
     pen = draw(Scene(robots=robots), toggle=details, view=view_at(0.0, 12, 3840, 2160))
-    assert pen.left_out == 0
+    assert pen.dropped == 0
 
 
 def test_the_scale_is_stated_beside_two_quantities():

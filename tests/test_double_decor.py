@@ -341,7 +341,7 @@ def test_51_joints_with_everything_and_a_double_each_find_room() -> None:
     toggles.legend = True
     view = view_at(azimuth=0.0, distance=12, width=3840, height=2160)
     pen = draw(world, toggles=toggles, view=view)
-    assert pen.left_out == 0
+    assert pen.dropped == 0
     assert pen.count <= 1024
     assert len(set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])) == 51
     assert len(belonging(pen, Kind.BILLBOARD)) == 51

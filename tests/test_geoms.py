@@ -98,10 +98,10 @@ def test_a_pen_gives_all_or_nothing_and_counts_what_is_left_out() -> None:
     pen = Pen(capacity=10)
     assert len(pen.take(8, 6)) == 8
     assert len(pen.take(3, 6)) == 0
-    assert (pen.count, pen.left_out) == (8, 3)
+    assert (pen.count, pen.dropped) == (8, 3)
     assert len(pen.take(2, 6)) == 2
     pen.clear()
-    assert (pen.count, pen.left_out) == (0, 0)
+    assert (pen.count, pen.dropped) == (0, 0)
 
 
 def test_a_pen_forgets_the_label_of_the_frame_before() -> None:

@@ -50,8 +50,8 @@ def test_every_arrow_is_seen_in_its_colour_at_its_joint(world, renderer, joint: 
     # The missing arrow is noticed, even the thin one of 2 % of the limit ...
     assert len(rows) > 60
     # ... where it belongs ...
-    centre, depth = renderer.view.project(data.site_xpos[world.joints.centre_site[joint]])
-    reach = 0.17 / renderer.view.pixel_size(float(depth))
+    centre, depth = renderer.decor.view.project(data.site_xpos[world.joints.centre_site[joint]])
+    reach = 0.17 / renderer.decor.view.pixel_size(float(depth))
     away = np.hypot(columns - centre[0], (SIZE[1] - rows) - centre[1])
     assert (away < reach).all()
     # ... and in the colour of its sign: orange has more red than blue, blue the reverse.
@@ -79,13 +79,13 @@ def test_billboard_text_is_white_on_its_dark_panel(renderer, world) -> None:
         pixels = renderer.render(data)
     finally:
         renderer.toggles.arrows[:], renderer.toggles.billboards[:] = True, False
-    pen = renderer._decor.pen
+    pen = renderer.decor.pen
     rows = pen.rows[: pen.count]
     labels = rows[rows["type"] == int(mujoco.mjtGeom.mjGEOM_LABEL)]
     assert len(labels) == 7
-    font = renderer.view.font
+    font = renderer.decor.view.font
     for row in labels:
-        (x, y), _ = renderer.view.project(row["pos"].astype(float))
+        (x, y), _ = renderer.decor.view.project(row["pos"].astype(float))
         width = font.width(row["label"])
         box = pixels[
             SIZE[1] - round(y) - font.height : SIZE[1] - round(y), round(x) : round(x) + width + 3
@@ -159,9 +159,9 @@ def test_a_named_camera_looks_at_its_target(lwr) -> None:
     world = World(Scene(robots=[lwr], cameras={"front": camera}))
     with HeadlessRenderer(world, 320, 240, "front") as renderer:
         renderer.render(world.make_data())
-        pixels, _ = renderer.view.project(np.array([0.1, 0.2, 0.3]))
+        pixels, _ = renderer.decor.view.project(np.array([0.1, 0.2, 0.3]))
         assert pixels == pytest.approx([160, 120], abs=0.1)
-        assert renderer.view.position == pytest.approx([2.0, 1.0, 1.5], abs=1e-5)
+        assert renderer.decor.view.position == pytest.approx([2.0, 1.0, 1.5], abs=1e-5)
     with pytest.raises(UnknownName, match="no camera 'fron'; did you mean 'front'"):
         find_camera(world, "fron")
 
@@ -187,7 +187,7 @@ def test_the_default_view_holds_the_whole_robot(lwr) -> None:
     data = world.make_data()
     with HeadlessRenderer(world, 800, 600) as renderer:
         renderer.render(data)
-        pixels, _ = renderer.view.project(data.xpos[world.robots["lwr"].bodies])
+        pixels, _ = renderer.decor.view.project(data.xpos[world.robots["lwr"].bodies])
     assert (pixels > 20).all() and (pixels < [780, 580]).all()
     assert 0.5 < radius < 0.8
     assert np.ptp(pixels[:, 1]) > 300  # and is no speck in it

@@ -40,7 +40,7 @@ def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], 
     """Oracle: renders every geom in a flat colour of its own and reads the colours back."""
     inner = renderer._renderer
     renderer.render(data)
-    scene, pen = inner.scene, renderer._decor.pen
+    scene, pen = inner.scene, renderer.decor.pen
     first = scene.ngeom - pen.count
     owners: list[tuple[str, int]] = [("", -1)]
     for i in range(scene.ngeom):

@@ -47,7 +47,7 @@ class Panel:
 def panels_in(renderer: HeadlessRenderer, data: mujoco.MjData, place: str) -> list[Panel]:
     """Renders a picture and cuts out its billboards."""
     picture = renderer.render(data)
-    view, pen, joints = renderer.view, renderer._decor.pen, renderer.world.joints
+    view, pen, joints = renderer.decor.view, renderer.decor.pen, renderer.world.joints
     assert view is not None
     anchors, depth = view.project(data.site_xpos[joints.centre_site])
     shown = (pen.kinds[: pen.count] == Kind.BILLBOARD).nonzero()[0]

@@ -132,7 +132,7 @@ def test_an_overlay_on_our_own_model_draws_what_its_scene_draws(quantity: str) -
     overlay.set("lwr.joint_accelerations", torques / 10)
     theirs = Decor(world).draw(data, Toggles(world), EVERYWHERE)
     ours = drawn(overlay)
-    assert ours.left_out == theirs.left_out == 0
+    assert ours.dropped == theirs.dropped == 0
     for item in range(7):
         mine, scene = (belonging(pen, Kind.ARROW, item) for pen in (ours, theirs))
         assert len(mine) == len(scene) > 0

@@ -51,7 +51,7 @@ def test_what_finds_no_room_is_counted_and_said_once(overlay: Any, room: int, ca
     for _ in range(2):
         scene.ngeom = before
         left_out = overlay.draw(scene)
-        assert left_out == overlay.left_out == needed.ngeom - before - room
+        assert left_out == overlay.dropped == needed.ngeom - before - room
         assert scene.ngeom == scene.maxgeom
     assert len(caplog.records) == 1
     assert f"{left_out} decor geoms found no room" in caplog.text

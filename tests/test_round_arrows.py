@@ -214,7 +214,7 @@ def test_arrows_of_51_joints_stay_within_their_budget() -> None:
     )
     world = World(Scene(robots=[robot], floor=False))
     pen = Decor(world).draw(world.make_data(), toggles_of(world), view_at(distance=12))
-    assert pen.left_out == 0
+    assert pen.dropped == 0
     assert pen.count < 1024
 
 

@@ -276,7 +276,7 @@ def test_a_double_that_is_off_is_neither_rendered_nor_picked(world) -> None:
         assert (np.abs(with_double.astype(int) - without).max(axis=2) > 20).sum() > 300
         expected = bare.render(plain.make_data())
         assert (np.abs(expected.astype(int) - without).max(axis=2) > 8).mean() < 0.002
-        view = renderer.view
+        view = renderer.decor.view
         assert view is not None
         for x in range(0, 320, 4):  # the ray goes through to what is behind
             found = renderer.pick(data, x, 120)

@@ -175,7 +175,7 @@ def test_what_a_browser_has_no_room_for_is_said(caplog: pytest.LogCaptureFixture
             page.frame()
         assert 0 < page.decor.count <= 1024
         assert len(page.viewer.extra_geoms) == page.decor.count
-        assert page.decor.left_out > 0
+        assert page.decor.dropped > 0
         for _ in range(5):
             page.frame()
     said = [record.getMessage() for record in caplog.records if "no room" in record.getMessage()]

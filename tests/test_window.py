@@ -23,7 +23,7 @@ pytestmark = [
 
 # Where the LWR's joints are in the window, from the upper left corner.
 _JOINTS = (
-    "[w._frame.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][{0}].tolist(), "
+    "[w._frame.decor.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][{0}].tolist(), "
     "w._frame.rect.bottom]"
 )
 
@@ -142,7 +142,9 @@ def test_a_double_click_of_the_right_button_centres_the_view(window: Driven) -> 
     x, y = pixel(window, 5)
     window.click(x, y, "click", "--repeat", 2, "--delay", 60, 3)
     window.settle()
-    seen = window.ask("w._frame.view.project(np.array(w.navigator.camera.lookat))[0].tolist()")
+    seen = window.ask(
+        "w._frame.decor.view.project(np.array(w.navigator.camera.lookat))[0].tolist()"
+    )
     picture = window.ask("w.picture_size")
     assert seen == pytest.approx([picture[0] / 2, picture[1] / 2], abs=1)
     assert pixel(window, 5) == pytest.approx((320, picture[1] / 2), abs=40)
@@ -296,7 +298,7 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
             window.until("not next(iter(w.mirror.sources.values())).receiving")
             window.key("a")
             assert window.ask("w.clock.is_live")
-            window.until("w._frame._pen.grey is not None")  # shown as stale
+            window.until("w._frame.decor.pen.grey is not None")  # shown as stale
     finally:
         sender.kill()
         sender.wait()

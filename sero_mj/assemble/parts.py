@@ -111,6 +111,11 @@ class DoublePart:
     joints: slice
 
     @property
+    def is_compiled(self) -> bool:
+        """Whether the model has bodies for it; else decor draws it."""
+        return self.bodies.size > 0
+
+    @property
     def declared(self) -> Double:
         """What it was declared as: name, toggles, values."""
         return self.double

@@ -16,7 +16,7 @@ from .legend import Legend
 from .panels import Panels, draw_panels
 from .pen import CAPACITY, Pen
 from .quantities import arrow_values, beyond_belief, joint_values
-from .round_arrows import FINEST, RoundArrows
+from .round_arrows import MAX_SEGMENTS, RoundArrows
 from .smart_arrows import arrow_vectors, draw_smart_arrows, drawn_sizes
 from .staleness import Staleness, among
 from .status import Status
@@ -31,16 +31,18 @@ class Decor:
     Args:
         world: the compiled scene.
         capacity: how many geoms the host takes.
-        finest: how many of them a round arrow has at most.
+        max_segments: how many of them a round arrow has at most.
 
     Attributes:
         pen: the geoms of the frame that was drawn last.
     """
 
-    def __init__(self, world: WorldView, capacity: int = CAPACITY, finest: int = FINEST) -> None:
+    def __init__(
+        self, world: WorldView, capacity: int = CAPACITY, max_segments: int = MAX_SEGMENTS
+    ) -> None:
         self.pen = Pen(capacity)
         self._world = world
-        self._arrows = RoundArrows(world, finest)
+        self._arrows = RoundArrows(world, max_segments)
         self._billboards = Billboards(world)
         self._vector_cards = VectorCards(world)
         self._flange_check = FlangeCheck(world)

@@ -42,7 +42,7 @@ class Pen:
         count: how many are in use.
         kinds: what every geom belongs to (`Kind`).
         items: which joint, frame, smart arrow or robot that is.
-        left_out: how many found no room in this frame.
+        dropped: how many found no room in this frame.
         grey: which geoms of the model are to be shown grey, (ngeom,) bool; None for none.
         hidden: which geoms of the model are not to be shown, (ngeom,) bool; None for none.
         ghosts: doubles to be drawn that are not compiled in.
@@ -64,7 +64,7 @@ class Pen:
         self.ghosts: list[Ghost] = []
         self._labelled: list[slice] = []
         self.count = 0
-        self.left_out = 0
+        self.dropped = 0
 
     def clear(self) -> None:
         """Starts a new frame."""
@@ -72,7 +72,7 @@ class Pen:
             self.rows["label"][place] = b""
         self._labelled.clear()
         self.count = 0
-        self.left_out = 0
+        self.dropped = 0
 
     def take(
         self, n: int, geom: int, kind: Kind = Kind.NONE, items: NDArray[np.intp] | int = 0
@@ -80,7 +80,7 @@ class Pen:
         """Returns the next n rows to be filled, of one geom type.
 
         The caller sets size, pos, mat and rgba. When there is no room for all of them none is
-        given and `left_out` grows, so that nothing is drawn in part.
+        given and `dropped` grows, so that nothing is drawn in part.
 
         Args:
             n: how many.
@@ -89,7 +89,7 @@ class Pen:
             items: which joint, frame, smart arrow or robot, (n,).
         """
         if self.count + n > len(self.rows):
-            self.left_out += n
+            self.dropped += n
             return self.rows[:0]
         place = slice(self.count, self.count + n)
         rows = self.rows[place]
@@ -127,11 +127,11 @@ class Host:
             self._hide(pen.hidden)
         if pen.grey is not None:
             self._grey(pen.grey, scene.ngeom)
-        left_out = 0
+        dropped = 0
         if pen.ghosts:
             if self._painter is None:
                 self._painter = GhostPainter(pen.ghosts[0].model)
-            left_out = sum(self._painter.add(ghost, scene, self._view) for ghost in pen.ghosts)
+            dropped = sum(self._painter.add(ghost, scene, self._view) for ghost in pen.ghosts)
         start = scene.ngeom
         count = min(pen.count, scene.maxgeom - start)
         if self._view is not None:
@@ -140,7 +140,7 @@ class Host:
             for geom, row in zip(scene.geoms[start : start + count], pen.rows, strict=False):
                 set_geom(geom, row)
         scene.ngeom = start + count
-        return int(pen.count - count) + left_out
+        return int(pen.count - count) + dropped
 
     def _hide(self, hidden: NDArray[np.bool_]) -> None:
         """Takes geoms of the model out of the scene."""

@@ -32,7 +32,7 @@ WIDEST = 1.5  # of the radius
 
 _STRAIGHT_LENGTH = 2.5  # of the radius: a prismatic joint's arrow
 DARKER = 0.4  # how bright a straight arrow beyond its limit is
-FINEST, _FEWEST_SEGMENTS = 34, 10  # boxes of a ribbon
+MAX_SEGMENTS, _FEWEST_SEGMENTS = 34, 10  # boxes of a ribbon
 _GEOMS_FOR_THE_REST = 60  # legend, status, names, smart arrows
 
 
@@ -67,12 +67,12 @@ class RoundArrows:
 
     Args:
         world: the compiled scene.
-        finest: how many boxes a ribbon has at most.
+        max_segments: how many boxes a ribbon has at most.
     """
 
-    def __init__(self, world: WorldView, finest: int = FINEST) -> None:
+    def __init__(self, world: WorldView, max_segments: int = MAX_SEGMENTS) -> None:
         self._world = world
-        self._finest = finest
+        self._finest = max_segments
 
     def draw(
         self,
@@ -156,11 +156,11 @@ class RoundArrows:
         rows["rgba"] = rgba
 
 
-def _segments(shown: Shown, others: int, finest: int) -> int:
+def _segments(shown: Shown, others: int, max_segments: int) -> int:
     """How finely ribbons are drawn, so that everything that is shown finds room in every host.
 
     It depends on what is switched on and not on the values, which would make them flicker.
     """
     room = MAX_GEOMS - _GEOMS_FOR_THE_REST - others
     budget = room // max(int(np.count_nonzero(shown.arrows)), 1)
-    return min(max(budget, _FEWEST_SEGMENTS), finest)
+    return min(max(budget, _FEWEST_SEGMENTS), max_segments)

@@ -15,8 +15,6 @@ from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
 from ..assemble.mjcf_piece import as_spec, is_mjcf_object
 from ..assemble.scene_toggles import SceneToggles
-from ..decor.draw import Decor
-from ..decor.pen import Host, Pen
 from ..decor.toggles import Toggles
 from ..decor.view import View
 from ..errors import UsageError
@@ -26,7 +24,8 @@ from .canvas import canvas_of
 from .headless.picture import Picture
 from .headless.renderer import DEFAULT_SIZE, HeadlessRenderer
 from .interaction import Gesture, click, hover
-from .picking import Picked, pick
+from .picking import Picked
+from .scene_decor import SceneDecor
 
 log = logging.getLogger(__name__)
 
@@ -38,21 +37,28 @@ class Overlay:
         model: the user's.
         data: the user's; every frame shows it as it is, so call `mj_step` or `mj_forward` before.
         world: what was found in the model.
-        toggles: what is shown.
-        view: of the frame drawn last; None before the first.
-        left_out: how many geoms found no room in that frame.
     """
 
     def __init__(self, world: ModelWorld) -> None:
         self.model, self.data, self.world = world.model, world.data, world
-        self.toggles = Toggles(world)
-        self.view: View | None = None
-        self.left_out = 0
-        self._decor = Decor(world)
-        self._pen: Pen | None = None
-        self._host: tuple[mujoco.MjvScene, Host] | None = None
+        self._decor = SceneDecor(world)
+        self._drawn = self._decor  # what was drawn last: this, or that of a picture
         self._renderer: HeadlessRenderer | None = None
-        self._has_complained = False
+
+    @property
+    def toggles(self) -> Toggles:
+        """What is shown."""
+        return self._decor.toggles
+
+    @property
+    def view(self) -> View | None:
+        """Of the frame drawn last; None before the first."""
+        return self._drawn.view
+
+    @property
+    def dropped(self) -> int:
+        """How many geoms found no room in that frame."""
+        return self._drawn.dropped
 
     @property
     def robots(self) -> dict[str, list[str]]:
@@ -102,7 +108,7 @@ class Overlay:
             size: width and height of the picture, pixels; of an `MjvScene` 640 x 480.
 
         Returns:
-            how many geoms found no room; also in `left_out`.
+            how many geoms found no room; also in `dropped`.
 
         Raises:
             UsageError: it is none of these, or its camera is not known.
@@ -114,22 +120,8 @@ class Overlay:
             if isinstance(look, str):
                 look = find_camera(self.world, look)
             mujoco.mjv_updateCamera(self.model, self.data, look, scene)
-        self.view = View.of_scene(scene, *canvas.size, canvas.font)
-        self._pen = self._decor.draw(self.data, self.toggles, self.view)
-        self.left_out = self._pen.left_out + self._host_of(scene).add(self._pen)
-        if self.left_out and not self._has_complained:
-            self._has_complained = True
-            log.warning(
-                "%d decor geoms found no room and are not shown: the scene has room for %d",
-                self.left_out,
-                scene.maxgeom,
-            )
-        return self.left_out
-
-    def _host_of(self, scene: mujoco.MjvScene) -> Host:
-        if self._host is None or self._host[0] is not scene:
-            self._host = (scene, Host(scene))
-        return self._host[1]
+        self._drawn = self._decor
+        return self._decor.draw(self.data, View.of_scene(scene, *canvas.size, canvas.font), scene)
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
         """Returns what is seen at a pixel of the frame drawn last, from its upper left corner.
@@ -142,9 +134,7 @@ class Overlay:
         Raises:
             UsageError: nothing was drawn yet.
         """
-        pen, view = self._drawn()
-        pixel = (x + 0.5, view.height - y - 0.5)
-        return pick(self.world, self.data, pen, view, pixel, tolerance)
+        return self._drawn.pick(self.data, self._from_below(x, y), tolerance)
 
     def click(
         self, x: float, y: float, gesture: Gesture = "click", tolerance: float = 0.0
@@ -164,13 +154,13 @@ class Overlay:
     def hover(self, x: float, y: float) -> Picked | None:
         """Holds the pointer over a pixel: the name of what is there is written beside it."""
         picked = self.pick(x, y)
-        hover(self.toggles, picked, (x + 0.5, self._drawn()[1].height - y - 0.5))
+        hover(self.toggles, picked, self._from_below(x, y))
         return picked
 
-    def _drawn(self) -> tuple[Pen, View]:
-        if self._pen is None or self.view is None:
+    def _from_below(self, x: float, y: float) -> tuple[float, float]:
+        if self.view is None:
             raise UsageError("nothing was drawn yet: call draw or image before")
-        return self._pen, self.view
+        return x + 0.5, self.view.height - y - 0.5
 
     def image(
         self,
@@ -198,8 +188,7 @@ class Overlay:
         named = camera is None or isinstance(camera, str)
         renderer.camera = find_camera(self.world, camera) if named else camera
         picture: Picture = renderer.render(self.data).view(Picture)
-        self.view, self._pen = renderer.view, renderer.pen
-        self.left_out = renderer.left_out
+        self._drawn = renderer.decor
         return picture
 
     def _repr_png_(self) -> bytes | None:

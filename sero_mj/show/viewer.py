@@ -173,10 +173,9 @@ def view(
     page: dict[str, Any] = {name: value for name, value in of_page.items() if value is not None}
     page["camera"] = camera
     viewer = Viewer(mirror, open_page, **page)
-    toggles = viewer.host.toggles
-    if mirror.world.drawn_doubles(mirror.world.state(mirror.data), toggles.doubles):
+    if not all(double.is_compiled for double in mirror.world.doubles.values()):
         log.warning("a page shows no doubles of an overlay; a window and pictures do")
-        toggles.doubles[:] = False
+        viewer.host.toggles.doubles[:] = False
     print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
     return viewer
 

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
-from ...decor.draw import Decor
 from ...decor.font import Font
-from ...decor.pen import Host, Pen
 from ...decor.toggles import Toggles
 from ...decor.view import View
 from ...errors import RenderError
 from ..camera import find_camera
 from ..font_scale import font_scale
 from ..interaction import Gesture, click, hover
-from ..picking import Picked, pick
+from ..picking import Picked
+from ..scene_decor import SceneDecor
 from .gl import adopt_backend
 from .offscreen import check_size, offscreen_size
 from .picture import Picture
@@ -39,11 +38,9 @@ class HeadlessRenderer:
         camera: see `find_camera`.
 
     Attributes:
-        toggles: what is shown.
+        world: what is rendered.
+        decor: of the frame that was laid out last.
         camera: may be moved between frames.
-        view: of the frame laid out last.
-        pen: its decor.
-        left_out: how many geoms found no room in it.
         size: width and height, pixels.
 
     Raises:
@@ -60,17 +57,20 @@ class HeadlessRenderer:
     ) -> None:
         check_size("picture", width, height)
         self.world = world
-        self.toggles = Toggles(world)
         self.camera = find_camera(world, camera)
         self.size = (width, height)
-        self.view: View | None = None
-        self.pen: Pen | None = None
-        self.left_out = 0
-        self._decor = Decor(world)
+        self.decor = SceneDecor(world)
         self._renderer = _make_renderer(world, width, height)
         self._font = Font.of_context(self._renderer._mjr_context)
-        self._host = Host(self._renderer.scene)
-        self._complained = False
+
+    @property
+    def toggles(self) -> Toggles:
+        """What is shown; may be another host's."""
+        return self.decor.toggles
+
+    @toggles.setter
+    def toggles(self, toggles: Toggles) -> None:
+        self.decor.toggles = toggles
 
     def render(
         self, data: mujoco.MjData, out: NDArray[np.uint8] | None = None
@@ -84,20 +84,15 @@ class HeadlessRenderer:
         Returns:
             (height, width, 3), 0 to 255; a notebook shows it.
         """
-        _, pen = self._lay_out(data)
-        self.left_out = pen.left_out + self._host.add(pen)
-        if self.left_out and not self._complained:
-            self._complained = True
-            log.warning("%d decor geoms found no room and are not shown", self.left_out)
+        view = self._look(data)
+        self.decor.draw(data, view, self._renderer.scene)
         pixels: NDArray[np.uint8] = self._renderer.render(out=out)
         return pixels if out is not None else pixels.view(Picture)
 
-    def _lay_out(self, data: mujoco.MjData) -> tuple[View, Pen]:
+    def _look(self, data: mujoco.MjData) -> View:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
-        self.view = View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
-        self.pen = self._decor.draw(data, self.toggles, self.view)
-        return self.view, self.pen
+        return View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
 
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
@@ -110,8 +105,8 @@ class HeadlessRenderer:
             y: down, 0 to height.
             tolerance: see `picking.pick`.
         """
-        view, pen = self._lay_out(data)
-        return pick(self.world, data, pen, view, _from_below(view, x, y), tolerance)
+        self.decor.lay_out(data, self._look(data))
+        return self.decor.pick(data, self._from_below(x, y), tolerance)
 
     def click(
         self,
@@ -140,9 +135,12 @@ class HeadlessRenderer:
         The name of what is there is written beside it in the frames that follow.
         """
         picked = self.pick(data, x, y)
-        assert self.view is not None  # pick has laid it out
-        hover(self.toggles, picked, _from_below(self.view, x, y))
+        hover(self.toggles, picked, self._from_below(x, y))
         return picked
+
+    def _from_below(self, x: float, y: float) -> tuple[float, float]:
+        """The middle of a pixel, y up, from one that is counted from the upper left corner."""
+        return x + 0.5, self.size[1] - y - 0.5
 
     def close(self) -> None:
         """Frees the OpenGL context."""
@@ -153,11 +151,6 @@ class HeadlessRenderer:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-
-def _from_below(view: View, x: float, y: float) -> tuple[float, float]:
-    """The middle of a pixel, y up, from one that is counted from the upper left corner."""
-    return x + 0.5, view.height - y - 0.5
 
 
 def _make_renderer(world: WorldView, width: int, height: int) -> Any:

@@ -173,7 +173,7 @@ class WebHost:
         if viewer.has_ui:
             viewer.dispatch(messages.UpdateEvent())
             viewer.dispatch(messages.BuildGuiEvent())
-        self.decor.lay_out(self.data, viewer, self._panels.inset)
+        self.decor.show_in(viewer, self.data, self._panels.inset)
         self._greying.show(self.decor.grey)
         viewer.sync()
         self.work = time.monotonic() - begin
@@ -203,7 +203,7 @@ class WebHost:
         if clicked.centre:
             self._centre(at)
             return
-        picked = self.decor.pick(self.data, *at)
+        picked = self.decor.pick(self.data, at)
         take_click(self, self._pointer, picked, clicked, self._centre)
 
     def point(self, at: tuple[float, float] | None) -> None:
@@ -212,10 +212,10 @@ class WebHost:
         if at is None:
             self.toggles.hover = None
         else:
-            hover(self.toggles, self.decor.pick(self.data, *at), at)
+            hover(self.toggles, self.decor.pick(self.data, at), at)
 
     def _centre(self, at: tuple[float, float]) -> None:
-        point, camera = self.decor.point_at(self.data, *at), self.viewer.camera
+        point, camera = self.decor.point_at(self.data, at), self.viewer.camera
         if point is None or not np.isfinite(point).all():
             return
         camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
@@ -274,7 +274,7 @@ class WebHost:
         return f"camera {names[number - 1]}" if number else "the view of the start"
 
     def _follow(self) -> str:
-        picked = None if self._under is None else self.decor.pick(self.data, *self._under)
+        picked = None if self._under is None else self.decor.pick(self.data, self._under)
         camera = self.viewer.camera
         frames = self.world.frames
         if picked is None or picked.name not in frames.names:

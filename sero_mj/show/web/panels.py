@@ -220,9 +220,9 @@ class Panels(plugin.ViewerPlugin):
     def _decor(self) -> None:
         decor = self._host.decor
         tell(f"decor: {decor.count} of {MAX_GEOMS} geoms", "quiet")
-        if decor.left_out:
+        if decor.dropped:
             tell(
-                f"{decor.left_out} more found no room: a browser takes {MAX_GEOMS}. "
+                f"{decor.dropped} more found no room: a browser takes {MAX_GEOMS}. "
                 "Switch something off.",
                 "bad",
             )

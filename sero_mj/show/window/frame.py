@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
-from ...decor.draw import Decor
 from ...decor.font import Font
-from ...decor.pen import CAPACITY, Host, Pen
+from ...decor.pen import CAPACITY
 from ...decor.toggles import Toggles
 from ...decor.view import View
-from ..picking import Picked, pick, point_at
+from ..picking import Picked
+from ..scene_decor import SceneDecor
 
 log = logging.getLogger(__name__)
 
@@ -29,21 +29,17 @@ class Frame:
         toggles: what is shown.
 
     Attributes:
-        view: of the picture that was laid out last; None before the first.
+        decor: of the picture that was laid out last.
         rect: where that is in the window.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
         model = world.model
-        self.view: View | None = None
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
-        self._world, self._toggles = world, toggles
+        self.decor = SceneDecor(world, toggles)
+        self._model = model
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + CAPACITY + _MORE)
         self._option = mujoco.MjvOption()
-        self._decor = Decor(world)
-        self._host = Host(self._scene)
-        self._pen: Pen | None = None
-        self._has_complained = False
 
     def lay_out(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, rect: mujoco.MjrRect, font: Font
@@ -58,15 +54,11 @@ class Frame:
         """
         scene = self._scene
         mujoco.mjv_updateScene(
-            self._world.model, data, self._option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene
+            self._model, data, self._option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene
         )
         self.rect = rect
-        self.view = View.of_scene(scene, rect.width, rect.height, font)
-        self._pen = self._decor.draw(data, self._toggles, self.view)
-        left_out = self._pen.left_out + self._host.add(self._pen)
-        if left_out and not self._has_complained:
-            self._has_complained = True
-            log.warning("%d decor geoms found no room and are not shown", left_out)
+        view = View.of_scene(scene, rect.width, rect.height, font)
+        self.decor.draw(data, view, scene)
 
     def draw(self, context: mujoco.MjrContext) -> None:
         """Renders what was laid out."""
@@ -89,12 +81,8 @@ class Frame:
 
     def pick(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
         """What is seen at a pixel of the window."""
-        if self.view is None or self._pen is None or not self.contains(x, y):
-            return None
-        return pick(self._world, data, self._pen, self.view, self.to_picture(x, y))
+        return self.decor.pick(data, self.to_picture(x, y)) if self.contains(x, y) else None
 
     def point_at(self, data: mujoco.MjData, x: float, y: float) -> NDArray[np.float64] | None:
         """The point of the world (3,), m, at a pixel of the window: of the floor too."""
-        if self.view is None or self._pen is None or not self.contains(x, y):
-            return None
-        return point_at(self._world, data, self._pen, self.view, self.to_picture(x, y))
+        return self.decor.point_at(data, self.to_picture(x, y)) if self.contains(x, y) else None

@@ -285,7 +285,7 @@ class Window:
             self._click(found)
 
     def _move(self, moved: Moved, height: int) -> None:
-        view, navigator = self._frame.view, self.navigator
+        view, navigator = self._frame.decor.view, self.navigator
         if view is None:
             return
         navigator.free(view.position, view.forward)
@@ -311,7 +311,7 @@ class Window:
         take_click(self, self._pointer, picked, clicked, self._centre)
 
     def _centre(self, at: tuple[float, float]) -> None:
-        view, point = self._frame.view, self._frame.point_at(self.data, *at)
+        view, point = self._frame.decor.view, self._frame.point_at(self.data, *at)
         if point is None or view is None or not np.isfinite(point).all():
             return
         self.navigator.free(view.position, view.forward)
