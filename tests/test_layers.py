@@ -33,7 +33,7 @@ ORDER = (
     "cli",
     "__main__",
 )
-ABOVE_ALL = ("errors", "paths", "plugins", "declaration", "frames", "toml_file", "kinds")
+ABOVE_ALL = ("errors", "files", "paths", "plugins", "declaration", "frames", "toml_file", "kinds")
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = ("assemble.dh", "frames", "assemble.shapes", "receive", "record.replay")
 MUJOCO = ("mujoco", "dm_control")

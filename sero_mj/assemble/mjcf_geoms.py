@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from .. import frames
 from ..errors import DeclarationError, Problem
-from .mjcf_piece import add_file
+from ..files import read_file
+from .mjcf_piece import MOST_ASSET_BYTES, add_file
 from .robot import SerialRobot
 from .shapes import LinkShape
 
@@ -48,7 +49,7 @@ def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: float) -> str:
         DeclarationError: the file cannot be read.
     """
     try:
-        contents = path.read_bytes()
+        contents = read_file(path, MOST_ASSET_BYTES)
     except OSError as error:
         raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
     # The hull gives a mass even to a mesh with holes; the surface is drawn as it is.

@@ -11,6 +11,10 @@ from xml.etree import ElementTree
 import mujoco
 
 from ..errors import DeclarationError, Problem
+from ..files import open_file, read_file
+
+_MOST_BYTES = 100_000_000  # of a file of MJCF
+MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 
 
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
@@ -27,7 +31,10 @@ def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
     try:
         spec = _read(source, folder)
         _keep_files(spec)
-    except (ValueError, TypeError, OSError, mujoco.FatalError) as error:
+    except OSError as error:
+        reason = f"{error.filename or source}: {error.strerror or error}"
+        raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
+    except (ValueError, TypeError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
     for k, body in enumerate(spec.bodies[1:]):
@@ -56,6 +63,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if not source.lstrip().startswith("<"):
+        open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe for ever
         return mujoco.MjSpec.from_file(str(folder / source))
     spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
     spec.modelfiledir = str(folder)
@@ -74,7 +82,7 @@ def _included(text: str, folder: Path) -> Mapping[str, bytes]:
         except ElementTree.ParseError:
             continue  # MuJoCo says where
         for name in names - set(found):
-            found[name] = (folder / name).read_bytes()
+            found[name] = read_file(folder / name, _MOST_BYTES)
             waiting.append(found[name])
     return found
 
@@ -99,7 +107,7 @@ def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
         return file
     name = Path(file).name if spec.strippath else file
     path = Path(spec.modelfiledir) / folder / name
-    return add_file(spec, path, path.read_bytes())
+    return add_file(spec, path, read_file(path, MOST_ASSET_BYTES))
 
 
 def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes) -> str:

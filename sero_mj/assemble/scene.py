@@ -18,6 +18,19 @@ from .robot_parts import VALUE_INPUTS, check_line_values
 from .route_text import names_in, origin_text
 from .scene_toggles import SceneToggles
 
+# What a scene holds at most; it is compiled in seconds, and not in minutes.
+MOST_ENTRIES = {
+    "robots": 200,
+    "doubles": 500,
+    "arrows": 1000,
+    "frames": 1000,
+    "objects": 2000,
+    "cameras": 1000,
+    "lights": 100,
+    "sources": 1000,
+    "routes": 10000,
+}
+
 
 class Scene:
     """Everything one picture is made from.
@@ -36,6 +49,7 @@ class Scene:
         floor: whether there is one.
         view: where one looks from.
         toggles: what is shown of the whole scene.
+        description: one line about it, for `sero-mj list` and `check`.
         name: shown in titles and messages.
         file: the file it was read from.
         broken: what the file declares but could not be built: sections (`robots`) and entries
@@ -60,6 +74,7 @@ class Scene:
         floor: bool = True,
         view: View | None = None,
         toggles: SceneToggles | None = None,
+        description: str = "",
         name: str = "scene",
         file: Path | None = None,
         broken: Collection[str] = (),
@@ -82,6 +97,7 @@ class Scene:
         self.floor = floor
         self.view = view or View()
         self.toggles = toggles or SceneToggles()
+        self.description = description
         self.name = name
         self.file = file
         self.broken = frozenset(broken)
@@ -129,7 +145,15 @@ class Scene:
         return list_frames(self.robots, self.doubles, self.frames, self.objects)
 
     def problems(self) -> list[Problem]:
-        """What its entries say of each other that is not so."""
+        """What its entries say of each other that is not so, or that there are too many."""
+        sections = {key: getattr(self, key) for key in MOST_ENTRIES}
+        too_many = [
+            Problem(key, f"found {len(entries)}; expected at most {MOST_ENTRIES[key]}")
+            for key, entries in sections.items()
+            if len(entries) > MOST_ENTRIES[key]
+        ]
+        if too_many:  # to look at them would take as long as to compile them
+            return too_many
         return [*self._name_problems(), *self._double_problems(), *self._frame_problems()]
 
     def _name_problems(self) -> list[Problem]:

@@ -8,6 +8,7 @@ copies, history and recordings carry it. `mj_resetData` zeroes it: apply the lat
 from __future__ import annotations
 
 import ctypes
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -35,8 +36,11 @@ from .robot_parts import VALUE_INPUTS
 from .scene import Scene
 from .world_view import WorldView
 
+log = logging.getLogger(__name__)
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
+_IMPLAUSIBLE_REACH = 20.0  # m; no robot arm is so long, and a picture of one shows a floor
 
 
 class World(WorldView):
@@ -63,6 +67,7 @@ class World(WorldView):
         problems = scene.problems()  # also of what was added since the scene was made
         if problems:
             raise DeclarationError(scene.located(problems))
+        _warn_of_lengths(scene)
         self.inputs = list_inputs(scene)
         self.slots, self.flags = userdata_slots(scene)
         self.dynamics = _dynamics(scene) if dynamic else {}
@@ -255,6 +260,18 @@ class World(WorldView):
             )
             start = stop
         return parts
+
+
+def _warn_of_lengths(scene: Scene) -> None:
+    """Says which robots are so large that their lengths are in mm, or meant to be."""
+    for name, robot in scene.robots.items():
+        if robot.reach > _IMPLAUSIBLE_REACH:
+            log.warning(
+                "robot '%s' reaches %.4g m; lengths are in m, and length_unit = \"mm\" is for a DH "
+                "table in mm",
+                name,
+                robot.reach,
+            )
 
 
 def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:

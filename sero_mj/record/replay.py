@@ -18,6 +18,7 @@ from ..receive.intake import Intake
 from ..receive.receiver import Receiver, log
 from ..receive.source import Packets
 from ..receive.structure import Structure
+from .open_recording import open_recording
 from .recording import RecordedSource, Recording
 
 Array = NDArray[np.float64]
@@ -78,7 +79,7 @@ class Replay(Receiver):
     @classmethod
     def _file_is_a_recording(cls, file: Path) -> Path:
         try:
-            Recording(file).close()
+            open_recording(file).close()
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return file

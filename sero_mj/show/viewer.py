@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.looks import Look
 from ..assemble.robot import SerialRobot
@@ -22,6 +20,7 @@ from ..errors import UsageError, did_you_mean
 from ..simulate.named_scene import read_named_scene
 from .clicks import OnClick
 from .display import has_display
+from .headless.picture import Picture
 from .headless.renderer import DEFAULT_SIZE
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
@@ -36,7 +35,8 @@ class Viewer:
         world: the compiled scene.
         data: its state; set joint angles and the like with `set`.
         host: the `Window` or `WebHost`, with what is shown, and the clock.
-        url: of the page; None for a window.
+        url: of the page for browsers on this machine; None for a window.
+        urls: the same, and where the page is for browsers elsewhere; none for a window.
     """
 
     def __init__(
@@ -51,7 +51,8 @@ class Viewer:
         except BaseException:
             mirror.close()
             raise
-        self.url: str | None = getattr(self.host, "url", None)
+        self.urls: list[str] = getattr(self.host, "urls", [])
+        self.url: str | None = self.urls[0] if self.urls else None
         self.host.frame()
 
     @property
@@ -96,9 +97,10 @@ class Viewer:
             raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
         self.host.on_click = callback
 
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Picture:
         """What is seen, (height, width, 3), without the host's own text."""
-        return self.host.picture()
+        picture: Picture = self.host.picture().view(Picture)
+        return picture
 
     def close(self) -> None:
         """Closes the host and the sources."""
@@ -132,6 +134,7 @@ def view(
     full_screen: bool = False,
     host: str | None = None,
     port: int | None = None,
+    token: bool = False,
 ) -> Viewer:
     """Opens a window or a web page on a scene and returns at once.
 
@@ -152,13 +155,15 @@ def view(
         full_screen: whether the window covers the screen.
         host: address that the page is served at; None for this machine only.
         port: of the page; None for the first free one from 8080 on.
+        token: whether the page's address has a token that nobody else knows; beyond this machine
+            it has one in any case.
 
     Raises:
         UsageError: these do not go together, or are something else.
         SeroError: what is wrong with the scene, its sources or the camera, no display for a
             window, or no such address for a page.
     """
-    of_page = {"host": host, "port": port}
+    of_page = {"host": host, "port": port, "token": token or None}
     of_window = {"size": size, "full_screen": full_screen or None}
     if web is None:
         web = not has_display()
@@ -176,7 +181,7 @@ def view(
     if not all(double.is_compiled for double in mirror.world.doubles.values()):
         log.warning("a page shows no doubles of an overlay; a window and pictures do")
         viewer.host.toggles.doubles[:] = False
-    print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
+    print(f"{mirror.world.scene.name} is at {' and '.join(viewer.urls)}", flush=True)
     return viewer
 
 
