@@ -183,14 +183,6 @@ def test_what_a_browser_has_no_room_for_is_said(caplog: pytest.LogCaptureFixture
     assert said[0].endswith("decor geoms found no room and are not shown: a browser takes 1024")
 
 
-def test_dropped_files_do_not_replace_the_scene(
-    page: WebHost, caplog: pytest.LogCaptureFixture
-) -> None:
-    page.viewer._drop_queue.put({"robot.xml": b"<mujoco/>"})
-    assert page.viewer.get_drop_file() == ""
-    assert "a file was dropped onto the page and left out" in caplog.text
-
-
 def test_doubles_that_are_off_are_out_of_sight_in_browsers_only(page: WebHost) -> None:
     double = next(iter(page.world.doubles.values()))
     page.clock.seek(1.5)  # pushed away from where its double stands

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import logging
 import socket
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -23,8 +22,9 @@ from sero_mj.decor.view import View as PictureView
 from sero_mj.errors import RenderError, UsageError
 from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
 from sero_mj.show.web import app
+from sero_mj.show.web.guard import Guard
 from sero_mj.show.web.host import check_address, page_url
-from sero_mj.show.web.site import make_site, with_head
+from sero_mj.show.web.site import find_files, read_page, with_head
 from sero_mj.show.web.studio import _NO_GOODBYES, CalmUi, QuietServer
 from sero_mj.show.window_help import help_columns
 
@@ -102,20 +102,17 @@ def test_studios_page_gets_a_title_and_fingers_that_click_once() -> None:
     assert with_head("<html></html>", "title") == "<html></html>"  # another Studio's
 
 
-def test_the_files_of_the_page_go_with_it() -> None:
-    site = make_site("lwr - sero-mj")
-    folder = Path(site.name)
-    assert "<title>lwr - sero-mj</title>" in (folder / "index.html").read_text("utf-8")
-    assert (folder / "web_client.wasm").is_file()
-    site.cleanup()
-    assert not folder.exists()
+def test_the_page_has_its_title_and_studios_files() -> None:
+    assert b"<title>lwr - sero-mj</title>" in read_page("lwr - sero-mj")
+    assert (find_files() / "web_client.wasm").is_file()
 
 
 def test_a_state_is_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [10.0]
     monkeypatch.setattr("sero_mj.show.web.studio.time.monotonic", lambda: now[0])
     with socket.socket() as one, socket.socket() as two:
-        server = QuietServer(http_sock=one, tcp_sock=two)
+        guard = Guard(b"", "127.0.0.1", "localhost", None)
+        server = QuietServer(guard, http_sock=one, tcp_sock=two)
         for payload, after in ((b"a", 0.0), (b"a", 0.1), (b"b", 0.1), (b"b", 0.1), (b"b", 0.6)):
             now[0] += after
             server.update_state(payload)
@@ -166,6 +163,7 @@ def test_pages_are_named_by_addresses_that_a_browser_takes() -> None:
     assert page_url("0.0.0.0", 80) == "http://localhost:80/"
     assert page_url("192.168.1.7", 8080) == "http://192.168.1.7:8080/"
     assert page_url("fe80::1", 8080) == "http://[fe80::1]:8080/"
+    assert page_url("::", 8080, "secret") == "http://localhost:8080/?token=secret"
 
 
 @pytest.mark.parametrize("host", ["203.0.113.7", "no such host", "x" * 300])
@@ -178,9 +176,8 @@ def test_an_address_of_others_is_refused(host: str) -> None:
 
 def options(**given: Any) -> argparse.Namespace:
     nothing = dict.fromkeys(("port", "host", "size"))
-    return argparse.Namespace(
-        **{"window": False, "web": False, "full_screen": False} | nothing | given
-    )
+    switches = dict.fromkeys(("window", "web", "full_screen", "token"), False)
+    return argparse.Namespace(**switches | nothing | given)
 
 
 def test_there_is_a_page_where_there_is_no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,6 +207,7 @@ def test_it_says_why_it_is_a_page_once_there_is_a_scene(
     [
         ({"window": True, "port": 8080}, "--port is for the page"),
         ({"window": True, "host": "0.0.0.0"}, "--host is for the page"),
+        ({"window": True, "token": True}, "--token is for the page"),
         ({"web": True, "size": (640, 480)}, "--size is for the window"),
         ({"port": 8080, "full_screen": True}, "--full-screen is for the window"),
         ({"window": True}, "no display for a window"),

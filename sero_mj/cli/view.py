@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import sys
 from pathlib import Path
@@ -18,6 +17,7 @@ from .arguments import (
     replay_instead,
     size,
 )
+from .ending import until_ended
 from .scene_options import add_scene_options, read_scene
 
 _SIZE = (1280, 800)
@@ -32,7 +32,7 @@ examples:
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
 the page. Browsers on other machines reach it through `ssh -L 8080:localhost:8080 MACHINE`, or with
---host 0.0.0.0, which asks nobody for a password.
+--host 0.0.0.0 under the printed address, which has a token; nothing is encrypted.
 """
 
 
@@ -53,6 +53,11 @@ def add_to(commands: Commands) -> None:
         "--host",
         metavar="ADDR",
         help="address the page is served at; default 127.0.0.1, this machine only",
+    )
+    parser.add_argument(
+        "--token",
+        action="store_true",
+        help="the page's address has a token on this machine, too (its other users do not know it)",
     )
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
@@ -78,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         replay_instead(scene, options.replay, options.start)
     elif options.start is not None:
         raise UsageError("--start is for recordings; give --replay REC.mcap as well")
-    with contextlib.suppress(KeyboardInterrupt):  # as good as closing it
+    with until_ended():  # as good as closing it
         _serve(scene, options) if on_page else _open_window(scene, options)
     return 0
 
@@ -111,7 +116,8 @@ def wants_page(options: argparse.Namespace) -> bool:
 
 def _of_page(options: argparse.Namespace) -> list[str]:
     """Which options are given that only a page has."""
-    return [name for name in ("port", "host") if getattr(options, name) is not None]
+    given = [name for name in ("port", "host") if getattr(options, name) is not None]
+    return given + ["token"] * options.token
 
 
 def _open_window(scene: Scene, options: argparse.Namespace) -> None:
@@ -138,14 +144,19 @@ def _serve(scene: Scene, options: argparse.Namespace) -> None:
     with (
         Mirror(scene) as mirror,
         open_page(
-            mirror, camera=options.camera, host=host, port=options.port or 0, waits=True
+            mirror,
+            camera=options.camera,
+            host=host,
+            port=options.port or 0,
+            token=options.token,
+            waits=True,
         ) as page,
     ):
-        print(f"{scene.name} is at {page.url}  (Ctrl+C ends it)", flush=True)
+        print(f"{scene.name} is at {' and '.join(page.urls)}  (Ctrl+C ends it)", flush=True)
         if not page.is_private:
             print(
-                f"warning: served at {host}: whoever reaches port {page.port} sees it and can "
-                "take control; there is no password",
+                f"warning: served at {host}: whoever has this address sees the page and can take "
+                "control; nothing is encrypted",
                 file=sys.stderr,
                 flush=True,
             )

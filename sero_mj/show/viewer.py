@@ -36,7 +36,8 @@ class Viewer:
         world: the compiled scene.
         data: its state; set joint angles and the like with `set`.
         host: the `Window` or `WebHost`, with what is shown, and the clock.
-        url: of the page; None for a window.
+        url: of the page for browsers on this machine; None for a window.
+        urls: the same, and where the page is for browsers elsewhere; none for a window.
     """
 
     def __init__(self, mirror: Mirror, open_host: Callable[..., LiveHost], **options: Any) -> None:
@@ -49,7 +50,8 @@ class Viewer:
         except BaseException:
             mirror.close()
             raise
-        self.url: str | None = getattr(self.host, "url", None)
+        self.urls: list[str] = getattr(self.host, "urls", [])
+        self.url: str | None = self.urls[0] if self.urls else None
         self.host.frame()
 
     @property
@@ -130,6 +132,7 @@ def view(
     full_screen: bool = False,
     host: str | None = None,
     port: int | None = None,
+    token: bool = False,
 ) -> Viewer:
     """Opens a window or a web page on a scene and returns at once.
 
@@ -150,13 +153,15 @@ def view(
         full_screen: whether the window covers the screen.
         host: address that the page is served at; None for this machine only.
         port: of the page; None for the first free one from 8080 on.
+        token: whether the page's address has a token that nobody else knows; beyond this machine
+            it has one in any case.
 
     Raises:
         UsageError: these do not go together, or are something else.
         SeroError: what is wrong with the scene, its sources or the camera, no display for a
             window, or no such address for a page.
     """
-    of_page = {"host": host, "port": port}
+    of_page = {"host": host, "port": port, "token": token or None}
     of_window = {"size": size, "full_screen": full_screen or None}
     if web is None:
         web = not has_display()
@@ -174,7 +179,7 @@ def view(
     if mirror.world.is_borrowed and mirror.world.doubles:  # Studio draws no meshes of ours
         log.warning("a page shows no doubles of an overlay; a window and pictures do")
         viewer.host.toggles.doubles[:] = False
-    print(f"{mirror.world.scene.name} is at {viewer.url}", flush=True)
+    print(f"{mirror.world.scene.name} is at {' and '.join(viewer.urls)}", flush=True)
     return viewer
 
 

@@ -26,9 +26,12 @@ from ..torque_history import TorqueHistory, joint_name
 from .app import StudioApp
 from .decor import WebDecor
 from .greying import Greying
+from .guard import is_loopback, make_token
 from .panels import Panels
 from .studio import LOOPBACK, RATE, StudioViewer, quiet
 from .time_control import TimeControl
+
+ANY_ADDRESS = ("", "0.0.0.0", "::")
 
 
 class WebHost:
@@ -41,6 +44,8 @@ class WebHost:
         camera: see `find_camera`.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
+        token: whether the page's address has a token that nobody else knows. Where other machines
+            reach the page it has one in any case.
         waits: whether recordings and simulations begin with the first browser.
 
     Attributes:
@@ -66,6 +71,7 @@ class WebHost:
         camera: str | None = None,
         host: str = LOOPBACK,
         port: int = 0,
+        token: bool = False,
         waits: bool = False,
     ) -> None:
         if WebHost._is_any_open:
@@ -86,7 +92,8 @@ class WebHost:
         self._start_camera = camera
         self._app = StudioApp(self)
         self._panels = Panels(self)
-        check_address(host)
+        is_private = is_loopback(check_address(host))
+        self._token = None if is_private and not token else make_token()
         if not (isinstance(port, int) and 0 <= port < 65536):
             raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
         viewer_end, sim_end = launch_thread.make_thread_endpoints()
@@ -96,6 +103,7 @@ class WebHost:
                 world.model,
                 address=host,
                 port=port,
+                token=self._token,
                 title=f"{world.scene.name} - sero-mj",
                 plugins=[self._app, self._panels],
                 camera=find_camera(world, camera),
@@ -119,8 +127,16 @@ class WebHost:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return page_url(self.viewer.address, self.viewer.port)
+        """Where the page is for browsers on this machine, with its token if it has one."""
+        return page_url(self.viewer.address, self.viewer.port, self._token)
+
+    @property
+    def urls(self) -> list[str]:
+        """The same, and where it is for browsers on other machines if they reach it."""
+        found = [self.url]
+        if self.viewer.address in ANY_ADDRESS:
+            found.append(page_url(socket.gethostname(), self.viewer.port, self._token))
+        return found
 
     @property
     def port(self) -> int:
@@ -130,7 +146,7 @@ class WebHost:
     @property
     def is_private(self) -> bool:
         """Whether only browsers on this machine reach it."""
-        return self.viewer.address in (LOOPBACK, "::1", "localhost")
+        return is_loopback(str(self.viewer._http_sock.getsockname()[0]))
 
     @property
     def is_open(self) -> bool:
@@ -312,8 +328,8 @@ class WebHost:
         self.close()
 
 
-def check_address(host: str) -> None:
-    """Raises RenderError where this machine has no such address."""
+def check_address(host: str) -> str:
+    """Returns the IP address of a host of this machine; raises RenderError where it has none."""
     try:
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as trial:
@@ -323,10 +339,12 @@ def check_address(host: str) -> None:
             f"no page at {host!r}: this machine has no such address ({error}); "
             f"{LOOPBACK} is for browsers here, 0.0.0.0 for those everywhere"
         ) from error
+    return str(address[0])
 
 
-def page_url(address: str, port: int) -> str:
+def page_url(address: str, port: int, token: str | None = None) -> str:
     """The address that a browser on this machine opens."""
-    if address in ("", "0.0.0.0", "::", LOOPBACK, "::1"):
+    if address in (*ANY_ADDRESS, LOOPBACK, "::1"):
         address = "localhost"
-    return f"http://[{address}]:{port}/" if ":" in address else f"http://{address}:{port}/"
+    query = "" if token is None else f"?token={token}"
+    return f"http://{f'[{address}]' if ':' in address else address}:{port}/{query}"

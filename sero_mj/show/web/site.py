@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import html
-import shutil
-import tempfile
 from pathlib import Path
 
 from mujoco.studio.web import web_server
@@ -32,14 +30,11 @@ def with_head(page: str, title: str) -> str:
     return page.replace("  </head>", _HEAD, 1)
 
 
-def make_site(title: str) -> tempfile.TemporaryDirectory[str]:
-    """Returns a folder with the files of the page; it goes when it is cleaned up.
-
-    Args:
-        title: of the browser's tab.
+def find_files() -> Path:
+    """The folder with the files of Studio's page.
 
     Raises:
-        RenderError: this MuJoCo has no such files.
+        RenderError: this MuJoCo has none.
     """
     found = web_server._find_static_files_dir()
     if found is None:
@@ -47,8 +42,16 @@ def make_site(title: str) -> tempfile.TemporaryDirectory[str]:
             "no web page: this MuJoCo comes without the files of Studio's web client; "
             "`sero-mj view SCENE --window` needs none"
         )
-    folder = tempfile.TemporaryDirectory(prefix="sero-mj-page-")
-    shutil.copytree(found, folder.name, dirs_exist_ok=True)
-    index = Path(folder.name) / "index.html"
-    index.write_text(with_head(index.read_text("utf-8"), title), "utf-8")
-    return folder
+    return Path(found)
+
+
+def read_page(title: str) -> bytes:
+    """The page, which refers to Studio's files.
+
+    Args:
+        title: of the browser's tab.
+
+    Raises:
+        RenderError: this MuJoCo has no page.
+    """
+    return with_head((find_files() / "index.html").read_text("utf-8"), title).encode()

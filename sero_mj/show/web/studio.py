@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import threading
 import time
 from typing import Any
 
@@ -13,7 +14,9 @@ from mujoco.studio import endpoints, viewer_protocol, web_viewer
 from mujoco.studio.web import web_server
 from websockets.exceptions import ConnectionClosed
 
-from .site import make_site
+from ...errors import RenderError
+from .guard import Guard, GuardedRun
+from .site import find_files, read_page
 
 LOOPBACK = "127.0.0.1"
 RATE = 60.0  # pictures/s
@@ -35,18 +38,39 @@ _NO_GOODBYES = _Goodbyes()  # one, which is added once
 class QuietServer(web_server.WebServer):
     """Sends no state twice: a scene in which nothing moves costs no network.
 
+    Args:
+        guard: is asked about every request.
+        options: see Studio.
+
     Attributes:
         sent: states that were published.
         sent_bytes: what they came to for one browser.
         is_watched: whether a browser has ever looked.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, guard: Guard, **options: Any) -> None:
         super().__init__(**options)
+        self._guard = guard
         self.sent = self.sent_bytes = 0
         self.is_watched = False
         self._last = b""
         self._last_time = 0.0
+
+    def start(self) -> None:
+        """Serves the page on a thread, and every request by way of the guard.
+
+        Raises:
+            RenderError: this Studio's server cannot be guarded.
+        """
+        run = GuardedRun(self._guard)
+        self._stop_event.clear()
+        self._thread = threading.Thread(target=run, args=(self, self._stop_event), daemon=True)
+        self._thread.start()
+        try:
+            run.wait()
+        except RenderError:
+            self.stop()
+            raise
 
     @property
     def models_generation(self) -> int:
@@ -112,6 +136,7 @@ class StudioViewer(web_viewer.WebViewer):
         model: shown from the first picture on.
         address: to listen on.
         port: 0 for the first free one from 8080 on.
+        token: that the page's address must have; None for none.
         title: of the page's user interface.
         plugins: of the viewer's side.
         camera: to look through; the browser moves it.
@@ -132,12 +157,14 @@ class StudioViewer(web_viewer.WebViewer):
         *,
         address: str,
         port: int,
+        token: str | None,
         title: str,
         plugins: list[Any],
         camera: mujoco.MjvCamera,
     ) -> None:
         self.address = address
-        self._site = make_site(title)
+        self._token = token
+        self._page = read_page(title)
         config = viewer_protocol.ViewerConfig(title=title, http_port=port)
         with quiet():  # its banner does not know what is shown, nor who asked for which address
             super().__init__(config, endpoint, model=model, plugins=plugins, camera=camera)
@@ -157,11 +184,12 @@ class StudioViewer(web_viewer.WebViewer):
         """Studio's constructor wants all interfaces; the user's choice stands."""
 
     def _start_server(self) -> None:
+        bound = self._http_sock.getsockname()[0]
         self._web_server = QuietServer(
+            Guard(self._page, bound, self.address, self._token),
             http_sock=self._http_sock,
             tcp_sock=self._tcp_sock,
-            static_files_dir=self._site.name,
-            drop_queue=self._drop_queue,
+            static_files_dir=str(find_files()),
         )
         self._update_model()
         self._web_server.start()
@@ -187,7 +215,6 @@ class StudioViewer(web_viewer.WebViewer):
         super().close()
         # A second one in this process crashes where the first one's still exists.
         self._headless_ui = None
-        self._site.cleanup()
 
     def change_model(self, bundle: bytes, crc32: int) -> None:
         """Makes browsers show a model that has the same joints and other colours."""
@@ -195,12 +222,7 @@ class StudioViewer(web_viewer.WebViewer):
         self.server.update_model(bundle, crc32)
 
     def get_drop_file(self) -> str:
-        """No file: what is dropped onto the page would replace the scene, and is refused."""
-        while not self._drop_queue.empty():
-            self._drop_queue.get_nowait()
-            logging.getLogger(__name__).warning(
-                "a file was dropped onto the page and left out: the page shows one scene"
-            )
+        """No file: what is dropped onto the page would replace the scene; the guard refuses it."""
         return ""
 
 
