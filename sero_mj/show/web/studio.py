@@ -192,7 +192,12 @@ class StudioViewer(web_viewer.WebViewer):
             static_files_dir=str(find_files()),
         )
         self._update_model()
-        self._web_server.start()
+        try:
+            self._web_server.start()
+        except RenderError:
+            self._http_sock.close()
+            self._tcp_sock.close()
+            raise
 
     @property
     def has_ui(self) -> bool:
