@@ -22,6 +22,8 @@ import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+_MOST_SHOWN = 60  # characters of a long text on either side of what is wrong
+
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
     """Returns the available name that `name` most likely was meant to be, or None."""
@@ -135,7 +137,11 @@ class RouteError(SeroError, ValueError):
 
 def _pointing(text: str, position: int, length: int) -> str:
     """Names the characters of a text at which something is wrong."""
-    found = f"'{text[position : position + length]}'" if position < len(text) else "the end"
+    end = min(position + length, position + _MOST_SHOWN)
+    found = f"'{text[position:end]}'" if position < len(text) else "the end"
+    first, last = max(position - _MOST_SHOWN, 0), end + _MOST_SHOWN
+    if last - first < len(text) - 2 * _MOST_SHOWN:
+        text = f"{'...' * (first > 0)}{text[first:last]}{'...' * (last < len(text))}"
     return f"'{text}', character {position + 1}: found {found}"
 
 

@@ -26,7 +26,7 @@ ORDER = (
     "cli",
     "__main__",
 )
-ABOVE_ALL = ("errors", "paths")
+ABOVE_ALL = ("errors", "files", "paths")
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = ("assemble.dh", "assemble.frames", "assemble.shapes", "receive")
 MUJOCO = ("mujoco", "dm_control")

@@ -11,12 +11,14 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
+from ..files import read_file
 from . import frames
 from .robot import SerialRobot
 from .shapes import LinkShape
 
 Array = NDArray[np.float64]
 
+MOST_MESH_BYTES = 500_000_000  # ten million triangles
 SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
 
 
@@ -46,7 +48,7 @@ def mesh_asset(root: mjcf.RootElement, name: str, path: Path, scale: float) -> A
         DeclarationError: the file cannot be read.
     """
     try:
-        contents = path.read_bytes()
+        contents = read_file(path, MOST_MESH_BYTES)
     except OSError as error:
         raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
     asset = mjcf.Asset(contents, path.suffix.lower(), prefix=path.stem)

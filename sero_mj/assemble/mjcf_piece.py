@@ -10,7 +10,9 @@ from typing import Any
 from dm_control import mjcf
 
 from ..errors import DeclarationError, Problem
+from ..files import open_file
 
+_MOST_BYTES = 100_000_000
 _JOINT_ANGLES = ("range", "ref", "springref")
 
 
@@ -31,7 +33,11 @@ def read_piece(source: str, folder: Path) -> mjcf.RootElement:
         if source.lstrip().startswith("<"):
             piece = mjcf.from_xml_string(source, model_dir=str(folder))
         else:
+            open_file(folder / source, _MOST_BYTES).close()
             piece = mjcf.from_path(str(folder / source))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
     except Exception as error:  # PyMJCF raises lxml's, OS and value errors alike
         raise DeclarationError([Problem("mjcf", f"cannot be read: {error}")]) from error
     if piece.compiler.angle != "radian":

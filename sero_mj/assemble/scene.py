@@ -18,6 +18,19 @@ from .route_text import names_in, origin_text
 from .scene_toggles import SceneToggles
 from .toml_file import key_lines, located
 
+# What a scene holds at most; it is compiled in seconds, and not in minutes.
+MOST_ENTRIES = {
+    "robots": 200,
+    "doubles": 500,
+    "arrows": 1000,
+    "frames": 1000,
+    "objects": 2000,
+    "cameras": 1000,
+    "lights": 100,
+    "sources": 1000,
+    "routes": 10000,
+}
+
 
 class Scene:
     """Everything one picture is made from.
@@ -129,7 +142,15 @@ class Scene:
         return list_frames(self.robots, self.doubles, self.frames, self.objects)
 
     def problems(self) -> list[Problem]:
-        """What its entries say of each other that is not so."""
+        """What its entries say of each other that is not so, or that there are too many."""
+        sections = {key: getattr(self, key) for key in MOST_ENTRIES}
+        too_many = [
+            Problem(key, f"found {len(entries)}; expected at most {MOST_ENTRIES[key]}")
+            for key, entries in sections.items()
+            if len(entries) > MOST_ENTRIES[key]
+        ]
+        if too_many:  # to look at them would take as long as to compile them
+            return too_many
         return [*self._name_problems(), *self._double_problems(), *self._frame_problems()]
 
     def _name_problems(self) -> list[Problem]:

@@ -10,7 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DeclarationError, Problem
+from ..files import read_file
 
+_MOST_BYTES = 20_000_000
+_MOST_PARTS = 100  # of a dotted key; reading one takes the square of it
+# Quotes and comments go whole; one that is not closed ends with its line.
+_TOKENS = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
+    r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'[^'\n]*+'?"
+    r"|\#[^\n]*+"
+    r"|[\[\]{}\n]",
+    re.DOTALL,
+)
+_PART = r"""(?>[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_PARTS}}}")
 _MOST_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
 
 
@@ -18,8 +33,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Parses a TOML file.
 
     Raises:
-        DeclarationError: the file is missing, unreadable, not UTF-8, or not TOML; for the
-            latter the text has the line and column.
+        DeclarationError: the file is missing, unreadable, too long, not UTF-8, or not TOML; for
+            the latter the text has the line and column.
     """
 
     def wrong(message: str) -> DeclarationError:
@@ -27,17 +42,37 @@ def read_toml(path: Path) -> dict[str, Any]:
         return DeclarationError([Problem("", message, str(path), int(line[1]) if line else None)])
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return parse_toml(_read_text(path))
     except FileNotFoundError:
         raise wrong("no such file") from None
     except OSError as error:
         raise wrong(f"cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise wrong(f"is not UTF-8 text (byte {error.start})") from error
-    except RecursionError:
-        raise wrong("is not TOML: nested too deeply") from None
-    except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
+    except ValueError as error:
         raise wrong(f"is not TOML: {error}") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parses TOML.
+
+    Raises:
+        ValueError: it is none, or so deep that it would take all memory; says where.
+    """
+    if (found := _LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(
+            f"expected at most {_MOST_PARTS} parts of a key with dots (at line {line})"
+        )
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
+def _read_text(path: Path) -> str:
+    text = read_file(path, _MOST_BYTES).decode("utf-8-sig")
+    return text.replace("\r\n", "\n")
 
 
 def key_lines(path: Path) -> dict[str, int]:
@@ -49,13 +84,16 @@ def key_lines(path: Path) -> dict[str, int]:
     """
     lines: dict[str, int] = {}
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = _read_text(path)
     except (OSError, UnicodeDecodeError):
         return lines
     table = ""
     entries: Counter[str] = Counter()  # of arrays of tables
     for number, statement in _statements(text):
-        parsed = tomllib.loads(statement)
+        try:
+            parsed = parse_toml(statement)
+        except ValueError:
+            continue
         if statement.lstrip().startswith("["):
             *outer, table = _keys(parsed)
             for key in outer:
@@ -81,18 +119,20 @@ def key_lines(path: Path) -> dict[str, int]:
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
     """Yields the line number and the text of every header and every `key = value`."""
-    start, pending = 0, ""
-    for number, line in enumerate(text.split("\n"), start=1):
-        if not pending and (not line.strip() or line.lstrip().startswith("#")):
+    depth = begin = 0
+    line = first = 1  # of the text, and of the statement
+    for token in [*_TOKENS.finditer(text), None]:
+        what = "" if token is None else token.group()
+        depth += (what in ("[", "{")) - (what in ("]", "}"))
+        line += what.count("\n")
+        if token is not None and (what != "\n" or depth > 0):
             continue
-        start = start if pending else number
-        pending += line + "\n"
-        try:
-            tomllib.loads(pending)
-        except (ValueError, RecursionError):
-            continue  # goes on in the next line
-        yield start, pending
-        pending = ""
+        end = len(text) if token is None else token.end()
+        statement = text[begin:end]
+        bare = statement.lstrip(" \t\n")
+        if bare and not bare.startswith("#"):
+            yield first, bare if bare.endswith("\n") else f"{bare}\n"
+        begin, first, depth = end, line, 0
 
 
 def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
@@ -112,8 +152,8 @@ def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str,
     for count in range(1, len(rows) + 1):
         text = "\n".join(rows[:count])
         try:
-            value: Any = tomllib.loads(text if count == len(rows) else f"{text}\n]")
-        except (ValueError, RecursionError):
+            value: Any = parse_toml(text if count == len(rows) else f"{text}\n]")
+        except ValueError:
             continue  # it ends in the middle of an entry
         for part in key.split("."):
             value = value[part]

@@ -33,12 +33,11 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Writes; returns 0, or 1 where the recording is damaged and nothing could be read."""
     from ..drive.export_csv import export_csv
-    from ..receive.recording import Recording
-    from ..receive.replay import Replay
+    from ..receive.replay import Replay, open_recording
 
     if options.output.exists() and not options.overwrite:
         raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")
-    with Recording(options.recording) as recording:
+    with open_recording(options.recording) as recording:
         names = list(recording.sources)
         if options.source is None and len(names) != 1:
             found = f"has several sources: {', '.join(names)}; choose with --source"

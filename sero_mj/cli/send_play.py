@@ -127,7 +127,7 @@ def _open(
     options: argparse.Namespace, source: Receiver, structure: Structure, to_shm: bool
 ) -> Playback:
     from ..drive.playback import RecordedPackets, TablePackets
-    from ..receive.recording import Recording
+    from ..receive.replay import open_recording
 
     file: Path = options.play
     if file.suffix.lower() == ".csv":
@@ -138,6 +138,6 @@ def _open(
         raise UsageError("--rate: a recording has its own times; --speed changes them")
     name = options.recorded or ""
     if not name:
-        with Recording(file) as recording:
+        with open_recording(file) as recording:
             name = source.name if source.name in recording.sources else ""
     return RecordedPackets(file, name, structure, only_whole=to_shm)

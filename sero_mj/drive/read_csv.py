@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from array import array
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CsvError
+from ..files import open_file
 from .export_csv import TIME
 
 Array = NDArray[np.float64]
@@ -39,7 +41,7 @@ def read_csv(path: Path | str, *, rate: float | None = None) -> tuple[Array, dic
         raise ValueError(f"rate: found {rate}; expected rows per s, above 0")
     path = Path(path)
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
+        with io.TextIOWrapper(open_file(path), newline="", encoding="utf-8-sig") as file:
             names, numbers = _read_rows(path, csv.reader(file), timed=rate is None)
     except UnicodeDecodeError as error:
         raise CsvError(path, f"is no text in UTF-8: {error.reason}") from error

@@ -19,6 +19,7 @@ from ..assemble.route_text import NOT, Word, words_of
 from ..errors import RouteError
 
 _DEEPEST = 40  # brackets within each other
+_MOST_WORDS = 2000  # compiling them takes the square of it: 2 s
 _BEFORE = "expected +, -, * or / between spaces before it"
 _AFTER = "expected +, -, * or / between spaces, or the end"
 
@@ -96,6 +97,7 @@ def parse(text: str) -> tuple[bool, Node]:
         RouteError: points at the first word that is wrong.
     """
     parser = _Parser(text)
+    parser.check_length()
     negated = parser.takes(NOT)
     tree = parser.sum()
     if parser.word is not None:
@@ -118,6 +120,13 @@ class _Parser:
         if self.word is None:
             raise RouteError(self._text, len(self._text), reason)
         raise RouteError(self._text, self.word.at, reason, len(self.word.text))
+
+    def check_length(self) -> None:
+        """Refuses what would take too long to be compiled."""
+        if len(self._words) > _MOST_WORDS:
+            self._next = _MOST_WORDS
+            found = f"{len(self._words)} numbers, names and signs"
+            self.refuse(f"expected at most {_MOST_WORDS} before the end; there are {found}")
 
     def takes(self, *texts: str) -> bool:
         """Goes on, if the next word is one of these."""

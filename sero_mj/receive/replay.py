@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
 
 from ..errors import RecordingError, SourceError, did_you_mean
+from ..files import open_file
 from .intake import Intake
 from .live import LIVE
 from .receiver import Receiver, log
@@ -23,6 +24,24 @@ from .structure import Structure
 Array = NDArray[np.float64]
 
 _AT_ONCE = 4096  # packets
+
+
+def open_recording(path: Path | str) -> Recording:
+    """Opens a recording that was named by somebody else.
+
+    Raises:
+        RecordingError: it cannot be read, is no recording, or not even a file: a pipe, say, which
+            would keep its reader waiting.
+    """
+    try:
+        open_file(path).close()
+    except FileNotFoundError:
+        pass  # told below
+    except OSError as error:
+        raise RecordingError(path, f"{error.strerror}") from error
+    except ValueError:
+        pass
+    return Recording(path)
 
 
 def _as_path(file: Any) -> Path:
@@ -78,7 +97,7 @@ class Replay(Receiver):
     @classmethod
     def _file_is_a_recording(cls, file: Path) -> Path:
         try:
-            Recording(file).close()
+            open_recording(file).close()
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return file
@@ -88,7 +107,7 @@ class Replay(Receiver):
     def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data:
             return source
-        with Recording(info.data["file"]) as recording:
+        with open_recording(info.data["file"]) as recording:
             names = list(recording.sources)
         if source:
             if source not in names:
@@ -106,7 +125,7 @@ class Replay(Receiver):
     @classmethod
     def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
         if start is not None and "file" in info.data:
-            with Recording(info.data["file"]) as recording:
+            with open_recording(info.data["file"]) as recording:
                 check_start(start, recording)
         return start
 
@@ -118,7 +137,7 @@ class Replay(Receiver):
         if info.data["start"] is not None:
             begin, word = info.data["start"], "start"
         else:
-            with Recording(info.data["file"]) as recording:
+            with open_recording(info.data["file"]) as recording:
                 begin, word = _first_of(recording), "where its first packet came"
         if not begin < stop < np.inf:
             raise ValueError(f"found {stop:g}; expected more than {begin:g}, {word}, in s")
@@ -127,7 +146,7 @@ class Replay(Receiver):
     @cached_property
     def recorded(self) -> RecordedSource:
         """The source as it was recorded."""
-        with Recording(self.file) as recording:
+        with open_recording(self.file) as recording:
             return recording.sources[self.source]
 
     @cached_property
@@ -161,7 +180,7 @@ class Replay(Receiver):
     def _begin(self) -> float:
         if self.start is not None:
             return self.start
-        with Recording(self.file) as recording:
+        with open_recording(self.file) as recording:
             return _first_of(recording)
 
     @property
@@ -202,7 +221,7 @@ class Replay(Receiver):
         """
         self.close()
         try:
-            self._recording = Recording(self.file)
+            self._recording = open_recording(self.file)
             self._recording.check_readable(self.source)
         except RecordingError as error:
             self.close()

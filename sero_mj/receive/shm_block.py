@@ -87,6 +87,7 @@ class Block:
             raise OSError("this system has no POSIX shared memory")
         flags = os.O_RDWR if writable else os.O_RDONLY
         flags |= os.O_CREAT | os.O_EXCL if create else 0
+        flags |= os.O_NONBLOCK  # a pipe of that name would keep us waiting
         self._fd = _posixshmem.shm_open(self.path, flags, mode=0o600)
         self._map: mmap.mmap | None = None
         self._writable = writable

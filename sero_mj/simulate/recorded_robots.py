@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,6 +9,7 @@ from typing import Any
 
 from .. import paths
 from ..assemble.robot import SerialRobot, build_robot
+from ..assemble.toml_file import parse_toml
 from ..errors import DeclarationError, RecordingError, UnknownName
 from ..receive.recording import Recording
 
@@ -48,7 +48,7 @@ def read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
     for name in recording.attachments:
         if name.endswith(".toml"):
             try:
-                found[name] = tomllib.loads(recording.read_attachment(name).decode("utf-8-sig"))
+                found[name] = parse_toml(recording.read_attachment(name).decode("utf-8-sig"))
             except ValueError as error:
                 reason = f"file '{name}' in it is no TOML: {error}"
                 raise RecordingError(recording.path, reason) from error

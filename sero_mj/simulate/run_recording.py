@@ -13,6 +13,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..errors import RecordingError, UsageError, did_you_mean
 from ..receive.recording import Recording
+from ..receive.replay import open_recording
 from .recorded_events import read_events, receiver_of
 from .recorded_robots import read_tables, recorded_robots
 from .recorded_routes import follow_routes
@@ -45,7 +46,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         UsageError: no such source, or there are several and one has to be chosen.
     """
     path = Path(path)
-    with Recording(path) as recording:
+    with open_recording(path) as recording:
         names = _chosen(recording, source)
         runs = [name for name in names if _robots_of(recording.sources[name].events)]
         if len(runs) > 1:

@@ -1,0 +1,184 @@
+"""Files that would take all time or memory: pipes, endless devices, keys and sums."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from shm_tools import block, needs_posix
+
+from sero_mj import Scene, SerialRobot, load_scene
+from sero_mj.assemble.mjcf_piece import read_piece
+from sero_mj.assemble.objects import Object
+from sero_mj.assemble.toml_file import key_lines, read_toml
+from sero_mj.assemble.world import World
+from sero_mj.cli import main
+from sero_mj.drive.read_csv import read_csv
+from sero_mj.drive.syntax import parse
+from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
+from sero_mj.files import open_file, read_file
+from sero_mj.receive.replay import Replay, open_recording
+from sero_mj.receive.shm import ShmReader
+from sero_mj.simulate.run_recording import read_run
+
+__all__ = ["block"]  # a fixture
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no such files")
+ROBOT = '[robots.{}]\ndh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2]]\n'
+
+
+@pytest.fixture(autouse=True)
+def bounded() -> Iterator[None]:
+    """Ends what takes all memory, or hangs, before it ends the machine."""
+    import resource
+
+    def late(*_: Any) -> None:
+        raise TimeoutError("it hangs")
+
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (4 * 2**30, before[1]))
+    handler = signal.signal(signal.SIGALRM, late)
+    signal.alarm(20)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Path:
+    """A pipe that nobody writes to."""
+    os.mkfifo(tmp_path / "pipe.mcap")
+    return tmp_path / "pipe.mcap"
+
+
+@pytest.fixture
+def endless(tmp_path: Path) -> Callable[[str], Path]:
+    def link(name: str) -> Path:
+        (tmp_path / name).symlink_to("/dev/zero")
+        return tmp_path / name
+
+    return link
+
+
+def test_only_files_of_a_bounded_length_are_opened(tmp_path: Path, pipe: Path) -> None:
+    (tmp_path / "long").write_bytes(b"")
+    os.truncate(tmp_path / "long", 10**12)  # sparse
+    with pytest.raises(OSError, match=r"has 1000000\.0 MB; expected at most 1 MB"):
+        read_file(tmp_path / "long", 10**6)
+    with pytest.raises(OSError, match="is a pipe; expected a file"):
+        open_file(pipe)
+    with pytest.raises(OSError, match="is a device; expected a file"):
+        open_file("/dev/zero")
+    with pytest.raises(IsADirectoryError):
+        open_file(tmp_path)
+    (tmp_path / "short").write_bytes(b"abc")
+    assert read_file(tmp_path / "short", 3) == b"abc"
+
+
+def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    expected = f"{pipe}: is a pipe; expected a file"
+    for opened in (open_recording, read_run):
+        with pytest.raises(RecordingError) as found:
+            opened(pipe)
+        assert str(found.value) == expected
+    with pytest.raises(DeclarationError, match="is a pipe; expected a file"):
+        Replay(name="r", file=pipe)
+    for command in (
+        ["render", "lwr_udp", "-o", str(pipe.with_suffix(".png")), "--replay", str(pipe)],
+        ["compare", str(pipe), str(pipe)],
+        ["export-csv", str(pipe), str(pipe.with_suffix(".csv"))],
+        ["send", "lwr_udp", "--play", str(pipe)],
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(command)
+        assert ended.value.code == 2
+        assert f"sero-mj: {expected}" in capsys.readouterr().err
+
+
+@needs_posix
+@pytest.mark.skipif(sys.platform != "linux", reason="blocks are no files there")
+def test_a_pipe_is_no_shared_memory(block: str) -> None:
+    os.mkfifo(f"/dev/shm/{block}")
+    try:
+        with (
+            pytest.raises(SourceError, match="it is no shared memory"),
+            ShmReader(block=block, structure="1F"),
+        ):
+            pass
+    finally:
+        os.unlink(f"/dev/shm/{block}")
+
+
+def test_endless_meshes_pieces_and_tables_are_refused(
+    tmp_path: Path, endless: Callable[[str], Path]
+) -> None:
+    endless("mesh.stl"), endless("piece.xml")
+    for field, file in (("mesh", "mesh.stl"), ("mjcf", "piece.xml")):
+        scene = Scene(objects=[Object(name="o", directory=str(tmp_path), **{field: file})])
+        with pytest.raises(DeclarationError, match="is a device; expected a file"):
+            World(scene)
+    with pytest.raises(DeclarationError, match="cannot be read: No such file"):
+        read_piece("nothing.xml", tmp_path)
+    table = endless("table.csv")
+    with pytest.raises(CsvError, match=r"table\.csv: cannot be read: is a device"):
+        read_csv(table)
+    with pytest.raises(DeclarationError, match="cannot be read: is a device; expected a file"):
+        read_toml(endless("scene.toml"))
+
+
+@pytest.mark.parametrize("key", ["a.", 'a . "b" .', "'a'.", "[a.", "x = { a."])
+def test_keys_with_thousands_of_dots_are_refused(tmp_path: Path, key: str) -> None:
+    """They took the square of their length in memory."""
+    file = tmp_path / "x.toml"
+    start, dotted = (key[:-2], key[-2:]) if key[-2] == "a" else ("", key)
+    file.write_text(f"b = 1\n{start}{dotted * 20_000}c = 1\n")
+    with pytest.raises(DeclarationError) as found:
+        read_toml(file)
+    expected = "is not TOML: expected at most 100 parts of a key with dots (at line 2)"
+    assert str(found.value) == f"{file}:2: {expected}"
+
+
+def test_long_arrays_and_texts_are_read_in_time(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    rows = "  [1, 2, 3, 4, 5, 6, 7],\n" * 20_000
+    word = "a" * 1_000_000
+    file.write_text(f'path = [\n{rows}]\nword = "{word}" # {word}\n[t]\nlast = """\n]{word}"""\n')
+    begin = time.process_time()
+    assert len(read_toml(file)["path"]) == 20_000
+    lines = key_lines(file)
+    assert (lines["path"], lines["word"], lines["t.last"]) == (1, 20_003, 20_005)
+    assert time.process_time() - begin < 5.0
+
+
+def test_expressions_of_thousands_of_terms_are_refused() -> None:
+    text = " + ".join(["udp.values0"] * 20_000)
+    begin = time.process_time()
+    with pytest.raises(RouteError) as found:
+        parse(text)
+    assert time.process_time() - begin < 2.0
+    said = str(found.value)
+    assert "expected at most 2000 before the end; there are 39999 numbers, names and signs" in said
+    assert "character 14001: found 'udp.values0'" in said or "character 14001: found '+'" in said
+    assert len(said) < 500
+    assert parse(" + ".join(["udp.values0"] * 900))
+
+
+def test_scenes_of_thousands_of_robots_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "many.toml"
+    file.write_text("".join(ROBOT.format(f"r{i}") for i in range(3000)))
+    with pytest.raises(DeclarationError) as found:
+        load_scene(file)
+    assert str(found.value) == f"{file}:1: robots: found 3000; expected at most 200"
+    one = SerialRobot(dh_convention="craig", dh_params=[[0, 0, 0, 0.2]])
+    many = [one.model_copy(update={"name": f"r{i}"}) for i in range(201)]
+    with pytest.raises(DeclarationError, match="robots: found 201; expected at most 200"):
+        Scene(robots=many)
+    Scene(robots=many[:200])
