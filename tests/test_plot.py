@@ -16,7 +16,7 @@ from runs import simulated, sine_run, two_joints
 
 from sero_mj.errors import RenderError, UsageError
 from sero_mj.simulate.envelope import envelope
-from sero_mj.simulate.figure import BLUE, FAULT, INK, ORANGE, Sheet, Span
+from sero_mj.simulate.figure import BLUE, FAULT, INK, ORANGE, Sheet, Span, styled
 from sero_mj.simulate.monitor import Finding
 from sero_mj.simulate.plot import plot_run, spans_of
 from sero_mj.simulate.plot_comparison import plot_comparison
@@ -172,6 +172,24 @@ def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
         plot_run(log, tmp_path / "x.png", size_mm=(1e6, 100.0))
     with pytest.raises(RenderError, match=r"cannot be written: No such file or directory"):
         plot_run(log, tmp_path / "nowhere" / "x.png")
+
+
+@pytest.mark.parametrize("last", [0.001, 5.0, 100.0, 12345.0])
+def test_the_number_at_the_last_tick_is_whole(tmp_path: Path, last: float) -> None:
+    with styled():
+        sheet = Sheet(
+            [("A1", "")],
+            [("torque", 1.25), ("error", 1.0)],
+            title="",
+            subtitle="",
+            times=(0.0, last),
+        )
+        sheet.save(tmp_path / "x.png")
+        labels = [each.get_window_extent() for each in sheet.axes[0][1].get_xticklabels()]
+        end = sheet.axes[0][1].get_window_extent().x1
+        shown = [box.x1 for box in labels if box.x0 <= end and box.width > 1]
+    assert len(shown) >= 3
+    assert max(shown) < sheet.figure.bbox.width - 1
 
 
 def test_it_is_as_wide_as_a4_and_sharp_enough_for_print(tmp_path: Path) -> None:

@@ -59,6 +59,7 @@ class SerialRobot(Declaration):
         dh_params: (n, 4), one row per joint.
         dh_params_deg: the same with alpha and theta in degrees; becomes dh_params.
         dh_columns: what the four columns are.
+        length_unit: of a and d in the table, `m` or `mm`, which becomes m. Of nothing else.
         joint_types: `revolute` or `prismatic`, n words.
         joint_names: n names; J1, J2, ... by default.
         position_limits: (n, 2), lower and upper.
@@ -108,6 +109,7 @@ class SerialRobot(Declaration):
     description: str = ""
     dh_convention: Literal["craig", "standard"]
     dh_columns: Columns = [*COLUMNS]
+    length_unit: Literal["m", "mm"] = "m"
     dh_params_deg: Annotated[Array | None, of_shape(None, 4)] = None
     dh_params: Annotated[Array, of_shape(None, 4)] = np.zeros((1, 4))
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
@@ -199,6 +201,9 @@ class SerialRobot(Declaration):
                 self.__dict__[key] = np.deg2rad(limits)
                 self.__dict__[in_degrees] = None
         self.__dict__["dh_params_deg"] = None
+        if self.length_unit == "mm":
+            metres = [0.001 if column in ("a", "d") else 1.0 for column in self.dh_columns]
+            self.__dict__ |= {"dh_params": self.dh_params * metres, "length_unit": "m"}
         return self
 
     @field_validator("billboard_lines")
@@ -293,6 +298,17 @@ class SerialRobot(Declaration):
         return np.where(self.dh.revolute, 0.0, np.maximum(self.position_limits[:, 1], 0.0))
 
     @property
+    def reach(self) -> float:
+        """How far from its base the flange comes at most, m: with all links in one line.
+
+        Prismatic joints slide as far as `position_limits` let them, and not at all without.
+        """
+        slides = np.where(self.dh.revolute, 0.0, 1.0)[:, None]
+        limits = np.zeros((self.n, 2)) if self.position_limits is None else self.position_limits
+        d = np.abs(self.dh.d[:, None] + slides * limits).max(axis=1)
+        return float(np.hypot(self.dh.a, d).sum() + np.linalg.norm(self.flange_frame[:3, 3]))
+
+    @property
     def offsets(self) -> Array:
         """`offsets_to_center_of_joints` (n, 3), zeros where not declared."""
         declared = self.offsets_to_center_of_joints
@@ -333,6 +349,8 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)
+            if key == "dh_params":
+                below.pop("length_unit", None)
     whole = {**below, **fields}
     if "dynamics" in below and "dynamics" in fields:
         whole["dynamics"] = merged_tables(below["dynamics"], fields["dynamics"])

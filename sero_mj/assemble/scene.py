@@ -49,6 +49,7 @@ class Scene:
         floor: whether there is one.
         view: where one looks from.
         toggles: what is shown of the whole scene.
+        description: one line about it, for `sero-mj list` and `check`.
         name: shown in titles and messages.
         file: the file it was read from.
         broken: what the file declares but could not be built: sections (`robots`) and entries
@@ -73,6 +74,7 @@ class Scene:
         floor: bool = True,
         view: View | None = None,
         toggles: SceneToggles | None = None,
+        description: str = "",
         name: str = "scene",
         file: Path | None = None,
         broken: Collection[str] = (),
@@ -95,6 +97,7 @@ class Scene:
         self.floor = floor
         self.view = view or View()
         self.toggles = toggles or SceneToggles()
+        self.description = description
         self.name = name
         self.file = file
         self.broken = frozenset(broken)

@@ -82,6 +82,7 @@ class _Reader:
             "toggles": lambda: SceneToggles(**self._table("toggles")),
             "floor": lambda: self._typed("floor", bool, "true or false"),
             "name": lambda: self._typed("name", str, "a text"),
+            "description": lambda: self._typed("description", str, "a text"),
         }
         for key in self.tables:
             if key not in sections:

@@ -12,6 +12,8 @@ from typing import Any
 from ..errors import DeclarationError, Problem
 from ..files import read_file
 
+_MCAP = b"\x89MCAP"
+_XML = re.compile(rb"\s*+(?:<[?!](?:--.*?--|[^>]*+)>\s*+)*+<([A-Za-z_][\w.-]{0,40})", re.DOTALL)
 _MOST_BYTES = 20_000_000
 _MOST_PARTS = 100  # of a dotted key; reading one takes the square of it
 # Quotes and comments go whole; one that is not closed ends with its line.
@@ -42,7 +44,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         return DeclarationError([Problem("", message, str(path), int(line[1]) if line else None)])
 
     try:
-        return parse_toml(_read_text(path))
+        contents = read_file(path, _MOST_BYTES)
+        other = _other_format(contents)
+        if other is None:
+            return parse_toml(_as_text(contents))
     except FileNotFoundError:
         raise wrong("no such file") from None
     except OSError as error:
@@ -51,6 +56,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise wrong(f"is not UTF-8 text (byte {error.start})") from error
     except ValueError as error:
         raise wrong(f"is not TOML: {error}") from error
+    raise wrong(other)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -70,9 +76,23 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError("nested too deeply") from None
 
 
-def _read_text(path: Path) -> str:
-    text = read_file(path, _MOST_BYTES).decode("utf-8-sig")
-    return text.replace("\r\n", "\n")
+def _as_text(contents: bytes) -> str:
+    return contents.decode("utf-8-sig").replace("\r\n", "\n")
+
+
+def _other_format(contents: bytes) -> str | None:
+    """What a file is that somebody took for a scene or a robot, and what to do with it."""
+    if contents.startswith(_MCAP):
+        return "is a recording; expected a TOML file, and the recording behind --replay"
+    root = _XML.match(contents.removeprefix(b"\xef\xbb\xbf"))
+    if root is None:
+        return None
+    tag = root[1].decode()
+    what = {"robot": "a URDF file", "mujoco": "an MJCF file", "sdf": "an SDF file"}
+    how = "a robot is a Denavit-Hartenberg table in TOML"
+    if tag in ("robot", "mujoco"):
+        how += "; sero_mj.overlay shows this model as it is, in Python"
+    return f"is {what.get(tag, f'XML <{tag}>')}; expected a TOML file: {how}"
 
 
 def key_lines(path: Path) -> dict[str, int]:
@@ -84,7 +104,7 @@ def key_lines(path: Path) -> dict[str, int]:
     """
     lines: dict[str, int] = {}
     try:
-        text = _read_text(path)
+        text = _as_text(read_file(path, _MOST_BYTES))
     except (OSError, UnicodeDecodeError):
         return lines
     table = ""

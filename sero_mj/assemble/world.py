@@ -7,6 +7,7 @@ copies, history and recordings carry it. `mj_resetData` zeroes it: apply the lat
 
 from __future__ import annotations
 
+import logging
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,11 @@ from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
 
+log = logging.getLogger(__name__)
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
+_IMPLAUSIBLE_REACH = 20.0  # m; no robot arm is so long, and a picture of one shows a floor
 
 
 class World:
@@ -72,6 +76,7 @@ class World:
         problems = scene.problems()  # also of what was added since the scene was made
         if problems:
             raise DeclarationError(scene.located(problems))
+        _warn_of_lengths(scene)
         self.inputs = list_inputs(scene)
         self.slots, self.flags = userdata_slots(scene)
         self.dynamics = _dynamics(scene) if dynamic else {}
@@ -320,6 +325,18 @@ class World:
             )
             start = stop
         return parts
+
+
+def _warn_of_lengths(scene: Scene) -> None:
+    """Says which robots are so large that their lengths are in mm, or meant to be."""
+    for name, robot in scene.robots.items():
+        if robot.reach > _IMPLAUSIBLE_REACH:
+            log.warning(
+                "robot '%s' reaches %.4g m; lengths are in m, and length_unit = \"mm\" is for a DH "
+                "table in mm",
+                name,
+                robot.reach,
+            )
 
 
 def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:

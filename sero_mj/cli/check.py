@@ -37,10 +37,13 @@ def run(options: argparse.Namespace) -> int:
     scene = read_scene_or_model(options.scene)
     world = World(scene)
     print(f"{scene.name}: {scene.file or 'robot'} is right")
+    if scene.description:
+        print(f"  about   {scene.description}")
     for name, part in world.robots.items():
         robot = part.robot
         look = "meshes" if robot.filenames else "shapes grown from its DH table"
-        print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}")
+        reach = f"reach {robot.reach:.4g} m"
+        print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}, {reach}")
         estimated = robot_dynamics(robot).estimated
         about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
         print(f"          dynamics: {about}")

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"  {name:14} {about.get('description', '')}")
     print("scenes (scenes/)")
     for name in paths.list_scenes():
-        print(f"  {name:14} {_first_comment(name)}")
+        print(f"  {name:14} {_about(name)}")
     print("scenarios (scenes/scenarios/), for sero-mj simulate")
     for name in paths.list_scenarios():
         about = tomllib.loads(paths.find_scenario(name).read_text(encoding="utf-8"))
@@ -60,8 +60,13 @@ def _print_environments() -> None:
     print("  and every scenario, with an agent in the place of its controller")
 
 
-def _first_comment(scene: str) -> str:
-    first, *_ = [*paths.find_scene(scene).read_text(encoding="utf-8").splitlines(), ""]
+def _about(scene: str) -> str:
+    """What a scene says of itself: its description, else its first line where that is a comment."""
+    text = paths.find_scene(scene).read_text(encoding="utf-8")
+    described = tomllib.loads(text).get("description")
+    if described is not None:
+        return str(described)
+    first, *_ = [*text.splitlines(), ""]
     return first.lstrip("# ") if first.startswith("#") else ""
 
 

@@ -32,6 +32,7 @@ A4_WIDTH = 190.0  # mm, within its margins
 _A4_HEIGHT = 265.0
 _ROW, _LEAST_ROW = 27.0, 14.0  # mm
 _LEFT, _RIGHT, _BOTTOM, _GAP = 28.0, 2.0, 11.0, 11.0  # mm, about and between the panels
+_EDGE = 0.5  # mm of the sheet that stay free
 _TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans stand beneath the title
 _MM = 1.0 / 25.4  # inch
 _LEAST_MM = 60.0, 40.0
@@ -152,7 +153,7 @@ class Sheet:
         self._height = height
         self._width = width
         shares = [share for _, share in columns]
-        grid = self.figure.add_gridspec(
+        self._grid = grid = self.figure.add_gridspec(
             len(rows),
             len(columns),
             left=_LEFT / width,
@@ -277,8 +278,27 @@ class Sheet:
             handlelength=1.8, columnspacing=1.2, fontsize=6.5,
         )  # fmt: skip
 
+    def _make_room(self) -> None:
+        """Makes the panels narrower where the number at the last tick would be cut off."""
+        self.figure.draw_without_rendering()
+        panel = self.axes[-1][-1]
+        labels = [label.get_window_extent() for label in panel.get_xticklabels()
+                  if label.get_visible() and label.get_text()]  # fmt: skip
+        shown = panel.get_window_extent()
+        inside = [box for box in labels if box.x0 <= shown.x1]
+        beyond = max((box.x1 for box in inside), default=0.0) - self.figure.bbox.width
+        edge = _EDGE * _MM * self.figure.dpi
+        if beyond > -edge:
+            right = shown.x1 - beyond - edge
+            self._grid.update(right=right / self.figure.bbox.width)
+            for each in (panel for row in self.axes for panel in row):
+                spec = each.get_subplotspec()
+                assert spec is not None
+                each.set_position(spec.get_position(self.figure))
+
     def save(self, path: Path) -> None:
         """Writes it; raises RenderError."""
+        self._make_room()
         # Dates would make two files of one run differ.
         dateless = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
         try:

@@ -51,6 +51,7 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         problems += error.problems
     if scene is None:
         raise DeclarationError(problems)
+    scene.description = str(own.get("description", scene.description))
     problems += _read_motions(own, scene, file)
     run = own.get("run", {})
     for key, expected in (("run", "a table [run]"), ("description", "a text")):
