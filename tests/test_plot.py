@@ -27,13 +27,13 @@ from sero_mj.simulate.run_log import RunLog
 def sheets(monkeypatch: pytest.MonkeyPatch) -> list[Sheet]:
     """The sheets that were saved."""
     saved: list[Sheet] = []
-    save = Sheet.save
+    make_room = Sheet.make_room
 
-    def keep(self: Sheet, path: Path) -> None:
+    def keep(self: Sheet) -> None:
         saved.append(self)
-        save(self, path)
+        make_room(self)
 
-    monkeypatch.setattr(Sheet, "save", keep)
+    monkeypatch.setattr(Sheet, "make_room", keep)
     return saved
 
 

@@ -278,7 +278,7 @@ class Sheet:
             handlelength=1.8, columnspacing=1.2, fontsize=6.5,
         )  # fmt: skip
 
-    def _make_room(self) -> None:
+    def make_room(self) -> None:
         """Makes the panels narrower where the number at the last tick would be cut off."""
         self.figure.draw_without_rendering()
         panel = self.axes[-1][-1]
@@ -298,10 +298,30 @@ class Sheet:
 
     def save(self, path: Path) -> None:
         """Writes it; raises RenderError."""
-        self._make_room()
-        # Dates would make two files of one run differ.
-        dateless = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
-        try:
-            self.figure.savefig(path, dpi=_DPI, metadata={dateless: None} if dateless else None)
-        except OSError as error:
-            raise RenderError(f"{path}: cannot be written: {error.strerror or error}") from error
+        save_sheets([self], path)
+
+
+def save_sheets(sheets: Sequence[Sheet], path: Path) -> None:
+    """Writes a sheet, or several as the pages of a .pdf. Use it within `styled`.
+
+    Raises:
+        RenderError: the file cannot be written.
+        UsageError: several sheets, and no .pdf.
+    """
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    suffix = path.suffix.lower()
+    if len(sheets) > 1 and suffix != ".pdf":
+        raise UsageError(f"{path}: {len(sheets)} pages; expected a name that ends in .pdf")
+    for sheet in sheets:
+        sheet.make_room()
+    try:
+        if suffix == ".pdf":  # dates would make two files of one run differ
+            with PdfPages(path, metadata={"CreationDate": None}) as pages:
+                for sheet in sheets:
+                    pages.savefig(sheet.figure, dpi=_DPI)
+            return
+        metadata: Any = {"Date": None} if suffix == ".svg" else None
+        sheets[0].figure.savefig(path, dpi=_DPI, metadata=metadata)
+    except OSError as error:
+        raise RenderError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -10,7 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError, did_you_mean
-from .figure import BLUE, FAULT, GREY, INK, LEAST_SHARE, ORANGE, Sheet, Span, check_suffix, styled
+from .figure import (
+    BLUE,
+    FAULT,
+    GREY,
+    INK,
+    LEAST_SHARE,
+    ORANGE,
+    Sheet,
+    Span,
+    check_suffix,
+    save_sheets,
+    styled,
+)
 from .run_log import RunLog
 from .torques import compared_signal, torque_error
 
@@ -64,7 +76,43 @@ def plot_run(
         RenderError: the file cannot be written.
         UsageError: no such robot or joint, no torque, another suffix.
     """
+    plot_runs(
+        [log],
+        path,
+        robots=robots,
+        joints=joints,
+        findings=findings,
+        spans=spans,
+        size_mm=size_mm,
+    )
+
+
+def plot_runs(logs: Sequence[RunLog], path: Path | str, **options: Any) -> None:
+    """Draws several runs, each on a page of a .pdf.
+
+    Args:
+        logs: the runs; one of them may go to a .png or .svg as well.
+        path: where to.
+        **options: see `plot_run`.
+
+    Raises:
+        RenderError: the file cannot be written.
+        UsageError: see `plot_run`, or several runs are to go into a picture.
+    """
     path = check_suffix(path)
+    with styled():
+        save_sheets([_draw_run(log, **options) for log in logs], path)
+
+
+def _draw_run(
+    log: RunLog,
+    *,
+    robots: Sequence[str] | None = None,
+    joints: Sequence[str] | None = None,
+    findings: Sequence[Finding] = (),
+    spans: Sequence[Span] = (),
+    size_mm: tuple[float, float] | None = None,
+) -> Sheet:
     chosen = _choose(log, robots, joints)
     has_both = all(log.has(robot, signal) for robot, _ in chosen
                    for signal in ("torques", "commanded_torques"))  # fmt: skip
@@ -76,25 +124,24 @@ def plot_run(
     columns = [(f"torque, {unit}", 1.25)]
     if has_both:
         columns.append((f"torque error, {unit}", 1.0))
-    with styled():
-        sheet = Sheet(
-            rows,
-            columns,
-            title=log.name,
-            subtitle=_about(log, has_both=has_both),
-            times=(float(log.times[0]), float(log.times[-1])),
-            size_mm=size_mm,
-        )
-        for (robot, k), panels in zip(chosen, sheet.axes, strict=True):
-            _draw_torques(sheet, panels[0], log, robot, k)
-            if has_both:
-                _draw_error(sheet, panels[1], log, robot, k)
-        sheet.spans(spans)
-        marked = _mark(sheet, log, chosen, findings)
-        has_limit = any(line.get_label() == "limit" for panels in sheet.axes
-                        for line in panels[0].lines)  # fmt: skip
-        sheet.legend(_legend(log, chosen, spans, marked, has_limit=has_limit))
-        sheet.save(path)
+    sheet = Sheet(
+        rows,
+        columns,
+        title=log.name,
+        subtitle=_about(log, has_both=has_both),
+        times=(float(log.times[0]), float(log.times[-1])),
+        size_mm=size_mm,
+    )
+    for (robot, k), panels in zip(chosen, sheet.axes, strict=True):
+        _draw_torques(sheet, panels[0], log, robot, k)
+        if has_both:
+            _draw_error(sheet, panels[1], log, robot, k)
+    sheet.spans(spans)
+    marked = _mark(sheet, log, chosen, findings)
+    has_limit = any(line.get_label() == "limit" for panels in sheet.axes
+                    for line in panels[0].lines)  # fmt: skip
+    sheet.legend(_legend(log, chosen, spans, marked, has_limit=has_limit))
+    return sheet
 
 
 def spans_of(scenario: Scenario) -> list[Span]:
@@ -111,7 +158,10 @@ def _choose(
     for name in robots or ():
         if name not in log.robots:
             raise UsageError(f"no robot '{name}' in {log.name}{did_you_mean(name, log.robots)}")
-    wanted = list(log.robots) if robots is None else list(robots)
+    if robots is None:  # those that have any torque
+        signals = ("torques", "commanded_torques")
+        robots = [robot for robot in log.robots if any(log.has(robot, each) for each in signals)]
+    wanted = list(robots) or list(log.robots)
     names = [joint for robot in wanted for joint in log.robots[robot].names]
     for joint in joints or ():
         if joint not in names:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
+from ..errors import UsageError
 from ..receive.structure import Structure
 
 Array = NDArray[np.float64]
@@ -117,6 +118,28 @@ class RunLog:
             KeyError: it is not there.
         """
         return self.signals[event_of(robot, signal)]
+
+    def between(self, begin: float | None, end: float | None) -> RunLog:
+        """The part of a run from one time to another, s, both included; None for its own ends.
+
+        Raises:
+            UsageError: there is nothing.
+        """
+        rows = np.ones(len(self.times), bool)
+        asked = []
+        if begin is not None:
+            rows &= self.times >= begin
+            asked.append(f"from {begin:g} s")
+        if end is not None:
+            rows &= self.times <= end
+            asked.append(f"to {end:g} s")
+        if not rows.any():
+            has = "has no rows"
+            if len(self.times):
+                has = f"lasts from {self.times[0]:g} s to {self.times[-1]:g} s"
+            raise UsageError(f"run {self.name} {has}; found nothing {' '.join(asked)}")
+        signals = {event: values[rows] for event, values in self.signals.items()}
+        return RunLog(self.robots, signals, self.times[rows], self.name)
 
     def torque_error(self, robot: str) -> Array:
         """Commanded less measured torque, (T, n), Nm."""

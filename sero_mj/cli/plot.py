@@ -1,0 +1,106 @@
+"""`sero-mj plot`: the torques of a recording as a figure."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import RecordingError, UsageError
+from .arguments import Commands, add_command, not_negative, positive, read_scene_or_model
+
+if TYPE_CHECKING:
+    from ..assemble.scene import Scene
+    from ..simulate.run_log import RunLog
+
+_EPILOG = """\
+examples:
+  sero-mj plot run.mcap -o run.pdf
+  sero-mj plot run.mcap -o elbow.png --joints A3,A4 --from 2 --to 5
+  sero-mj plot monday.mcap tuesday.mcap -o week.pdf       a page for each recording
+  sero-mj plot run.csv --scene lwr -o run.svg             of simulate --csv
+
+A row for each joint: commanded and measured torque with the limit, and beside them the error,
+commanded less measured. Recordings of simulations and of robots alike; time counts from the start
+of a simulation, or from the first packet of a robot. `sero-mj compare` shows two in one figure.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "plot", run, "plot the torques of a recording, joint by joint", _EPILOG
+    )
+    parser.add_argument(
+        "recordings", nargs="+", type=Path, metavar="RUN.mcap", help="recordings, or tables (.csv)"
+    )
+    parser.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="OUT",
+        help="the figure: .pdf, .png or .svg; several recordings are pages of a .pdf",
+    )  # fmt: skip
+    parser.add_argument("--robot", type=_names, metavar="NAME,...", help="which robots")
+    parser.add_argument("--joints", type=_names, metavar="NAME,...", help="which joints: A2,A4")
+    parser.add_argument(
+        "--from", type=not_negative, dest="begin", metavar="S", help="from this time on"
+    )
+    parser.add_argument("--to", type=positive, dest="end", metavar="S", help="up to this time")
+    parser.add_argument(
+        "--scene",
+        metavar="SCENE",
+        help="robots and routes, where a recording has no scene (default: what is in it)",
+    )
+    parser.add_argument("--source", metavar="NAME", help="which source (default: all)")
+    parser.add_argument("--quiet", action="store_true", help="no closing line")
+
+
+def _names(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"found '{text}'; expected names with commas between them")
+    return names
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plots; returns 0."""
+    from ..simulate.figure import check_suffix
+
+    output = check_suffix(options.output)
+    several = len(options.recordings) > 1
+    if several and output.suffix.lower() != ".pdf":
+        raise UsageError(
+            f"-o {output}: {len(options.recordings)} recordings are pages; expected a name that "
+            "ends in .pdf"
+        )
+    if options.begin is not None and options.end is not None and options.end <= options.begin:
+        raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
+    scene = None if options.scene is None else read_scene_or_model(options.scene)
+    logs = [_read(path, scene, options) for path in options.recordings]
+    from ..show.film import check_writable
+    from ..simulate.plot import plot_runs
+
+    check_writable(output)
+    plot_runs(logs, output, robots=options.robot, joints=options.joints)
+    if not options.quiet:
+        print(output)
+    return 0
+
+
+def _read(path: Path, scene: Scene | None, options: argparse.Namespace) -> RunLog:
+    """A recording or a table, and of it the time that was asked for."""
+    from ..simulate.run_csv import read_run_csv
+    from ..simulate.run_recording import read_run
+
+    if path.suffix.lower() == ".csv":
+        if scene is None:
+            raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
+        log = read_run_csv(path, scene.robots)
+    else:
+        try:
+            log = read_run(path, options.source, scene=scene)
+        except RecordingError as error:
+            if scene is None and "give" in error.reason:
+                raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
+            raise
+    if options.begin is None and options.end is None:
+        return log
+    return log.between(options.begin, options.end)
