@@ -126,6 +126,7 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         "two_arms.png",
         "run.mcap",
         "run.csv",
+        "run.pdf",
         "again.mp4",
         "replayed.mp4",
         "other.mcap",

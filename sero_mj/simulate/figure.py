@@ -279,7 +279,7 @@ class Sheet:
         )  # fmt: skip
 
     def make_room(self) -> None:
-        """Before it is written: makes the panels narrower where the number at the last tick would be cut off."""
+        """Makes the panels narrower where the number at the last tick would be cut off."""
         self.figure.draw_without_rendering()
         panel = self.axes[-1][-1]
         labels = [label.get_window_extent() for label in panel.get_xticklabels()
