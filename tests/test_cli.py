@@ -61,8 +61,9 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
             "no scene or robot 'lwr_ud'; did you mean 'lwr_udp'?",
         ),
         (
-            ["render", "lwr", "-o", "x.gif"],
-            "expected a name that ends in .png, .jpg, .webp or .mp4",
+            ["render", "lwr", "-o", "x.svg"],
+            "-o x.svg: expected a name that ends in .png, .jpg, .jpeg, .webp for a picture, or in "
+            ".mp4, .webm, .gif for a film",
         ),
         (["render", "lwr", "-o", "x.png", "--fps", "3"], "--duration and --fps are for films"),
         (["render", "lwr", "-o", "x.png", "--size", "12"], "expected WIDTHxHEIGHT, e.g. 1280x800"),

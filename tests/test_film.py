@@ -16,7 +16,7 @@ from sero_mj.assemble.scene import Scene, View
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import RenderError
 from sero_mj.show.capture import _states, render_film, render_picture
-from sero_mj.show.film import FilmWriter, save_picture
+from sero_mj.show.film import FilmWriter, default_fps, save_picture
 
 # The default view depends on where the scene declares the robot.
 VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])
@@ -38,6 +38,75 @@ def test_a_film_has_its_frames_size_and_rate(tmp_path) -> None:
     assert len(frames) == 12
     assert np.abs(frames[7].mean(axis=(0, 1)) - (70, 128, 185)).max() < 12
     assert [p.name for p in path.parent.iterdir()] == ["film.mp4"]
+
+
+def test_a_film_for_the_web_has_its_frames(tmp_path) -> None:
+    path = tmp_path / "film.webm"
+    with FilmWriter(path, 65, 49, 25.0) as film:
+        for k in range(12):
+            film.add(a_frame(k, 65, 49))
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name in ("vp9", "libvpx-vp9")
+        assert (stream.width, stream.height, stream.average_rate) == (64, 48, 25)
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 12
+    assert np.abs(frames[7].mean(axis=(0, 1)) - (70, 128, 185)).max() < 12
+
+
+def test_a_gif_has_its_frames_colours_and_time(tmp_path) -> None:
+    path = tmp_path / "film.gif"
+    ramp = np.zeros((49, 65, 3), np.uint8)
+    ramp[..., 0] = np.linspace(0, 255, 65)
+    ramp[..., 1] = np.linspace(0, 255, 49)[:, None]
+    frames = [np.roll(ramp, 7 * k, axis=1) for k in range(9)]
+    with FilmWriter(path, 65, 49, 30.0) as film:
+        for k, frame in enumerate(frames):
+            film.add(frame if k != 4 else a_frame(4, 65, 49))  # colours of its own
+    with Image.open(path) as gif:
+        assert (gif.n_frames, gif.size, gif.info["loop"]) == (9, (65, 49), 0)
+        shown, seconds = [], 0.0
+        for k in range(9):
+            gif.seek(k)
+            seconds += gif.info["duration"] / 1000
+            shown.append(np.asarray(gif.convert("RGB")).astype(int))
+    assert abs(seconds - 9 / 30) < 0.02
+    for k, (found, frame) in enumerate(zip(shown, frames, strict=True)):
+        wanted = a_frame(4, 65, 49) if k == 4 else frame
+        assert np.abs(found - wanted).mean() < (1 if k == 4 else 8), k
+    assert [p.name for p in tmp_path.iterdir()] == ["film.gif"]
+
+
+def test_a_gif_that_is_interrupted_is_kept_and_one_that_fails_is_not(tmp_path) -> None:
+    for error, kept in ((KeyboardInterrupt, ["film.gif"]), (ZeroDivisionError, [])):
+        folder = tmp_path / error.__name__
+        with pytest.raises(error), FilmWriter(folder / "film.gif", 64, 48, 20.0) as film:
+            film.add(a_frame(1))
+            film.add(a_frame(2))
+            raise error
+        assert [p.name for p in folder.iterdir()] == kept
+    with Image.open(tmp_path / "KeyboardInterrupt" / "film.gif") as gif:
+        assert gif.n_frames == 2
+
+
+def test_films_of_other_kinds_and_rates_are_refused(tmp_path) -> None:
+    with pytest.raises(RenderError, match=r"x\.avi: expected a name that ends in \.mp4, \.webm"):
+        FilmWriter(tmp_path / "x.avi", 64, 48, 30.0)
+    with pytest.raises(RenderError, match="found 60 frames per second; expected at most 50"):
+        FilmWriter(tmp_path / "x.gif", 64, 48, 60.0)
+    assert [default_fps(f"x{suffix}") for suffix in (".mp4", ".webm", ".GIF")] == [30, 30, 20]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.gl
+def test_a_gif_and_a_webm_of_a_scene(lwr: SerialRobot, tmp_path) -> None:
+    scene = Scene(robots=[lwr], view=VIEW)
+    for name, frames in (("film.gif", 4), ("film.webm", 6)):
+        render_film(scene, tmp_path / name, duration=0.2, size=(160, 120))
+        with av.open(str(tmp_path / name)) as container:
+            pictures = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
+        assert len(pictures) == frames
+        assert pictures[0].std() > 20  # a robot, and not a plane of one colour
 
 
 def test_a_film_that_breaks_off_leaves_nothing_behind(tmp_path) -> None:

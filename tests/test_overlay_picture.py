@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,6 +15,7 @@ from PIL import Image
 
 import sero_mj
 from sero_mj.assemble.world import World
+from sero_mj.errors import RenderError
 from sero_mj.show.headless import HeadlessRenderer
 from sero_mj.show.picture import Picture
 
@@ -64,6 +66,25 @@ def test_a_missing_arrow_is_seen_in_the_picture(overlay: Any) -> None:
         overlay.toggles.arrows[joint] = False
         assert difference(picture, overlay.image(*SIZE, CAMERA)) > TOLERANCE, joint
         overlay.toggles.arrows[joint] = True
+
+
+def test_a_picture_saves_itself_and_stays_an_array(overlay: Any, tmp_path: Path) -> None:
+    picture = overlay.image(320, 240, CAMERA)
+    for name in ("new/out.png", "out.jpg", "out.webp"):
+        picture.save(tmp_path / name)
+        with Image.open(tmp_path / name) as found:
+            assert found.size == (320, 240)
+    with Image.open(tmp_path / "new" / "out.png") as found:
+        np.testing.assert_array_equal(np.asarray(found), picture)
+    assert isinstance(picture, np.ndarray)
+    picture[10:90, ::2].save(str(tmp_path / "part.png"))
+    with Image.open(tmp_path / "part.png") as found:
+        assert found.size == (160, 80)
+    with pytest.raises(RenderError, match=r"out\.xyz: unknown file extension: \.xyz"):
+        picture.save(tmp_path / "out.xyz")
+    expected = r"found 240 x 320 numbers of type uint8; expected a picture"
+    with pytest.raises(RenderError, match=expected):
+        picture[..., 0].save(tmp_path / "plane.png")
 
 
 def test_the_lwr_looks_the_same_as_an_overlay_and_as_a_scene() -> None:

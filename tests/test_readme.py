@@ -127,6 +127,7 @@ def test_everything_in_the_readme_works_as_it_stands(tmp_path: Path) -> None:
         "run.mcap",
         "run.csv",
         "run.pdf",
+        "overlay.png",
         "again.mp4",
         "replayed.mp4",
         "other.mcap",

@@ -238,7 +238,7 @@ def test_what_came_before_an_error_is_kept(
     ("options", "message"),
     [
         (["--record", "run.txt"], "--record run.txt: expected a name that ends in .mcap"),
-        (["--render", "run.gif"], "--render run.gif: expected a name that ends in .mp4 or .png"),
+        (["--render", "run.avi"], "--render run.avi: expected a name that ends in .png, .jpg"),
         (["--at", "1"], "--at is for a picture: --render OUT.png"),
         (["--render", "x.png", "--at", "9"], "--at 9: the run ends at 0.4 s"),
         (["--set", "controllers.lwr.stifness=1"], "stifness: unknown key; did you mean"),

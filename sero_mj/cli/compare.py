@@ -127,8 +127,12 @@ def _check_names(options: argparse.Namespace) -> None:
     if options.plot is not None and options.plot.suffix.lower() not in SUFFIXES:
         expected = ", ".join(SUFFIXES)
         raise UsageError(f"--plot {options.plot}: expected a name that ends in {expected}")
-    if options.render is not None and options.render.suffix.lower() != ".mp4":
-        raise UsageError(f"--render {options.render}: expected a name that ends in .mp4")
+    if options.render is not None:
+        from ..show.film import FILMS
+
+        if options.render.suffix.lower() not in FILMS:
+            expected = ", ".join(FILMS)
+            raise UsageError(f"--render {options.render}: expected a name that ends in {expected}")
 
 
 def _angle(options: argparse.Namespace) -> float | None:
@@ -165,7 +169,6 @@ def _film(pair: Pair, a: RunLog, options: argparse.Namespace) -> None:
             options.render,
             quiet=options.quiet,
             duration=float(pair.times[-1] - pair.times[0]),
-            fps=30.0,
             size=options.size,
             camera=None,
             wait=0.0,

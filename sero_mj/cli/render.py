@@ -28,6 +28,7 @@ examples:
   sero-mj render lwr_udp -o lwr.mp4 --duration 10     film it for 10 s of real time
   sero-mj render lwr -o pose.png --set lwr.joint_angles=0,0.5,0,-1.5,0,1,0 \\
       --set lwr.torques=10,-80,5,30,0,-2,1 --set lwr.show_arrows=true
+  sero-mj render lwr_udp -o lwr.gif --size 480x320    small enough for a page of text
   sero-mj render lwr_udp -o top.png --camera 90,-80,2.5 --size 640x480
   sero-mj render lwr_udp -o run.mp4 --replay run.mcap --duration 10
   sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
@@ -44,7 +45,12 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
     parser.add_argument(
-        "-o", "--output", required=True, type=Path, metavar="OUT", help="OUT.png or OUT.mp4"
+        "-o",
+        "--output",
+        required=True,
+        type=Path,
+        metavar="OUT",
+        help="a picture: .png, .jpg, .webp; or a film: .mp4, .webm, .gif",
     )
     parser.add_argument(
         "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
@@ -52,7 +58,9 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="length of a film in s (default 5)"
     )
-    parser.add_argument("--fps", type=positive, metavar="N", help="frames per second (default 30)")
+    parser.add_argument(
+        "--fps", type=positive, metavar="N", help="frames per second (default 30; of a GIF 20)"
+    )
     add_scene_options(parser)
     parser.add_argument(
         "--click",
@@ -98,12 +106,12 @@ def _click(text: str) -> tuple[float, float, str, bool]:
 
 def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
+    from ..show.film import FILMS
+
     output: Path = options.output
-    is_film = output.suffix.lower() == ".mp4"
-    if not is_film and output.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
-        raise UsageError(f"-o {output}: expected a name that ends in .png, .jpg, .webp or .mp4")
+    is_film = check_picture_or_film("-o", output)
     if not is_film and (options.duration or options.fps):
-        raise UsageError(f"-o {output}: --duration and --fps are for films (.mp4)")
+        raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.capture").setLevel(logging.INFO)
     scene = read_scene(options)
@@ -117,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
             output,
             quiet=options.quiet,
             duration=options.duration or 5.0,
-            fps=options.fps or 30.0,
+            fps=options.fps,
             size=options.size,
             camera=options.camera,
             wait=options.wait,
@@ -143,6 +151,24 @@ def run(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(output)
     return 0
+
+
+def check_picture_or_film(option: str, path: Path) -> bool:
+    """Returns whether a name is a film's.
+
+    Raises:
+        UsageError: it is no picture's either.
+    """
+    from ..show.film import FILMS, PICTURES
+
+    suffix = path.suffix.lower()
+    if suffix not in (*FILMS, *PICTURES):
+        pictures, films = ", ".join(PICTURES), ", ".join(FILMS)
+        raise UsageError(
+            f"{option} {path}: expected a name that ends in {pictures} for a picture, or in "
+            f"{films} for a film"
+        )
+    return suffix in FILMS
 
 
 def film_with_progress(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SimulationError, UsageError
 from . import simulate_send
 from .arguments import Commands, add_command, not_negative, overrides, positive, size
-from .render import film_with_progress
+from .render import check_picture_or_film, film_with_progress
 
 if TYPE_CHECKING:
     from ..simulate.simulation import Simulation
@@ -44,14 +44,18 @@ def add_to(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument("--csv", type=Path, metavar="OUT.csv", help="the same as a table")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="torques of every joint")
-    parser.add_argument("--render", type=Path, metavar="OUT.mp4", help="film it, or OUT.png")
+    parser.add_argument(
+        "--render", type=Path, metavar="OUT.mp4", help="film it (.webm, .gif), or OUT.png"
+    )
     parser.add_argument(
         "--at", type=not_negative, metavar="S", help="time of a picture (default: the end)"
     )
     parser.add_argument(
         "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
     )
-    parser.add_argument("--fps", type=positive, metavar="N", help="frames per second (default 30)")
+    parser.add_argument(
+        "--fps", type=positive, metavar="N", help="frames per second (default 30; of a GIF 20)"
+    )
     parser.add_argument(
         "--camera", metavar="CAM", help="name of a camera, or azimuth,elevation,distance"
     )
@@ -115,7 +119,6 @@ def _check_options(options: argparse.Namespace) -> None:
         "record": (".mcap",),
         "csv": (".csv",),
         "plot": (".png", ".pdf", ".svg"),
-        "render": (".mp4", ".png", ".jpg", ".jpeg", ".webp"),
     }
     for key, expected in endings.items():
         path: Path | None = getattr(options, key)
@@ -127,7 +130,10 @@ def _check_options(options: argparse.Namespace) -> None:
             )
         if not path.parent.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
-    is_picture = options.render is not None and options.render.suffix.lower() != ".mp4"
+    is_picture = False
+    if options.render is not None:
+        is_picture = not check_picture_or_film("--render", options.render)
+        options.render.parent.mkdir(parents=True, exist_ok=True)
     if options.at is not None and not is_picture:
         raise UsageError("--at is for a picture: --render OUT.png")
     if is_picture and options.fps:
@@ -186,10 +192,10 @@ def _render(simulation: Simulation, options: argparse.Namespace) -> None:
     from ..simulate.simulated_source import staged
 
     scene = staged(simulation)
-    if options.render.suffix.lower() == ".mp4":
+    if check_picture_or_film("--render", options.render):
         film_with_progress(
             scene, options.render, quiet=options.quiet, duration=max(simulation.time, 1e-3),
-            fps=options.fps or 30.0, size=options.size, camera=options.camera,
+            fps=options.fps, size=options.size, camera=options.camera,
         )  # fmt: skip
         return
     at = simulation.time if options.at is None else options.at

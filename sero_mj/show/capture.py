@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..drive.mirror import Mirror, restore
 from ..errors import RenderError
-from .film import FilmWriter, check_writable, save_picture
+from .film import FilmWriter, check_writable, default_fps, save_picture
 from .headless import DEFAULT_SIZE, HeadlessRenderer
 from .picking import FINGER
 
@@ -76,7 +76,7 @@ def render_film(
     path: Path | str,
     *,
     duration: float = 5.0,
-    fps: float = 30.0,
+    fps: float | None = None,
     size: tuple[int, int] = DEFAULT_SIZE,
     camera: str | None = None,
     wait: float = 2.0,
@@ -87,9 +87,9 @@ def render_film(
 
     Args:
         scene: what to show.
-        path: where to; .mp4.
+        path: where to; .mp4, .webm or .gif.
         duration: of the film, s.
-        fps: frames per second.
+        fps: frames per second; None for 30, or 20 for a GIF.
         size: width and height, pixels.
         camera: see `find_camera`.
         wait: how long to wait for the first packet of every source, s.
@@ -102,11 +102,10 @@ def render_film(
     Raises:
         SeroError: what is wrong with the scene, its sources, the camera or the file.
     """
+    fps = default_fps(path) if fps is None else fps
     for what, value in (("duration", duration), ("fps", fps)):
         if not 0 < value < float("inf"):
             raise RenderError(f"{what} {value}: expected a number above 0")
-    if Path(path).suffix.lower() != ".mp4":
-        raise RenderError(f"{path}: expected a name that ends in .mp4")
     count = max(round(duration * fps), 1)
     if count > MAX_FRAMES:
         raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")

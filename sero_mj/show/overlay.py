@@ -176,7 +176,7 @@ class Overlay:
         height: int = DEFAULT_SIZE[1],
         camera: str | mujoco.MjvCamera | None = None,
     ) -> Picture:
-        """Renders a picture without a window; a notebook shows it.
+        """Renders a picture without a window; a notebook shows it, `.save("out.png")` writes it.
 
         Args:
             width: pixels.

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.looks import Look
 from ..assemble.robot import SerialRobot
@@ -25,6 +23,7 @@ from .display import has_display
 from .headless import DEFAULT_SIZE
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
+from .picture import Picture
 
 log = logging.getLogger(__name__)
 
@@ -96,9 +95,10 @@ class Viewer:
             raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
         self.host.on_click = callback
 
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Picture:
         """What is seen, (height, width, 3), without the host's own text."""
-        return self.host.picture()
+        picture: Picture = self.host.picture().view(Picture)
+        return picture
 
     def close(self) -> None:
         """Closes the host and the sources."""
