@@ -59,7 +59,10 @@ def test_a_gif_has_its_frames_colours_and_time(tmp_path) -> None:
     ramp = np.zeros((49, 65, 3), np.uint8)
     ramp[..., 0] = np.linspace(0, 255, 65)
     ramp[..., 1] = np.linspace(0, 255, 49)[:, None]
-    frames = [np.roll(ramp, 7 * k, axis=1) for k in range(9)]
+    frames = [np.roll(ramp, 7 * k, axis=1) for k in range(5)]
+    for k in range(4):  # something small of another colour, before what stands still
+        frames.append(ramp.copy())
+        frames[-1][20:30, 10 * k : 10 * k + 8] = (30, 60 * k, 255)
     with FilmWriter(path, 65, 49, 30.0) as film:
         for k, frame in enumerate(frames):
             film.add(frame if k != 4 else a_frame(4, 65, 49))  # colours of its own

@@ -193,7 +193,7 @@ class _Palettes:
         begin = graph.add_buffer(width=width, height=height, format=rgb, time_base=self._step)
         both = graph.add("split")
         choose = graph.add("palettegen", "stats_mode=single")
-        use = graph.add("paletteuse", "new=1:dither=bayer:bayer_scale=5:diff_mode=rectangle")
+        use = graph.add("paletteuse", "new=1:dither=bayer:bayer_scale=5")
         end = graph.add("buffersink")
         begin.link_to(both)
         both.link_to(choose, 0, 0)
