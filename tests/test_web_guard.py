@@ -215,6 +215,30 @@ def test_a_token_can_be_had_on_this_machine_too(home: None) -> None:
         assert page.url.partition("token=")[2] != first.partition("token=")[2]
 
 
+CONNECT = """
+import socket, sys
+with socket.create_connection(("127.0.0.1", int(sys.argv[1])), 5) as one:
+    one.sendall(b"POST / HTTP/1.1\\r\\n" + bytes(200))
+    try:
+        print(one.recv(1))
+    except ConnectionResetError:
+        print(b"")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="whose a socket is cannot be found out")
+def test_nobody_takes_the_place_of_the_user_interface(page: WebHost) -> None:
+    """Its server would send what it gets there to the browser, and all input back."""
+    port = page.viewer._tcp_sock.getsockname()[1]
+    command = [sys.executable, "-c", CONNECT, str(port)]
+    found = subprocess.run(command, check=True, capture_output=True, text=True, timeout=20)
+    assert found.stdout == "b''\n", found.stderr
+    with socket.create_connection(("127.0.0.1", port), 5) as own:
+        own.settimeout(0.2)
+        with pytest.raises(TimeoutError):  # it is let in, and nothing is sent yet
+            own.recv(1)
+
+
 def test_addresses_of_this_machine_are_known() -> None:
     for address in ("127.0.0.1", "127.3.2.1", "::1", "::ffff:127.0.0.1", "localhost"):
         assert is_loopback(address)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import socket
 import threading
 import time
 from typing import Any
@@ -16,6 +17,7 @@ from websockets.exceptions import ConnectionClosed
 
 from ...errors import RenderError
 from .guard import Guard, GuardedRun
+from .own_socket import OwnSocket
 from .site import find_files, read_page
 
 LOOPBACK = "127.0.0.1"
@@ -149,6 +151,7 @@ class StudioViewer(web_viewer.WebViewer):
 
     _web_server: QuietServer | None
     _headless_ui: Any
+    _tcp_sock: socket.socket
 
     def __init__(
         self,
@@ -184,6 +187,7 @@ class StudioViewer(web_viewer.WebViewer):
         """Studio's constructor wants all interfaces; the user's choice stands."""
 
     def _start_server(self) -> None:
+        self._tcp_sock = OwnSocket(fileno=self._tcp_sock.detach())
         bound = self._http_sock.getsockname()[0]
         self._web_server = QuietServer(
             Guard(self._page, bound, self.address, self._token),
