@@ -23,7 +23,8 @@ from sero_mj.drive.read_csv import read_csv
 from sero_mj.drive.syntax import parse
 from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
 from sero_mj.files import open_file, read_file
-from sero_mj.receive.replay import Replay, open_recording
+from sero_mj.receive.open_recording import open_recording
+from sero_mj.receive.replay import Replay
 from sero_mj.receive.shm import ShmReader
 from sero_mj.simulate.run_recording import read_run
 

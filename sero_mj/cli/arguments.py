@@ -173,7 +173,7 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..receive.replay import open_recording
+    from ..receive.open_recording import open_recording
 
     with open_recording(file) as recording:
         recorded = list(recording.sources)

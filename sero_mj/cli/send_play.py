@@ -127,7 +127,7 @@ def _open(
     options: argparse.Namespace, source: Receiver, structure: Structure, to_shm: bool
 ) -> Playback:
     from ..drive.playback import RecordedPackets, TablePackets
-    from ..receive.replay import open_recording
+    from ..receive.open_recording import open_recording
 
     file: Path = options.play
     if file.suffix.lower() == ".csv":

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import CsvError, RecordingError, UsageError, did_you_mean
-from ..receive.replay import Replay, open_recording
+from ..receive.open_recording import open_recording
+from ..receive.replay import Replay
 from ..receive.structure import Structure
 from .export_csv import column_names
 from .read_csv import read_csv

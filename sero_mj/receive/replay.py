@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
 
 from ..errors import RecordingError, SourceError, did_you_mean
-from ..files import open_file
 from .intake import Intake
 from .live import LIVE
+from .open_recording import open_recording
 from .receiver import Receiver, log
 from .recording import RecordedSource, Recording
 from .source import Packets
@@ -24,24 +24,6 @@ from .structure import Structure
 Array = NDArray[np.float64]
 
 _AT_ONCE = 4096  # packets
-
-
-def open_recording(path: Path | str) -> Recording:
-    """Opens a recording that was named by somebody else.
-
-    Raises:
-        RecordingError: it cannot be read, is no recording, or not even a file: a pipe, say, which
-            would keep its reader waiting.
-    """
-    try:
-        open_file(path).close()
-    except FileNotFoundError:
-        pass  # told below
-    except OSError as error:
-        raise RecordingError(path, f"{error.strerror}") from error
-    except ValueError:
-        pass
-    return Recording(path)
 
 
 def _as_path(file: Any) -> Path:
@@ -107,7 +89,7 @@ class Replay(Receiver):
     def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data:
             return source
-        with open_recording(info.data["file"]) as recording:
+        with Recording(info.data["file"]) as recording:
             names = list(recording.sources)
         if source:
             if source not in names:
@@ -125,7 +107,7 @@ class Replay(Receiver):
     @classmethod
     def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
         if start is not None and "file" in info.data:
-            with open_recording(info.data["file"]) as recording:
+            with Recording(info.data["file"]) as recording:
                 check_start(start, recording)
         return start
 
@@ -137,7 +119,7 @@ class Replay(Receiver):
         if info.data["start"] is not None:
             begin, word = info.data["start"], "start"
         else:
-            with open_recording(info.data["file"]) as recording:
+            with Recording(info.data["file"]) as recording:
                 begin, word = _first_of(recording), "where its first packet came"
         if not begin < stop < np.inf:
             raise ValueError(f"found {stop:g}; expected more than {begin:g}, {word}, in s")
@@ -146,7 +128,7 @@ class Replay(Receiver):
     @cached_property
     def recorded(self) -> RecordedSource:
         """The source as it was recorded."""
-        with open_recording(self.file) as recording:
+        with Recording(self.file) as recording:
             return recording.sources[self.source]
 
     @cached_property
@@ -180,7 +162,7 @@ class Replay(Receiver):
     def _begin(self) -> float:
         if self.start is not None:
             return self.start
-        with open_recording(self.file) as recording:
+        with Recording(self.file) as recording:
             return _first_of(recording)
 
     @property
@@ -221,7 +203,7 @@ class Replay(Receiver):
         """
         self.close()
         try:
-            self._recording = open_recording(self.file)
+            self._recording = Recording(self.file)
             self._recording.check_readable(self.source)
         except RecordingError as error:
             self.close()

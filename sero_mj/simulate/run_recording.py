@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..errors import RecordingError, UsageError, did_you_mean
+from ..receive.open_recording import open_recording
 from ..receive.recording import Recording
-from ..receive.replay import open_recording
 from .recorded_events import read_events, receiver_of
 from .recorded_robots import read_tables, recorded_robots
 from .recorded_routes import follow_routes
