@@ -20,8 +20,8 @@ from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import COMMAND, no_command
-from sero_mj.receive.recording_writer import RecordingWriter
 from sero_mj.receive.structure import Structure
+from sero_mj.record.recording_writer import RecordingWriter
 
 
 @pytest.fixture

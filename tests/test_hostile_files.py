@@ -16,17 +16,17 @@ from shm_tools import block, needs_posix
 from sero_mj import Scene, SerialRobot, load_scene
 from sero_mj.assemble.mjcf_piece import read_piece
 from sero_mj.assemble.objects import Object
-from sero_mj.assemble.toml_file import key_lines, read_toml
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
-from sero_mj.drive.read_csv import read_csv
 from sero_mj.drive.syntax import parse
 from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
 from sero_mj.files import open_file, read_file
 from sero_mj.receive.open_recording import open_recording
-from sero_mj.receive.replay import Replay
 from sero_mj.receive.shm import ShmReader
-from sero_mj.simulate.run_recording import read_run
+from sero_mj.record.read_csv import read_csv
+from sero_mj.record.replay import Replay
+from sero_mj.runs.run_recording import read_run
+from sero_mj.toml_file import key_lines, read_toml
 
 __all__ = ["block"]  # a fixture
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no such files")

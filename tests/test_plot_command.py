@@ -13,8 +13,8 @@ from runs import simulated, sine_run, two_joints
 
 from sero_mj.cli import main
 from sero_mj.errors import CsvError, UsageError
+from sero_mj.runs.run_log import RunLog
 from sero_mj.simulate.run_csv import read_run_csv
-from sero_mj.simulate.run_log import RunLog
 from sero_mj.simulate.run_recorder import RunRecorder, write_csv
 
 
@@ -122,7 +122,7 @@ def test_what_is_no_figure_or_no_table_is_told(
 
 
 def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) -> None:
-    from sero_mj.simulate.plot import plot_run, plot_runs
+    from sero_mj.study.plot import plot_run, plot_runs
 
     log = sine_run()
     hand = two_joints("hand")

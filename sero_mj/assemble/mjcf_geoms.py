@@ -10,9 +10,9 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
+from .. import frames
 from ..errors import DeclarationError, Problem
 from ..files import read_file
-from . import frames
 from .robot import SerialRobot
 from .shapes import LinkShape
 

@@ -17,7 +17,7 @@ from ..errors import DeclarationError, Problem, UsageError
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..receive.recording import Recording
+    from ..record.recording import Recording
 
 # Subparsers have no public type.
 Commands = Any
@@ -195,7 +195,7 @@ def check_span(recording: Recording, start: float | None, stop: float | None = N
     Raises:
         UsageError: it ends before the start, or the stop is not after the start.
     """
-    from ..receive.replay import check_start
+    from ..record.replay import check_start
 
     if start is not None:
         try:

@@ -11,7 +11,7 @@ from .arguments import Commands, add_command, not_negative, positive, read_scene
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..simulate.run_log import RunLog
+    from ..runs.run_log import RunLog
 
 _EPILOG = """\
 examples:
@@ -62,7 +62,7 @@ def _names(text: str) -> list[str]:
 
 def run(options: argparse.Namespace) -> int:
     """Plots; returns 0."""
-    from ..simulate.figure import check_suffix
+    from ..study.figure import check_suffix
 
     output = check_suffix(options.output)
     several = len(options.recordings) > 1
@@ -75,8 +75,8 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
     scene = None if options.scene is None else read_scene_or_model(options.scene)
     logs = [_read(path, scene, options) for path in options.recordings]
-    from ..show.film import check_writable
-    from ..simulate.plot import plot_runs
+    from ..show.headless.film import check_writable
+    from ..study.plot import plot_runs
 
     check_writable(output)
     plot_runs(logs, output, robots=options.robot, joints=options.joints)
@@ -87,8 +87,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _read(path: Path, scene: Scene | None, options: argparse.Namespace) -> RunLog:
     """A recording or a table, and of it the time that was asked for."""
+    from ..runs.run_recording import read_run
     from ..simulate.run_csv import read_run_csv
-    from ..simulate.run_recording import read_run
 
     if path.suffix.lower() == ".csv":
         if scene is None:

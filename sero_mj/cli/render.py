@@ -9,14 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from .arguments import (
-    Commands,
-    add_command,
-    not_negative,
-    positive,
-    replay_instead,
-    size,
-)
+from .arguments import Commands, add_command, not_negative, positive, replay_instead, size
 from .scene_options import add_scene_options, read_scene
 
 if TYPE_CHECKING:
@@ -106,14 +99,14 @@ def _click(text: str) -> tuple[float, float, str, bool]:
 
 def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
-    from ..show.film import FILMS
+    from ..show.headless.film import FILMS
 
     output: Path = options.output
     is_film = check_picture_or_film("-o", output)
     if not is_film and (options.duration or options.fps):
         raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
     if options.clicks:  # what was hit is worth a line
-        logging.getLogger("sero_mj.show.capture").setLevel(logging.INFO)
+        logging.getLogger("sero_mj.show.headless.capture").setLevel(logging.INFO)
     scene = read_scene(options)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
@@ -132,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
             clicks=options.clicks,
         )
     else:
-        from ..show.capture import render_picture
+        from ..show.headless.capture import render_picture
 
         silent = render_picture(
             scene,
@@ -159,7 +152,7 @@ def check_picture_or_film(option: str, path: Path) -> bool:
     Raises:
         UsageError: it is no picture's either.
     """
-    from ..show.film import FILMS, PICTURES
+    from ..show.headless.film import FILMS, PICTURES
 
     suffix = path.suffix.lower()
     if suffix not in (*FILMS, *PICTURES):
@@ -178,7 +171,7 @@ def film_with_progress(
     from rich import progress as bars
     from rich.console import Console
 
-    from ..show.capture import render_film
+    from ..show.headless.capture import render_film
 
     columns = (
         bars.TextColumn("{task.description}"),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import RecordingError
 from ..files import open_file
-from .recording import Recording
+from ..record.recording import Recording
 
 
 def open_recording(path: Path | str) -> Recording:

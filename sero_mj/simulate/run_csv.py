@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
-from ..drive.read_csv import read_csv
 from ..errors import CsvError
-from .run_log import RunLog, event_of
+from ..record.read_csv import read_csv
+from ..runs.run_log import RunLog, event_of
 
 _COLUMN = re.compile(r"(\w+)\[(\d+)\]")
 

@@ -9,9 +9,9 @@ from typing import Self
 import numpy as np
 
 from .. import __version__
-from ..drive.export_csv import column_names
-from ..drive.write_csv import csv_table
-from ..receive.recording_writer import RecordingWriter
+from ..record.export_csv import column_names
+from ..record.recording_writer import RecordingWriter
+from ..record.write_csv import csv_table
 from .scenario import Scenario
 from .simulation import Simulation
 from .staging import SOURCE

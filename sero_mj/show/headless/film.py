@@ -1,0 +1,215 @@
+"""Pictures and films on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ...errors import RenderError
+
+
+@dataclass(frozen=True)
+class FilmKind:
+    """How films of one ending are written.
+
+    Attributes:
+        codec: of FFmpeg.
+        options: of it; rendering is what should take the time.
+        has_palette: whether a frame has 256 colours, and not all.
+        fps: frames per second where nobody says.
+        most_fps: frames per second that programs can show.
+    """
+
+    codec: str
+    options: Mapping[str, str]
+    has_palette: bool = False
+    fps: float = 30.0
+    most_fps: float = float("inf")
+
+
+_VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5", "row-mt": "1"}
+FILMS = {
+    ".mp4": FilmKind("libx264", {"crf": "18", "preset": "veryfast"}),
+    ".webm": FilmKind("libvpx-vp9", _VP9),
+    ".gif": FilmKind("gif", {}, has_palette=True, fps=20.0, most_fps=50.0),
+}
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+Pixels = NDArray[np.uint8]
+
+
+def check_writable(path: Path) -> None:
+    """Makes the file's folder, so that a wrong place shows before anything is rendered.
+
+    Raises:
+        RenderError: the file cannot be written there.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RenderError(f"cannot write {path}: {error.strerror}") from error
+    if path.is_dir() or not os.access(path.parent, os.W_OK):
+        raise RenderError(f"cannot write {path}: it is a folder, or its folder is read-only")
+
+
+def save_picture(path: Path, pixels: Pixels) -> None:
+    """Writes a picture in the format of the file's ending.
+
+    Args:
+        path: its folder is made if need be.
+        pixels: (height, width, 3).
+
+    Raises:
+        RenderError: the file cannot be written, or the format is unknown.
+    """
+    check_writable(path)
+    try:
+        Image.fromarray(pixels).save(path)
+    except (OSError, ValueError) as error:
+        raise RenderError(f"cannot write {path}: {error}") from error
+
+
+def check_film(path: Path | str) -> Path:
+    """Returns the path of a film; raises RenderError where its name does not end as a film's."""
+    path = Path(path)
+    if path.suffix.lower() not in FILMS:
+        raise RenderError(f"{path}: expected a name that ends in {', '.join(FILMS)}")
+    return path
+
+
+def default_fps(path: Path | str) -> float:
+    """Frames per second that a film has where nobody says."""
+    return FILMS[check_film(path).suffix.lower()].fps
+
+
+class FilmWriter:
+    """Writes an H.264, VP9 or GIF film. Use it as a context manager.
+
+    The film is written beside its final name and moved there when it is complete, so a film
+    that was broken off never looks like a finished one.
+
+    Attributes:
+        frames: how many were added.
+
+    Args:
+        path: an .mp4, .webm or .gif file; its folder is made if need be.
+        width: of the frames; H.264 and VP9 halve colours, so an odd last column is left out.
+        height: likewise; at least 2 pixels each.
+        fps: frames per second; at most 50 for a GIF.
+
+    When the user interrupts (KeyboardInterrupt), what was filmed so far is kept.
+
+    Raises:
+        RenderError: the file cannot be written, is none of these, the size is too small, or there
+            are too many frames per second.
+    """
+
+    def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
+        kind = FILMS[check_film(path).suffix.lower()]
+        self._path = path
+        self._part = path.with_name(f".{path.name}.part{path.suffix}")
+        odd = 1 if kind.has_palette else 2
+        self._width, self._height = width - width % odd, height - height % odd
+        if min(self._width, self._height) < 2:
+            raise RenderError(f"film size {width}x{height}: expected at least 2x2 pixels")
+        if fps > kind.most_fps:
+            raise RenderError(
+                f"{path}: found {fps:g} frames per second; expected at most {kind.most_fps:g}: "
+                "programs show a faster GIF slowly"
+            )
+        check_writable(path)
+        try:
+            self._container = av.open(str(self._part), "w")
+        except (OSError, ValueError) as error:
+            raise RenderError(f"cannot write {path}: {error}") from error
+        self.frames = 0
+        rate = Fraction(fps).limit_denominator(1001)
+        stream = self._container.add_stream(kind.codec, rate=rate, options=dict(kind.options))
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height = self._width, self._height
+        stream.pix_fmt = "pal8" if kind.has_palette else "yuv420p"
+        self._stream = stream
+        self._palettes = _Palettes(self._width, self._height, rate) if kind.has_palette else None
+
+    def add(self, pixels: Pixels) -> None:
+        """Appends a frame, (height, width, 3)."""
+        frame = av.VideoFrame.from_ndarray(
+            np.ascontiguousarray(pixels[: self._height, : self._width]), format="rgb24"
+        )
+        self._encode(frame)
+        self.frames += 1
+
+    def _encode(self, frame: av.VideoFrame | None) -> None:
+        frames = [frame] if self._palettes is None else self._palettes.follow(frame)
+        for each in frames:
+            self._container.mux(self._stream.encode(each))
+        if frame is None and self._palettes is not None:
+            self._container.mux(self._stream.encode(None))
+
+    def __enter__(self) -> FilmWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        keep = kind is None or (issubclass(kind, KeyboardInterrupt) and self.frames > 0)
+        if keep:
+            self._encode(None)
+        self._container.close()
+        if keep:
+            self._part.replace(self._path)
+        else:
+            self._part.unlink(missing_ok=True)
+
+
+class _Palettes:
+    """Gives every frame of a GIF the 256 colours that suit it best.
+
+    One palette for all would have to know the last frame before the first is written.
+
+    Args:
+        width: of the frames, pixels.
+        height: likewise.
+        rate: frames per second.
+    """
+
+    def __init__(self, width: int, height: int, rate: Fraction) -> None:
+        self._graph = graph = av.filter.Graph()
+        self._step = 1 / rate
+        self._count = 0
+        rgb = av.VideoFormat("rgb24", width, height)
+        begin = graph.add_buffer(width=width, height=height, format=rgb, time_base=self._step)
+        both = graph.add("split")
+        choose = graph.add("palettegen", "stats_mode=single")
+        use = graph.add("paletteuse", "new=1:dither=bayer:bayer_scale=5")
+        end = graph.add("buffersink")
+        begin.link_to(both)
+        both.link_to(choose, 0, 0)
+        both.link_to(use, 1, 0)
+        choose.link_to(use, 0, 1)
+        use.link_to(end)
+        graph.configure()
+
+    def follow(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
+        """Yields the frames that are ready once this one, or the end (None), has come."""
+        if frame is not None:
+            frame.pts, frame.time_base = self._count, self._step
+            self._count += 1
+        self._graph.push(frame)
+        with contextlib.suppress(av.error.BlockingIOError, av.error.EOFError):
+            while True:
+                found = self._graph.pull()
+                assert isinstance(found, av.VideoFrame)
+                yield found

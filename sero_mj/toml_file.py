@@ -1,0 +1,210 @@
+"""A TOML file with the line of every key, for errors that say where."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from .errors import DeclarationError, Problem
+from .files import read_file
+
+_MCAP = b"\x89MCAP"
+_XML = re.compile(rb"\s*+(?:<[?!](?:--.*?--|[^>]*+)>\s*+)*+<([A-Za-z_][\w.-]{0,40})", re.DOTALL)
+_MOST_BYTES = 20_000_000
+_MOST_PARTS = 100  # of a dotted key; reading one takes the square of it
+# Quotes and comments go whole; one that is not closed ends with its line.
+_TOKENS = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
+    r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'[^'\n]*+'?"
+    r"|\#[^\n]*+"
+    r"|[\[\]{}\n]",
+    re.DOTALL,
+)
+_PART = r"""(?>[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_PARTS}}}")
+_MOST_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parses a TOML file.
+
+    Raises:
+        DeclarationError: the file is missing, unreadable, too long, not UTF-8, or not TOML; for
+            the latter the text has the line and column.
+    """
+
+    def wrong(message: str) -> DeclarationError:
+        line = re.search(r"at line (\d+)", message)
+        return DeclarationError([Problem("", message, str(path), int(line[1]) if line else None)])
+
+    try:
+        contents = read_file(path, _MOST_BYTES)
+        other = _other_format(contents)
+        if other is None:
+            return parse_toml(_as_text(contents))
+    except FileNotFoundError:
+        raise wrong("no such file") from None
+    except OSError as error:
+        raise wrong(f"cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise wrong(f"is not UTF-8 text (byte {error.start})") from error
+    except ValueError as error:
+        raise wrong(f"is not TOML: {error}") from error
+    raise wrong(other)
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parses TOML.
+
+    Raises:
+        ValueError: it is none, or so deep that it would take all memory; says where.
+    """
+    if (found := _LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(
+            f"expected at most {_MOST_PARTS} parts of a key with dots (at line {line})"
+        )
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
+def _as_text(contents: bytes) -> str:
+    return contents.decode("utf-8-sig").replace("\r\n", "\n")
+
+
+def _other_format(contents: bytes) -> str | None:
+    """What a file is that somebody took for a scene or a robot, and what to do with it."""
+    if contents.startswith(_MCAP):
+        return "is a recording; expected a TOML file, and the recording behind --replay"
+    root = _XML.match(contents.removeprefix(b"\xef\xbb\xbf"))
+    if root is None:
+        return None
+    tag = root[1].decode()
+    what = {"robot": "a URDF file", "mujoco": "an MJCF file", "sdf": "an SDF file"}
+    how = "a robot is a Denavit-Hartenberg table in TOML"
+    if tag in ("robot", "mujoco"):
+        how += "; sero_mj.overlay shows this model as it is, in Python"
+    return f"is {what.get(tag, f'XML <{tag}>')}; expected a TOML file: {how}"
+
+
+def key_lines(path: Path) -> dict[str, int]:
+    """Returns the line number of each dotted key and table header.
+
+    The file is cut into its statements, and each is parsed by itself, so that quotes, dots,
+    inline tables and values over several lines mean what they mean in TOML. An entry of an array
+    has the line where it begins; any other key inside a value has that of its statement.
+    """
+    lines: dict[str, int] = {}
+    try:
+        text = _as_text(read_file(path, _MOST_BYTES))
+    except (OSError, UnicodeDecodeError):
+        return lines
+    table = ""
+    entries: Counter[str] = Counter()  # of arrays of tables
+    for number, statement in _statements(text):
+        try:
+            parsed = parse_toml(statement)
+        except ValueError:
+            continue
+        if statement.lstrip().startswith("["):
+            *outer, table = _keys(parsed)
+            for key in outer:
+                lines.setdefault(key, number)
+            if statement.lstrip().startswith("[["):
+                table = table.removesuffix(".0")
+                lines.setdefault(table, number)
+                entries[table] += 1
+                table += f".{entries[table] - 1}"
+            # A table inside an array of tables belongs to the array's latest entry.
+            for array, count in entries.items():
+                if table.startswith(f"{array}.") and not table.startswith(f"{array}.{count - 1}"):
+                    table = f"{array}.{count - 1}{table.removeprefix(array)}"
+            lines.setdefault(table, number)
+        else:
+            depth, within = _entry_lines(statement, parsed)
+            for key in _keys(parsed):
+                entry = ".".join(key.split(".")[:depth])
+                line = number + within.get(entry, 0)
+                lines.setdefault(f"{table}.{key}" if table else key, line)
+    return lines
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """Yields the line number and the text of every header and every `key = value`."""
+    depth = begin = 0
+    line = first = 1  # of the text, and of the statement
+    for token in [*_TOKENS.finditer(text), None]:
+        what = "" if token is None else token.group()
+        depth += (what in ("[", "{")) - (what in ("]", "}"))
+        line += what.count("\n")
+        if token is not None and (what != "\n" or depth > 0):
+            continue
+        end = len(text) if token is None else token.end()
+        statement = text[begin:end]
+        bare = statement.lstrip(" \t\n")
+        if bare and not bare.startswith("#"):
+            yield first, bare if bare.endswith("\n") else f"{bare}\n"
+        begin, first, depth = end, line, 0
+
+
+def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
+    """How many lines below its statement's first one each entry of an array begins.
+
+    What stands up to the end of a line is an array as well, once it is closed there.
+
+    Returns:
+        how many parts the dotted key of an entry has, and the lines by that key.
+    """
+    key = _array_in(parsed)
+    rows = statement.rstrip("\n").split("\n")
+    if not key or not 1 < len(rows) <= _MOST_ROWS:
+        return 0, {}
+    found: dict[str, int] = {}
+    known = begin = 0
+    for count in range(1, len(rows) + 1):
+        text = "\n".join(rows[:count])
+        try:
+            value: Any = parse_toml(text if count == len(rows) else f"{text}\n]")
+        except ValueError:
+            continue  # it ends in the middle of an entry
+        for part in key.split("."):
+            value = value[part]
+        found |= {f"{key}.{index}": begin for index in range(known, len(value))}
+        known, begin = len(value), count
+    return key.count(".") + 2, found
+
+
+def _array_in(parsed: dict[str, Any]) -> str:
+    """The dotted key of the array that a statement declares; empty where it declares none."""
+    keys: list[str] = []
+    value: Any = parsed
+    while isinstance(value, dict) and len(value) == 1:
+        ((key, value),) = value.items()
+        keys.append(key)
+    return ".".join(keys) if isinstance(value, list) and not any("." in k for k in keys) else ""
+
+
+def _keys(value: Any, prefix: str = "") -> Iterator[str]:
+    """Yields every dotted key in a parsed value, the outer ones first."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, inner in pairs:
+        name = f"{prefix}.{key}" if prefix else str(key)
+        yield name
+        if isinstance(inner, dict | list):
+            yield from _keys(inner, name)
+
+
+def located(problem: Problem, path: Path, lines: dict[str, int]) -> Problem:
+    """Returns the problem with its file, and the line of its key or of the nearest one above."""
+    key = problem.key
+    while key and key not in lines:
+        key = key.rpartition(".")[0]
+    return Problem(problem.key, problem.message, str(path), lines.get(key))
