@@ -178,8 +178,8 @@ def test_starting_late_in_a_long_recording_reads_little_of_it(tmp_path: Path) ->
         file = recording._file
 
         class Counting:
-            def seek(self, at: int) -> int:
-                return file.seek(at)
+            def seek(self, at: int, whence: int = 0) -> int:
+                return file.seek(at, whence)
 
             def read(self, count: int) -> bytes:
                 read.append(count)

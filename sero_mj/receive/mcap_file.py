@@ -1,45 +1,35 @@
 """`McapFile`: an MCAP file that is whole at every moment, also when its process is killed.
 
-`mcap.writer.Writer` cannot be used for that: it learns of a full disk when the chunk is already
-gone, and then can neither say what is in the file nor finish it. The records are the library's.
-
-Behind the last chunk there always stands a short ending without an index; the next chunk is written
-over it and brings it along. So a process may be killed at any time, and readers find a whole file
-without an index; only one that was killed in the midst of a write leaves half a chunk at the end.
-On a full disk the same ending has its room already.
+The file is written by the `mcap` library; what is ours is the stream below it. Behind the last
+record there always stands a short ending without an index, which the next records are written over
+and bring along. So a process may be killed at any time, and readers find a whole file without an
+index; only one that was killed in the midst of a write leaves half a chunk at the end. On a full
+disk the same ending has its room already.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-)
-from mcap.writer import MCAP0_MAGIC
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, DataEnd, Footer, McapRecord, Schema
+from mcap.writer import MCAP0_MAGIC, Writer
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from .mcap_chunk import ChunkBuilder
-from .mcap_summary import SHORT_ENDING, Summary, Totals, pack_record
 
 CHUNK_BYTES = 1 << 20
 FLUSH_AFTER = 0.4  # s: so that no more than half a second is lost with its process
 
+_MESSAGE_HEAD = 31  # bytes of a message's record beside its data
+_BY_US = 1 << 62  # larger than any chunk: the library shall not end one when we do not know it
 _WHY = {
     errno.ENOSPC: "no space left on the disk",
     errno.EDQUOT: "the disk quota is used up",
@@ -47,19 +37,69 @@ _WHY = {
 }
 
 
-@dataclass(frozen=True)
-class _Before:
-    """How things stood before the last chunk: what remains when it is given up."""
+def _pack(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
 
-    end: int
-    totals: Totals
+
+SHORT_ENDING = _pack(DataEnd(0)) + _pack(Footer(0, 0, 0)) + MCAP0_MAGIC
+
+
+class _WholeFile:
+    """What the library writes to: records are kept until `flush` writes them with an ending.
+
+    Attributes:
+        end: where the records that are in the file end, and its ending begins.
+        size: bytes of the file.
+    """
+
+    def __init__(self, file: io.FileIO) -> None:
+        self.end = self.size = 0
+        self._file = file
+        self._records = bytearray()
+
+    def write(self, data: bytes) -> int:
+        self._records += data
+        return len(data)
+
+    def tell(self) -> int:
+        return self.end + len(self._records)
+
+    def flush(self) -> None:
+        """Writes whole records over the ending, which follows them; raises OSError."""
+        if self._records:
+            self._put(self._records + SHORT_ENDING)
+            self.end += len(self._records)
+            self._records.clear()
+
+    def finish(self) -> None:
+        """Writes records of which the last is an ending; raises OSError."""
+        self._put(self._records)
+
+    def take_back(self) -> None:
+        """Restores what stood there before a write that failed; raises OSError."""
+        # The ending keeps its room on the disk throughout.
+        self._file.truncate(self.end + len(SHORT_ENDING))
+        self._records.clear()
+        self._put(SHORT_ENDING)
+
+    def _put(self, data: bytes | bytearray) -> None:
+        self._file.seek(self.end)
+        view = memoryview(bytes(data))
+        while view:
+            written = self._file.write(view)
+            if not written:
+                raise OSError(errno.ENOSPC, "nothing was written")
+            view = view[written:]
+        self.size = self.end + len(data)
 
 
 class McapFile:
     """Writes an MCAP file. For one thread at a time.
 
-    The memory it takes grows by the chunk index only: about 100 bytes per chunk, so 20 MB in a day
-    of chunks that are flushed every 0.4 s.
+    The memory it takes grows by the library's chunk index only: less than 1 kB per chunk, so 7 MB
+    in an hour of chunks that are flushed every 0.4 s.
 
     Args:
         path: the file.
@@ -89,12 +129,11 @@ class McapFile:
         self.error: RecordingError | None = None
         self._chunk_bytes = chunk_bytes
         self._flush_after = flush_after
-        self._chunk = ChunkBuilder()
-        self._oldest = 0.0  # when the first message came into the chunk, on time.monotonic
-        self._summary = Summary()
-        self._before_last: _Before | None = None
-        self._size = 0
-        self._end = 0  # where whole records end, and the short ending begins
+        self._waiting = 0  # bytes of the messages that are not yet in the file
+        self._oldest = 0.0  # when the first of them came, on time.monotonic
+        self._span: tuple[int, int] | None = None  # log times of all messages, ns
+        self._count = 0
+        self._kept: tuple[int, tuple[int, int] | None] = (0, None)  # of those in the file
         try:
             # Unbuffered: what is left in a buffer would be lost with the process.
             self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
@@ -103,12 +142,15 @@ class McapFile:
             raise RecordingError(self.path, reason) from error
         except (OSError, ValueError) as error:
             raise RecordingError(self.path, f"cannot be written: {_why(error)}") from error
-        self._append(MCAP0_MAGIC + pack_record(Header("", library)))
+        self._stream = _WholeFile(self._file)
+        self._writer = Writer(self._stream, chunk_size=_BY_US)  # type: ignore[arg-type]
+        self._writer.start(library=library)
+        self._flush_stream()
 
     @property
     def size(self) -> int:
         """Bytes of the file."""
-        return self._size
+        return self._stream.size
 
     @property
     def closed(self) -> bool:
@@ -117,16 +159,14 @@ class McapFile:
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Writes a schema and returns its number; raises RecordingError."""
-        number = self._summary.count(Opcode.SCHEMA) + 1
-        record = pack_record(Schema(id=number, name=name, encoding=encoding, data=data))
-        self._append(record)
-        self._summary.add(Opcode.SCHEMA, record)
+        number = self._writer.register_schema(name, encoding, data)
+        self._append(Schema(id=number, name=name, encoding=encoding, data=data))
         return number
 
     def add_channel(
         self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
     ) -> int:
-        """Writes a channel, outside of chunks: that it is there must not hang on one chunk.
+        """Writes a channel.
 
         Args:
             topic: its name.
@@ -140,8 +180,8 @@ class McapFile:
         Raises:
             RecordingError: it cannot be written.
         """
-        number = self._summary.count(Opcode.CHANNEL) + 1
-        record = pack_record(
+        number = self._writer.register_channel(topic, encoding, schema, dict(metadata))
+        self._append(
             Channel(
                 id=number,
                 topic=topic,
@@ -150,34 +190,17 @@ class McapFile:
                 metadata=dict(metadata),
             )
         )
-        self._append(record)
-        self._summary.add(Opcode.CHANNEL, record)
         return number
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
         """Writes a metadata record; raises RecordingError."""
-        record = pack_record(Metadata(name=name, metadata=dict(metadata)))
-        index = MetadataIndex(offset=self._end, length=len(record), name=name)
-        self._append(record)
-        self._summary.add(Opcode.METADATA_INDEX, pack_record(index))
+        self._writer.add_metadata(name, dict(metadata))
+        self._flush_stream()
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_time: int) -> None:
         """Writes a file into the file; `log_time` in ns since the epoch; raises RecordingError."""
-        attachment = Attachment(
-            create_time=0, log_time=log_time, name=name, media_type=media_type, data=data
-        )
-        record = pack_record(attachment)
-        index = AttachmentIndex(
-            offset=self._end,
-            length=len(record),
-            log_time=log_time,
-            create_time=0,
-            data_size=len(data),
-            name=name,
-            media_type=media_type,
-        )
-        self._append(record)
-        self._summary.add(Opcode.ATTACHMENT_INDEX, pack_record(index))
+        self._writer.add_attachment(0, log_time, name, media_type, data)
+        self._flush_stream()
 
     def add_message(self, channel: int, data: bytes, log_time: int, sequence: int) -> None:
         """Adds a message to the chunk, and writes that when it is full.
@@ -193,16 +216,20 @@ class McapFile:
         """
         if self.error is not None:
             raise self.error
-        if not self._chunk.size:
+        if not self._waiting:
             self._oldest = time.monotonic()
-        self._chunk.add(channel, data, log_time, sequence)
-        if self._chunk.size >= self._chunk_bytes:
+        self._writer.add_message(channel, log_time, data, log_time, sequence)
+        self._waiting += _MESSAGE_HEAD + len(data)
+        self._count += 1
+        first, last = self._span or (log_time, log_time)
+        self._span = min(first, log_time), max(last, log_time)
+        if self._waiting >= self._chunk_bytes:
             self.flush()
 
     def add_rows(
         self, channel: int, rows: NDArray[np.uint8], log_times: NDArray[np.uint64], sequence: int
     ) -> None:
-        """Adds messages of one length all at once; see `add_message`.
+        """Adds messages of one length; see `add_message`.
 
         Args:
             channel: the channel's number.
@@ -213,16 +240,8 @@ class McapFile:
         Raises:
             RecordingError: a chunk cannot be written.
         """
-        if self.error is not None:
-            raise self.error
-        at_once = max(self._chunk_bytes // max(rows.shape[1], 1), 1)
-        for first in range(0, len(rows), at_once):
-            if not self._chunk.size:
-                self._oldest = time.monotonic()
-            part = slice(first, first + at_once)
-            self._chunk.add_rows(channel, rows[part], log_times[part], sequence + first)
-            if self._chunk.size >= self._chunk_bytes:
-                self.flush()
+        for i, (row, log_time) in enumerate(zip(rows, log_times.tolist(), strict=True), sequence):
+            self.add_message(channel, row.tobytes(), log_time, i & 0xFFFFFFFF)
 
     def flush_if_old(self) -> float:
         """Writes the chunk when it is due; returns the s until it is, infinite when it is empty.
@@ -230,7 +249,7 @@ class McapFile:
         Raises:
             RecordingError: it cannot be written.
         """
-        if not self._chunk.size:
+        if not self._waiting:
             return float("inf")
         remaining = self._oldest + self._flush_after - time.monotonic()
         if remaining > 0.0:
@@ -240,13 +259,14 @@ class McapFile:
 
     def flush(self) -> None:
         """Writes the messages that are not yet in the file; raises RecordingError."""
-        if not self._chunk.size:
+        if not self._waiting:
             return
-        sealed = self._chunk.seal(self._end)
-        before = _Before(self._end, self._summary.totals)
-        self._append(sealed.data)
-        self._before_last = before
-        self._summary.add_chunk(sealed)
+        try:
+            self._writer.flush()
+        except OSError as error:
+            self._rescue(error)
+        self._waiting = 0
+        self._kept = self._count, self._span
 
     def finish(self) -> None:
         """Writes what is left and the index, and closes the file; harmless when it is closed.
@@ -257,71 +277,40 @@ class McapFile:
         if self.closed:
             return
         self.flush()
+        self._writer.finish()
         try:
-            self._write_at(self._end, self._summary.ending(self._end))
+            self._stream.finish()
         except OSError as error:
             self._rescue(error)
         self._file.close()
 
-    def _append(self, data: bytes) -> None:
-        """Writes whole records over the short ending, which follows them."""
+    def _append(self, record: McapRecord) -> None:
+        """Writes a record outside of chunks as well: that it is there must not hang on a chunk."""
+        self._stream.write(_pack(record))
+        self._flush_stream()
+
+    def _flush_stream(self) -> None:
         if self.error is not None:
             raise self.error
         try:
-            self._write_at(self._end, data + SHORT_ENDING)
+            self._stream.flush()
         except OSError as error:
             self._rescue(error)
-        self._end += len(data)
-        self._before_last = None
-
-    def _write_at(self, offset: int, data: bytes) -> None:
-        self._file.seek(offset)
-        view = memoryview(data)
-        while view:
-            written = self._file.write(view)
-            if not written:
-                raise OSError(errno.ENOSPC, "nothing was written")
-            view = view[written:]
-        self._size = offset + len(data)
 
     def _rescue(self, error: OSError) -> NoReturn:
-        """Takes back what is half written, ends the file as well as there is room, and tells."""
-        for ending in (self._end_with_index, self._end_without_last_chunk, self._end_shortly):
-            with contextlib.suppress(OSError):
-                self._file.truncate(self._end)
-                if ending():
-                    break
-        else:
-            self._size = self._end
-            with contextlib.suppress(OSError):
-                self._file.truncate(self._end)
+        """Takes back what is half written, closes the file, and tells."""
+        with contextlib.suppress(OSError):
+            self._stream.take_back()
         with contextlib.suppress(OSError):
             self._file.close()
-        totals = self._summary.totals
+        count, span = self._kept
         kept = "nothing is kept"
-        if totals.messages:
-            seconds = (totals.last - totals.first) / 1e9
-            kept = f"{totals.messages} messages over {seconds:.3f} s are kept in {self._end} bytes"
+        if span is not None:
+            seconds = (span[1] - span[0]) / 1e9
+            kept = f"{count} messages over {seconds:.3f} s are kept in {self._stream.size} bytes"
         reason = f"{_why(error)}; the recording ends here, {kept}"
         self.error = RecordingError(self.path, reason)
         raise self.error from error
-
-    def _end_with_index(self) -> bool:
-        self._write_at(self._end, self._summary.ending(self._end))
-        return True
-
-    def _end_without_last_chunk(self) -> bool:
-        before = self._before_last
-        if before is None or self._end - before.end < len(self._summary.ending(self._end)):
-            return False  # it would not make room enough
-        self._file.truncate(before.end)
-        self._end = before.end
-        self._summary.drop_last_chunk(before.totals)
-        return self._end_with_index()
-
-    def _end_shortly(self) -> bool:
-        self._write_at(self._end, SHORT_ENDING)
-        return True
 
 
 def _why(error: Exception) -> str:
