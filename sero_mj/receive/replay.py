@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
 
-from ..errors import RecordingError, SourceError, did_you_mean
+from ..errors import DeclarationError, RecordingError, SourceError, did_you_mean, nearest
 from .intake import Intake
 from .live import LIVE
 from .receiver import Receiver, log
@@ -88,19 +88,20 @@ class Replay(Receiver):
     def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data:
             return source
-        with Recording(info.data["file"]) as recording:
-            names = list(recording.sources)
-        if source:
-            if source not in names:
-                near = did_you_mean(source, names)
-                raise ValueError(f"no source '{source}' in {info.data['file']}{near}")
-            return source
-        if info.data.get("name") in names:
-            return str(info.data["name"])
-        if len(names) != 1:
-            found = f"has {', '.join(names)}; choose one" if names else "has no source"
-            raise ValueError(f"{info.data['file']} {found}")
-        return names[0]
+        file, name = info.data["file"], str(info.data.get("name"))
+        with Recording(file) as recording:
+            recorded = recording.sources
+        if source and source not in recorded:
+            raise ValueError(f"no source '{source}' in {file}{did_you_mean(source, recorded)}")
+        if not source and name not in recorded and len(recorded) != 1:
+            found = f"has {', '.join(recorded)}; choose one" if recorded else "has no source"
+            raise ValueError(f"{file} {found}")
+        chosen = source or (name if name in recorded else next(iter(recorded)))
+        try:
+            _receiver_of(file, recorded[chosen], chosen)
+        except RecordingError as error:
+            raise ValueError(str(error)) from None
+        return chosen
 
     @field_validator("start")
     @classmethod
@@ -133,7 +134,7 @@ class Replay(Receiver):
     @cached_property
     def original(self) -> Receiver:
         """The receiver that once listened; it is never opened, but knows how to decode."""
-        receiver = LIVE[self.recorded.kind](**{**self.recorded.declared, "name": self.name})
+        receiver = _receiver_of(self.file, self.recorded, self.name)
         receiver.only_latest_packet = self.only_latest_packet
         return receiver
 
@@ -319,6 +320,30 @@ class Replay(Receiver):
         padded = b"".join(packet[: size + 1].ljust(size + 1, b"\0") for _, packet in batch)
         rows = np.frombuffer(padded, np.uint8).reshape(len(batch), size + 1)
         self._accept(rows, lengths, arrivals)
+
+
+def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Receiver:
+    """The receiver that a recording declares.
+
+    Raises:
+        RecordingError: its kind is not known, its fields are wrong, or they make other events.
+    """
+    kind, of = recorded.kind, f"source '{recorded.name}'"
+    if kind not in LIVE:
+        known = " or ".join(map(repr, LIVE))
+        near = f"; did you mean '{found}'?" if (found := nearest(kind, LIVE)) else ""
+        raise RecordingError(file, f"kind of {of}: found {kind!r}; expected {known}{near}")
+    try:
+        receiver = LIVE[kind](**{**recorded.declared, "name": name})
+    except DeclarationError as error:
+        wrong = "; ".join(f"{problem.key}: {problem.message}" for problem in error.problems)
+        raise RecordingError(file, f"how {of} is decoded: {wrong}") from error
+    for event, shape in recorded.events.items():
+        if receiver.events.get(event) != shape:
+            expected = receiver.events.get(event, "no such event")
+            reason = f"events of {of}: found {event} of shape {shape}; expected {expected}"
+            raise RecordingError(file, reason)
+    return receiver
 
 
 def _first_of(recording: Recording) -> float:
