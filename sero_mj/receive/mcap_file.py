@@ -40,7 +40,7 @@ _WHY = {
 def _pack(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return builder.end()
+    return bytes(builder.end())
 
 
 SHORT_ENDING = _pack(DataEnd(0)) + _pack(Footer(0, 0, 0)) + MCAP0_MAGIC
@@ -159,7 +159,7 @@ class McapFile:
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Writes a schema and returns its number; raises RecordingError."""
-        number = self._writer.register_schema(name, encoding, data)
+        number: int = self._writer.register_schema(name, encoding, data)
         self._append(Schema(id=number, name=name, encoding=encoding, data=data))
         return number
 
@@ -180,7 +180,7 @@ class McapFile:
         Raises:
             RecordingError: it cannot be written.
         """
-        number = self._writer.register_channel(topic, encoding, schema, dict(metadata))
+        number: int = self._writer.register_channel(topic, encoding, schema, dict(metadata))
         self._append(
             Channel(
                 id=number,

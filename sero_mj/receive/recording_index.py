@@ -220,4 +220,5 @@ def _note(
 
 
 def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
-    return Metadata.read(ReadDataStream(read_record(file, offset, length)))
+    found: Metadata = Metadata.read(ReadDataStream(read_record(file, offset, length)))
+    return found

@@ -26,16 +26,16 @@ from .recording_format import (
     raw_topic,
     signals_topic,
 )
-from .signals_json import encode_signals, encode_table, signals_schema
+from .signals_json import Signals
 
 
 @dataclass
 class _Channels:
-    """The numbers of a source's two channels, its events, and the number of the next packet."""
+    """The numbers of a source's two channels, what the second holds, and the next packet's."""
 
     raw: int
-    signals: int
-    events: Mapping[str, tuple[int, ...]]
+    decoded: int
+    signals: Signals
     number: int = 0
 
 
@@ -99,6 +99,7 @@ class RecordingWriter:
         declared: Mapping[str, Any],
         events: Mapping[str, tuple[int, ...]],
         size: int,
+        signals: Signals | None = None,
     ) -> None:
         """Makes room for a source's packets and for what they mean.
 
@@ -108,6 +109,7 @@ class RecordingWriter:
             declared: its fields in the scene, of JSON's types; a replay makes its decoder of them.
             events: event name to its shape, (n,), (n, 3) or (n, 4, 4).
             size: bytes of a packet.
+            signals: what is kept of the decoded packets; their events when None.
 
         Raises:
             RecordingError: it cannot be written.
@@ -118,11 +120,12 @@ class RecordingWriter:
             raise ValueError(f"source '{name}' is in the recording already")
         declaration = SourceDeclaration(name, kind, declared, events, size).to_json()
         raw = self._file.add_channel(raw_topic(name), RAW_ENCODING, 0, {SOURCE_KEY: declaration})
-        schema = self._file.add_schema(
-            f"sero-mj.{name}", SCHEMA_ENCODING, signals_schema(name, events)
+        signals = signals or Signals(dict(events))
+        schema = self._file.add_schema(f"sero-mj.{name}", SCHEMA_ENCODING, signals.schema(name))
+        decoded = self._file.add_channel(
+            signals_topic(name), SIGNALS_ENCODING, schema, signals.origins
         )
-        signals = self._file.add_channel(signals_topic(name), SIGNALS_ENCODING, schema, {})
-        self._channels[name] = _Channels(raw, signals, dict(events))
+        self._channels[name] = _Channels(raw, decoded, signals)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Puts a file into the recording: the scene, a robot; raises RecordingError.
@@ -182,7 +185,7 @@ class RecordingWriter:
 
         Args:
             name: its source.
-            values: event name to its array, in the shapes of `add_source`.
+            values: key of `Signals.shapes` to its array; events by default.
             arrival: when the packet arrived, s on the clock of `time.monotonic`.
 
         Raises:
@@ -192,8 +195,8 @@ class RecordingWriter:
         """
         channels = self._find(name)
         self._file.add_message(
-            channels.signals,
-            encode_signals(values),
+            channels.decoded,
+            channels.signals.encode(values),
             self.clock.log_time(arrival),
             max(0, channels.number - 1) & 0xFFFFFFFF,
         )
@@ -209,7 +212,7 @@ class RecordingWriter:
 
         Args:
             name: their source.
-            table: (n, k), the numbers of all its events in their order; matrices row by row.
+            table: (n, k), the numbers of all its signals in their order; matrices row by row.
             arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
             sequences: the packets' numbers, n, counted from 0.
 
@@ -219,10 +222,10 @@ class RecordingWriter:
             ValueError: an arrival is not a time.
         """
         channels = self._find(name)
-        messages = encode_table(channels.events, table)
+        messages = channels.signals.encode_table(table)
         times = self.clock.log_times(arrivals).tolist()
         for message, time, sequence in zip(messages, times, sequences, strict=True):
-            self._file.add_message(channels.signals, message, time, sequence & 0xFFFFFFFF)
+            self._file.add_message(channels.decoded, message, time, sequence & 0xFFFFFFFF)
 
     def _find(self, name: str) -> _Channels:
         channels = self._channels.get(name)

@@ -10,8 +10,11 @@ import numpy as np
 
 from .. import __version__
 from ..drive.export_csv import column_names
+from ..drive.signal_names import joint_names
 from ..drive.write_csv import csv_table
 from ..receive.recording_writer import RecordingWriter
+from ..receive.signals_json import Signals
+from .run_log import PER_JOINT, event_of
 from .scenario import Scenario
 from .simulation import Simulation
 from .staging import SOURCE
@@ -54,6 +57,7 @@ class RunRecorder:
             declared={"structure": layout.structure.text, "column_major": False},
             events={name: tuple(shape) for name, shape in layout.structure.events.items()},
             size=layout.structure.size,
+            signals=_signals_of(simulation),
         )
         for file in files_of(scenario):
             name = f"{file.parent.name}/{file.name}"
@@ -83,6 +87,21 @@ class RunRecorder:
         at: TracebackType | None,
     ) -> None:
         self._writer.close()
+
+
+def _signals_of(simulation: Simulation) -> Signals:
+    """The log's events, those of joints by name: `lwr.A1.torque [Nm]`."""
+    events = simulation.layout.structure.events
+    shapes = {name: tuple(shape) for name, shape in events.items()}
+    names: dict[str, list[str]] = {}
+    for name, robot in simulation.scenario.scene.robots.items():
+        for signal in PER_JOINT:
+            if (event := event_of(name, signal)) in shapes:
+                names[event] = joint_names(name, robot, signal)
+    origins = {
+        each: f"{event}[{i}]" for event, found in names.items() for i, each in enumerate(found)
+    }
+    return Signals(shapes, names, origins)
 
 
 def files_of(scenario: Scenario) -> list[Path]:
