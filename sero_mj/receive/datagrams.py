@@ -12,6 +12,7 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,6 +80,9 @@ _STAMP = np.dtype(
 )
 
 
+OnArrival = Callable[[memoryview, int, bytes], None]
+
+
 @dataclass(frozen=True, eq=False)
 class Batch:
     """Datagrams that came one after the other; valid until the next are read.
@@ -107,11 +111,14 @@ class Datagrams:
     Args:
         sock: a bound datagram socket; it is made non-blocking.
         most: bytes of a packet that are kept.
+        on_arrival: called before anything else is done with each packet, with its bytes, as many
+            as are kept; how long it is; and its sender as in `Batch.senders`.
     """
 
-    def __init__(self, sock: socket.socket, most: int) -> None:
+    def __init__(self, sock: socket.socket, most: int, on_arrival: OnArrival | None = None) -> None:
         sock.setblocking(False)
         self._socket = sock
+        self._on_arrival = on_arrival
         self._rows = np.zeros((BATCH, most), np.uint8)
         self._senders = np.zeros((BATCH, _ADDRESS_BYTES), np.uint8)
         self._lengths = np.zeros(BATCH, np.intp)
@@ -120,7 +127,9 @@ class Datagrams:
         if sys.platform == "linux":
             for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
-            self._recvmmsg = getattr(ctypes.CDLL(None, use_errno=True), "recvmmsg", None)
+            # It does not wait, so it need not let other threads run: to come back behind one that
+            # renders takes up to the interpreter's switch interval.
+            self._recvmmsg = getattr(ctypes.PyDLL(None, use_errno=True), "recvmmsg", None)
             self._dropped = 0
         if self._recvmmsg is not None:
             self._prepare()
@@ -140,6 +149,8 @@ class Datagrams:
         self._state = np.frombuffer(memoryview(self._headers), _headers_dtype())
         self._state["namelen"] = _ADDRESS_BYTES
         self._state["controllen"] = _CONTROL_BYTES
+        self._row_views = [memoryview(row) for row in self._rows]  # type: ignore[arg-type]
+        self._sender_view = memoryview(self._senders.reshape(-1))  # type: ignore[arg-type]
         self._stamps = self._controls.view(_STAMP)[:, 0]
         self._arguments = (
             ctypes.c_int(self._socket.fileno()),
@@ -164,6 +175,11 @@ class Datagrams:
             if count == 0 or error in (11, 4):  # EAGAIN, EINTR
                 return None
             raise OSError(error, os.strerror(error))
+        if (on_arrival := self._on_arrival) is not None:
+            # Without numpy: beside a renderer its code has to come from memory first.
+            for i in range(count):
+                sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
+                on_arrival(self._row_views[i], self._headers[i].length, bytes(sender))
         state = self._state[:count]
         lengths = state["length"].astype(np.intp)
         arrivals = self._arrivals(count)
@@ -200,7 +216,10 @@ class Datagrams:
                 break
             arrivals.append(time.monotonic())
             self._lengths[count] = most + 1 if flags & socket.MSG_TRUNC else length
-            self._senders[count] = np.frombuffer(pack_address(*sender[:2]), np.uint8)
+            packed = pack_address(*sender[:2])
+            if self._on_arrival is not None:
+                self._on_arrival(self._rows[count].data, int(self._lengths[count]), packed)
+            self._senders[count] = np.frombuffer(packed, np.uint8)
             count += 1
         if not count:
             return None

@@ -9,20 +9,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from .datagrams import unpack_address
-from .fri_layout import FRAMES, MEASUREMENT, PORT, FriLayout, no_command
-from .structure import Rows
+from .datagrams import OnArrival, unpack_address
+from .fri_layout import FRAMES, MEASUREMENT, PORT, FriLayout, counter_of, no_command
 from .udp import UdpReceiver
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 
 class FriReceiver(UdpReceiver):
@@ -93,34 +87,29 @@ class FriReceiver(UdpReceiver):
         super()._start_afresh()
         self._answers = 0
 
-    def _accept(
-        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
-    ) -> None:
-        if self.answer and senders is not None:  # first, for the controller measures the latency
-            self._answer(rows, lengths, senders)
-        super()._accept(rows, lengths, arrivals, senders)
+    def _on_arrival(self) -> OnArrival | None:
+        """Answers before anything else is done, for the controller measures the latency."""
+        sock, allowed = self._socket, self._allowed
+        if not self.answer or sock is None:
+            return None
 
-    def _answer(self, rows: Rows, lengths: Ints, senders: Rows) -> None:
-        """Answers the last of these packets that is one of FRI; the only thing that is ever sent.
+        def answer(packet: memoryview, length: int, sender: bytes) -> None:
+            reflected = counter_of(packet, length)
+            if reflected is None:
+                return
+            if allowed and not any(sender[part] == address for part, address in allowed):
+                return
+            try:
+                sock.sendto(no_command(self._answers + 1, reflected), _reply_address(sender))
+            except OSError as error:
+                self._warn(f"no answer could be sent: {error.strerror}")
+                return
+            self._answers += 1
 
-        Those before it are late already: it reflects the newest counter only.
-        """
-        measurements = np.flatnonzero(lengths == self.size)
-        wrong = self.layout.find_wrong_constants(rows[measurements, : self.size])
-        measurements = measurements[~wrong]
-        if self._socket is None or not len(measurements):
-            return
-        last = measurements[-1]
-        reflected = int(self.layout.event_rows(rows[last : last + 1], "send_counter")[0, 0])
-        packet = no_command(self._answers + 1, reflected)
-        try:
-            self._socket.sendto(packet, _reply_address(senders[last].tobytes()))
-        except OSError as error:
-            self._warn(f"no answer could be sent: {error.strerror}")
-            return
-        self._answers += 1
+        return answer
 
 
+@lru_cache(maxsize=16)
 def _reply_address(sender: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
     """A sender of `Batch.senders` as a socket takes it."""
     host, port = unpack_address(sender)

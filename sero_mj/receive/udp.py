@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 
-from .datagrams import BATCH, Batch, Datagrams, pack_address
+from .datagrams import BATCH, Batch, Datagrams, OnArrival, pack_address
 from .receiver import Receiver, log
 from .sockets import open_socket
 
@@ -115,7 +115,8 @@ class UdpReceiver(Receiver):
         assert sock is not None and wake is not None
         # One more byte than is right: where the system does not tell, it shows what was too long.
         # A recording keeps what is wrong whole, if it is not very long.
-        datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
+        kept = max(self.layout.size + 1, _KEPT_BYTES)
+        datagrams = Datagrams(sock, kept, self._on_arrival())
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake[0], selectors.EVENT_READ)
@@ -135,6 +136,10 @@ class UdpReceiver(Receiver):
                 self._take_in(batch)
                 if _BUSY <= len(batch) < BATCH:
                     self._closing.wait(_GATHER)
+
+    def _on_arrival(self) -> OnArrival | None:
+        """What is done with each packet first of all, strangers' too; None for nothing."""
+        return None
 
     def _take_in(self, batch: Batch) -> None:
         """Takes in a batch, without what strangers sent."""
