@@ -205,7 +205,7 @@ def test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read(
             assert len(recording.faults) == 1 and "was not closed" in recording.faults[0]
         assert line.startswith(
             f"1 {path.stat().st_size} {path}: the file has reached the largest size that the "
-            f"system allows; the recording ends here, {len(messages)} messages over "
+            f"system allows; the recording ends here, {len(messages)} packets over "
         )
 
 

@@ -73,6 +73,11 @@ def udp_scene(**udp: Any) -> Scene:
             ["udp: 3 senders at once; sender = ... chooses one"],
         ),
         ({"received": 12, "senders": 1}, []),
+        (
+            {"received": 12, "foreign": 3, "foreign_age": 0.5},
+            ["udp: 3 packets of others than its sender"],
+        ),
+        ({"received": 12, "foreign": 3, "foreign_age": 5.5}, []),
     ],
 )  # fmt: skip
 def test_faults_of_a_source_stand_in_the_corner(counts: dict[str, float], said: list[str]) -> None:

@@ -59,6 +59,8 @@ def _link_complaints(name: str, state: Any) -> list[str]:
         if state.restarts:
             times = f" {state.restarts:.0f} times" if state.restarts > 1 else ""
             lines.append(f"{name}: the sender began anew{times}")
+    if state.foreign and 0 <= state.foreign_age < SHOWN_FOR:
+        lines.append(f"{name}: {_packets(state.foreign)} of others than its sender")
     if state.senders > 1:
         lines.append(f"{name}: {state.senders:.0f} senders at once; sender = ... chooses one")
     return lines

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 BATCH = 256  # packets
 _ADDRESS_BYTES = 28  # of sockaddr_in6; sockaddr_in is shorter
 _CONTROL_BYTES = 64  # a time stamp (32) and a count of dropped packets (24)
+_MAPPED = bytes(10) + b"\xff\xff"  # before an IPv4 address in one of IPv6
 # Linux's numbers; not in Python's socket module.
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
@@ -242,3 +243,12 @@ def unpack_address(packed: bytes) -> tuple[str, int]:
     if packed[0] == 2:
         return socket.inet_ntop(socket.AF_INET, packed[4:8]), port
     return socket.inet_ntop(socket.AF_INET6, packed[8:24]), port
+
+
+def canonical_address(packed: bytes) -> tuple[bytes, int]:
+    """Address, 16 bytes, and port of one of `Batch.senders`.
+
+    IPv4 as IPv6 has it (`::ffff:192.168.0.7`), which is how a socket on `::` sees it.
+    """
+    port = int.from_bytes(packed[2:4], "big")
+    return (_MAPPED + packed[4:8] if packed[0] == 2 else packed[8:24]), port

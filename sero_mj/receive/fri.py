@@ -104,15 +104,13 @@ class FriReceiver(UdpReceiver):
 
     def _on_arrival(self) -> OnArrival | None:
         """Answers before anything else is done, for the controller measures the latency."""
-        sock, allowed = self._socket, self._allowed
+        sock = self._socket
         if not self.answer or sock is None:
             return None
 
         def answer(packet: memoryview, length: int, sender: bytes) -> None:
             reflected = counter_of(packet, length)
-            if reflected is None:
-                return
-            if allowed and not any(sender[part] == address for part, address in allowed):
+            if reflected is None or not self._is_known(sender):
                 return
             try:
                 sock.sendto(no_command(self._answers + 1, reflected), _reply_address(sender))

@@ -131,7 +131,8 @@ class McapFile:
         self._flush_after = flush_after
         self._waiting = 0  # bytes of the messages that are not yet in the file
         self._oldest = 0.0  # when the first of them came, on time.monotonic
-        self._span: tuple[int, int] | None = None  # log times of all messages, ns
+        self._counted: set[int] = set()  # channels of packets
+        self._span: tuple[int, int] | None = None  # log times of all packets, ns
         self._count = 0
         self._kept: tuple[int, tuple[int, int] | None] = (0, None)  # of those in the file
         try:
@@ -164,7 +165,13 @@ class McapFile:
         return number
 
     def add_channel(
-        self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
+        self,
+        topic: str,
+        encoding: str,
+        schema: int,
+        metadata: Mapping[str, str],
+        *,
+        counts: bool = True,
     ) -> int:
         """Writes a channel.
 
@@ -173,6 +180,7 @@ class McapFile:
             encoding: how its messages are encoded.
             schema: the number of its schema; 0 for none.
             metadata: what else there is to know.
+            counts: whether its messages are packets, which are counted where the file ends early.
 
         Returns:
             Its number.
@@ -181,6 +189,8 @@ class McapFile:
             RecordingError: it cannot be written.
         """
         number: int = self._writer.register_channel(topic, encoding, schema, dict(metadata))
+        if counts:
+            self._counted.add(number)
         self._append(
             Channel(
                 id=number,
@@ -220,9 +230,10 @@ class McapFile:
             self._oldest = time.monotonic()
         self._writer.add_message(channel, log_time, data, log_time, sequence)
         self._waiting += _MESSAGE_HEAD + len(data)
-        self._count += 1
-        first, last = self._span or (log_time, log_time)
-        self._span = min(first, log_time), max(last, log_time)
+        if channel in self._counted:
+            self._count += 1
+            first, last = self._span or (log_time, log_time)
+            self._span = min(first, log_time), max(last, log_time)
         if self._waiting >= self._chunk_bytes:
             self.flush()
 
@@ -307,7 +318,7 @@ class McapFile:
         kept = "nothing is kept"
         if span is not None:
             seconds = (span[1] - span[0]) / 1e9
-            kept = f"{count} messages over {seconds:.3f} s are kept in {self._stream.size} bytes"
+            kept = f"{count} packets over {seconds:.3f} s are kept in {self._stream.size} bytes"
         reason = f"{_why(error)}; the recording ends here, {kept}"
         self.error = RecordingError(self.path, reason)
         raise self.error from error

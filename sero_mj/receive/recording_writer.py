@@ -123,7 +123,7 @@ class RecordingWriter:
         signals = signals or Signals(dict(events))
         schema = self._file.add_schema(f"sero-mj.{name}", SCHEMA_ENCODING, signals.schema(name))
         decoded = self._file.add_channel(
-            signals_topic(name), SIGNALS_ENCODING, schema, signals.origins
+            signals_topic(name), SIGNALS_ENCODING, schema, signals.origins, counts=False
         )
         self._channels[name] = _Channels(raw, decoded, signals)
 
