@@ -24,6 +24,7 @@ from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import COMMAND, no_command
 from sero_mj.receive.recording_writer import RecordingWriter
 from sero_mj.receive.structure import Structure
+from sero_mj.receive.udp import UdpReceiver
 
 
 @pytest.fixture
@@ -46,8 +47,13 @@ def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> 
 
 def test_nothing_but_the_answer_sends() -> None:
     folder = Path(sero_mj.__file__).parent / "receive"
-    sending = {path.name for path in folder.glob("*.py") if ".sendto(" in path.read_text()}
-    assert sending == {"fri.py"}
+    texts = {path.name: path.read_text() for path in folder.glob("*.py")}
+    assert {name for name, text in texts.items() if "sendto" in text} == {"datagrams.py"}
+    assert {name for name, text in texts.items() if "datagrams.send" in text} == {"udp.py"}
+    handing_on = {name for name, text in texts.items() if "def _on_arrival(" in text}
+    assert handing_on == {"udp.py", "fri.py"}
+    assert UdpReceiver(structure="7F")._on_arrival(lambda *_: None) is None
+    assert FriReceiver()._on_arrival(lambda *_: None) is None
 
 
 def test_an_answer_is_a_header_and_zeros(controller: socket.socket) -> None:
@@ -74,18 +80,16 @@ def test_the_counter_of_answers_wraps() -> None:
 def test_every_measurement_is_answered_and_nothing_else() -> None:
     receiver, sent = FriReceiver(udpport=0, answer=True), []
 
-    class Socket:
-        def sendto(self, packet: bytes, address: object) -> None:
-            sent.append((struct.unpack_from("<2H", packet), address))
-            if len(sent) == 3:
-                raise OSError(errno.ENETUNREACH, "Network is unreachable")
+    def send(packet: bytes, to: bytes) -> None:
+        sent.append((struct.unpack_from("<2H", packet), to))
+        if len(sent) == 3:
+            raise OSError(errno.ENETUNREACH, "Network is unreachable")
 
     def come(*packets: bytes, sender: bytes) -> None:
         for packet in packets:
             answer(memoryview(packet.ljust(2048, b"\0")), len(packet), sender)
 
-    receiver._socket = Socket()  # type: ignore[assignment]
-    answer = receiver._on_arrival()
+    answer = receiver._on_arrival(send)
     assert answer is not None
     v4 = struct.pack("=H2s4s20x", 2, (4711).to_bytes(2, "big"), bytes([10, 0, 0, 7]))
     v6 = struct.pack("=H2s4x16sI", 10, (5).to_bytes(2, "big"), b"\xfe\x80" + bytes(13) + b"\1", 3)
@@ -95,10 +99,8 @@ def test_every_measurement_is_answered_and_nothing_else() -> None:
     come(measurement(4), sender=v6)
     come(measurement(5)[:-1], measurement(5) + b"\0", b"", sender=v4)
     come(measurement(5, packet_size=915), measurement(5, datagram_id=0x1005), sender=v4)
-    to = ("10.0.0.7", 4711)
-    assert sent == [((1, 1), to), ((2, 2), to), ((3, 3), to), ((3, 4), ("fe80::1", 5, 0, 3))]
+    assert sent == [((1, 1), v4), ((2, 2), v4), ((3, 3), v4), ((3, 4), v6)]
     assert receiver.answers == 3
-    receiver._socket = None
 
 
 def test_what_came_while_others_computed_is_answered_as_well(controller: socket.socket) -> None:

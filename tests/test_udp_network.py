@@ -273,3 +273,37 @@ def test_an_address_of_every_network_is_this_machines_on_the_interface_or_is_tol
             UdpReceiver(structure="1F", **fields).open()  # type: ignore[arg-type]
     with pytest.raises(SourceError, match="no network interface 'eth77'; available: "):
         UdpReceiver(structure="1F", host="fe80::1234", interface="eth77").open()
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "::"])
+def test_what_is_sent_back_reaches_its_sender(
+    monkeypatch: pytest.MonkeyPatch, host: str, at_once: bool
+) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.bind((host, 0))
+        except OSError as error:
+            pytest.skip(f"no IPv6 here: {error}")
+        reader = Datagrams(sock, 8)
+        if not at_once:
+            monkeypatch.setattr(reader, "_recvmmsg", None)
+            monkeypatch.setattr(reader, "_sendto", None)
+        seen: list[tuple[bytes, int]] = []
+
+        def answer(data: memoryview, length: int, sender: bytes) -> None:
+            seen.append((bytes(data[:length]), length))
+            reader.send(b"answer to " + data[:length], sender)
+
+        reader.on_arrival = answer
+        to = "127.0.0.1" if host == "::" else host  # a socket for both hears IPv4
+        with socket.socket(socket.AF_INET6 if ":" in to else socket.AF_INET, sock.type) as other:
+            other.settimeout(5.0)
+            for data in (b"one", b"two"):
+                other.sendto(data, (to, sock.getsockname()[1]))
+            assert until(lambda: (reader.receive(), len(seen) == 2)[1])
+            assert [other.recv(99) for _ in range(2)] == [b"answer to one", b"answer to two"]
+        assert seen == [(b"one", 3), (b"two", 3)]
+        with pytest.raises(OSError, match="Invalid argument"):
+            reader.send(b"x", pack_address("127.0.0.1" if ":" not in host else "::1", 0))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BATCH = 256  # packets
-_ADDRESS_BYTES = 28  # of sockaddr_in6; sockaddr_in is shorter
+_ADDRESS_BYTES, _V4_BYTES = 28, 16  # of sockaddr_in6, and of sockaddr_in
 _CONTROL_BYTES = 64  # a time stamp (32) and a count of dropped packets (24)
 _MAPPED = bytes(10) + b"\xff\xff"  # before an IPv4 address in one of IPv6
 # Linux's numbers; not in Python's socket module.
@@ -112,25 +112,30 @@ class Datagrams:
     Args:
         sock: a bound datagram socket; it is made non-blocking.
         most: bytes of a packet that are kept.
+
+    Attributes:
         on_arrival: called before anything else is done with each packet, with its bytes, as many
-            as are kept; how long it is; and its sender as in `Batch.senders`.
+            as are kept; how long it is; and its sender as in `Batch.senders`. None for nothing.
     """
 
-    def __init__(self, sock: socket.socket, most: int, on_arrival: OnArrival | None = None) -> None:
+    def __init__(self, sock: socket.socket, most: int) -> None:
         sock.setblocking(False)
+        self.on_arrival: OnArrival | None = None
         self._socket = sock
-        self._on_arrival = on_arrival
         self._rows = np.zeros((BATCH, most), np.uint8)
         self._senders = np.zeros((BATCH, _ADDRESS_BYTES), np.uint8)
         self._lengths = np.zeros(BATCH, np.intp)
         self._recvmmsg: Any = None
+        self._sendto: Any = None
         self._dropped: int | None = None
         if sys.platform == "linux":
             for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
-            # It does not wait, so it need not let other threads run: to come back behind one that
+            # They do not wait, so they need not let other threads run: to come back behind one that
             # renders takes up to the interpreter's switch interval.
-            self._recvmmsg = getattr(ctypes.PyDLL(None, use_errno=True), "recvmmsg", None)
+            library = ctypes.PyDLL(None, use_errno=True)
+            self._recvmmsg = getattr(library, "recvmmsg", None)
+            self._sendto = getattr(library, "sendto", None)
             self._dropped = 0
         if self._recvmmsg is not None:
             self._prepare()
@@ -169,6 +174,24 @@ class Datagrams:
         """
         return self._one_by_one() if self._recvmmsg is None else self._at_once()
 
+    def send(self, data: bytes, to: bytes) -> None:
+        """Sends a packet to an address as in `Batch.senders`; raises OSError where it cannot."""
+        if self._sendto is None:
+            self._socket.sendto(data, _as_tuple(to))
+            return
+        length = _V4_BYTES if to[0] == socket.AF_INET else _ADDRESS_BYTES
+        sent = self._sendto(
+            ctypes.c_int(self._socket.fileno()),
+            data,
+            ctypes.c_size_t(len(data)),
+            ctypes.c_int(socket.MSG_DONTWAIT),
+            to,
+            ctypes.c_uint(length),
+        )
+        if sent < 0:
+            error = ctypes.get_errno()
+            raise OSError(error, os.strerror(error))
+
     def _at_once(self) -> Batch | None:
         count = self._recvmmsg(*self._arguments)
         if count <= 0:
@@ -176,7 +199,7 @@ class Datagrams:
             if count == 0 or error in (11, 4):  # EAGAIN, EINTR
                 return None
             raise OSError(error, os.strerror(error))
-        if (on_arrival := self._on_arrival) is not None:
+        if (on_arrival := self.on_arrival) is not None:
             # Without numpy: beside a renderer its code has to come from memory first.
             for i in range(count):
                 sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
@@ -218,8 +241,8 @@ class Datagrams:
             arrivals.append(time.monotonic())
             self._lengths[count] = most + 1 if flags & socket.MSG_TRUNC else length
             packed = pack_address(*sender[:2])
-            if self._on_arrival is not None:
-                self._on_arrival(self._rows[count].data, int(self._lengths[count]), packed)
+            if self.on_arrival is not None:
+                self.on_arrival(self._rows[count].data, int(self._lengths[count]), packed)
             self._senders[count] = np.frombuffer(packed, np.uint8)
             count += 1
         if not count:
@@ -243,6 +266,15 @@ def unpack_address(packed: bytes) -> tuple[str, int]:
     if packed[0] == 2:
         return socket.inet_ntop(socket.AF_INET, packed[4:8]), port
     return socket.inet_ntop(socket.AF_INET6, packed[8:24]), port
+
+
+def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
+    """One of `Batch.senders` as Python's sockets take it."""
+    host, port = unpack_address(packed)
+    if ":" not in host:
+        return host, port
+    (scope,) = struct.unpack_from("=I", packed, 24)  # link-local addresses need their interface
+    return host, port, 0, scope
 
 
 def canonical_address(packed: bytes) -> tuple[bytes, int]:

@@ -7,16 +7,15 @@ measurements all the same, with the quality `unacceptable`.
 
 from __future__ import annotations
 
-import struct
 import sys
 import threading
-from collections.abc import Collection
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Collection
+from functools import cached_property
 from typing import Any
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from .datagrams import OnArrival, unpack_address
+from .datagrams import OnArrival
 from .fri_layout import FRAMES, MEASUREMENT, PORT, FriLayout, counter_of, no_command
 from .udp import UdpReceiver
 
@@ -102,10 +101,9 @@ class FriReceiver(UdpReceiver):
         super()._start_afresh()
         self._answers = 0
 
-    def _on_arrival(self) -> OnArrival | None:
+    def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
         """Answers before anything else is done, for the controller measures the latency."""
-        sock = self._socket
-        if not self.answer or sock is None:
+        if not self.answer:
             return None
 
         def answer(packet: memoryview, length: int, sender: bytes) -> None:
@@ -113,7 +111,7 @@ class FriReceiver(UdpReceiver):
             if reflected is None or not self._is_known(sender):
                 return
             try:
-                sock.sendto(no_command(self._answers + 1, reflected), _reply_address(sender))
+                send(no_command(self._answers + 1, reflected), sender)
             except OSError as error:
                 self._warn(f"no answer could be sent: {error.strerror}")
                 return
@@ -150,13 +148,3 @@ class _ShortTurns:
 
 
 _short_turns = _ShortTurns()
-
-
-@lru_cache(maxsize=16)
-def _reply_address(sender: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
-    """A sender of `Batch.senders` as a socket takes it."""
-    host, port = unpack_address(sender)
-    if ":" not in host:
-        return host, port
-    (scope,) = struct.unpack_from("=I", sender, 24)  # link-local addresses need their interface
-    return host, port, 0, scope

@@ -6,6 +6,7 @@ import ipaddress
 import selectors
 import socket
 import threading
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -120,8 +121,8 @@ class UdpReceiver(Receiver):
         assert sock is not None and wake is not None
         # One more byte than is right: where the system does not tell, it shows what was too long.
         # A recording keeps what is wrong whole, if it is not very long.
-        kept = max(self.layout.size + 1, _KEPT_BYTES)
-        datagrams = Datagrams(sock, kept, self._on_arrival())
+        datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
+        datagrams.on_arrival = self._on_arrival(datagrams.send)
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake[0], selectors.EVENT_READ)
@@ -142,7 +143,7 @@ class UdpReceiver(Receiver):
                 if _BUSY <= len(batch) < BATCH:
                     self._closing.wait(_GATHER)
 
-    def _on_arrival(self) -> OnArrival | None:
+    def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
         """What is done with each packet first of all, strangers' too; None for nothing."""
         return None
 
