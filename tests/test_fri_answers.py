@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import math
+import os
+import platform
 import socket
 import struct
 import sys
@@ -23,6 +25,7 @@ from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import COMMAND, no_command
 from sero_mj.receive.recording_writer import RecordingWriter
+from sero_mj.receive.short_slices import ask_for_short_slices
 from sero_mj.receive.structure import Structure
 from sero_mj.receive.udp import UdpReceiver
 
@@ -140,6 +143,23 @@ def test_threads_take_short_turns_only_while_somebody_answers() -> None:
             one.close()
             assert sys.getswitchinterval() == pytest.approx(5e-4)
         assert sys.getswitchinterval() == usual
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
+def test_a_thread_that_answers_asks_for_short_slices_and_changes_nothing_else() -> None:
+    found: dict[str, object] = {}
+
+    def run() -> None:
+        before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+        found["granted"] = ask_for_short_slices()
+        found["same"] = before == (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert found["same"]
+    if not found["granted"]:
+        pytest.skip(f"Linux {platform.release()} knows no slices")
 
 
 def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:

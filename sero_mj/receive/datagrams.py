@@ -124,7 +124,8 @@ class Datagrams:
         self._socket = sock
         self._rows = np.zeros((BATCH, most), np.uint8)
         self._senders = np.zeros((BATCH, _ADDRESS_BYTES), np.uint8)
-        self._lengths = np.zeros(BATCH, np.intp)
+        self._lengths, self._came = np.zeros(BATCH, np.intp), np.zeros(BATCH)
+        self.waiting = 0
         self._recvmmsg: Any = None
         self._sendto: Any = None
         self._dropped: int | None = None
@@ -158,13 +159,12 @@ class Datagrams:
         self._row_views = [memoryview(row) for row in self._rows]  # type: ignore[arg-type]
         self._sender_view = memoryview(self._senders.reshape(-1))  # type: ignore[arg-type]
         self._stamps = self._controls.view(_STAMP)[:, 0]
-        self._arguments = (
-            ctypes.c_int(self._socket.fileno()),
-            ctypes.byref(self._headers),
-            ctypes.c_uint(BATCH),
-            ctypes.c_int(socket.MSG_DONTWAIT | socket.MSG_TRUNC),
-            None,
-        )
+        size, flags = ctypes.sizeof(_Mmsghdr), socket.MSG_DONTWAIT | socket.MSG_TRUNC
+        fileno = ctypes.c_int(self._socket.fileno())
+        self._arguments = [
+            (fileno, ctypes.byref(self._headers, first * size), BATCH - first, flags, None)
+            for first in range(BATCH)
+        ]
 
     def receive(self) -> Batch | None:
         """Returns what is there, up to 256 packets, or None when there is nothing.
@@ -172,7 +172,37 @@ class Datagrams:
         Raises:
             OSError: the system says what is wrong with the socket.
         """
-        return self._one_by_one() if self._recvmmsg is None else self._at_once()
+        self.read()
+        return self.take()
+
+    def read(self) -> int:
+        """Reads what is there behind what is `waiting`; returns how many packets that were.
+
+        Raises:
+            OSError: the system says what is wrong with the socket.
+        """
+        if self.waiting == BATCH:
+            return 0
+        count = self._one_by_one() if self._recvmmsg is None else self._at_once()
+        self.waiting += count
+        return count
+
+    def take(self) -> Batch | None:
+        """Returns what was read since the last one, or None when there is nothing."""
+        count, self.waiting = self.waiting, 0
+        if not count:
+            return None
+        rows, senders = self._rows[:count], self._senders[:count].copy()
+        if self._recvmmsg is None:
+            lengths, arrivals = self._lengths[:count].copy(), self._came[:count].copy()
+            return Batch(rows, lengths, arrivals, senders, self._dropped)
+        state = self._state[:count]
+        lengths = state["length"].astype(np.intp)
+        arrivals = self._arrivals(count)
+        if (state["controllen"] > 32).any():
+            self._dropped = self._read_dropped(count)
+        state["namelen"], state["controllen"] = _ADDRESS_BYTES, _CONTROL_BYTES
+        return Batch(rows, lengths, arrivals, senders, self._dropped)
 
     def send(self, data: bytes, to: bytes) -> None:
         """Sends a packet to an address as in `Batch.senders`; raises OSError where it cannot."""
@@ -192,26 +222,20 @@ class Datagrams:
             error = ctypes.get_errno()
             raise OSError(error, os.strerror(error))
 
-    def _at_once(self) -> Batch | None:
-        count = self._recvmmsg(*self._arguments)
+    def _at_once(self) -> int:
+        first = self.waiting
+        count = int(self._recvmmsg(*self._arguments[first]))
         if count <= 0:
             error = ctypes.get_errno()
             if count == 0 or error in (11, 4):  # EAGAIN, EINTR
-                return None
+                return 0
             raise OSError(error, os.strerror(error))
         if (on_arrival := self.on_arrival) is not None:
             # Without numpy: beside a renderer its code has to come from memory first.
-            for i in range(count):
+            for i in range(first, first + count):
                 sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
                 on_arrival(self._row_views[i], self._headers[i].length, bytes(sender))
-        state = self._state[:count]
-        lengths = state["length"].astype(np.intp)
-        arrivals = self._arrivals(count)
-        if (state["controllen"] > 32).any():
-            self._dropped = self._read_dropped(count)
-        senders = self._senders[:count].copy()
-        state["namelen"], state["controllen"] = _ADDRESS_BYTES, _CONTROL_BYTES
-        return Batch(self._rows[:count], lengths, arrivals, senders, self._dropped)
+        return count
 
     def _arrivals(self, count: int) -> Array:
         """When the kernel got the packets, on the monotonic clock."""
@@ -231,24 +255,20 @@ class Datagrams:
                 return int(struct.unpack_from("=I", control, 48)[0])
         return self._dropped
 
-    def _one_by_one(self) -> Batch | None:
-        arrivals, count, most = [], 0, self._rows.shape[1]
-        while count < BATCH:
+    def _one_by_one(self) -> int:
+        first, most = self.waiting, self._rows.shape[1]
+        for i in range(first, BATCH):
             try:
-                length, _, flags, sender = self._socket.recvmsg_into([self._rows[count].data])
+                length, _, flags, sender = self._socket.recvmsg_into([self._rows[i].data])
             except BlockingIOError:
-                break
-            arrivals.append(time.monotonic())
-            self._lengths[count] = most + 1 if flags & socket.MSG_TRUNC else length
+                return i - first
+            self._came[i] = time.monotonic()
+            self._lengths[i] = most + 1 if flags & socket.MSG_TRUNC else length
             packed = pack_address(*sender[:2])
             if self.on_arrival is not None:
-                self.on_arrival(self._rows[count].data, int(self._lengths[count]), packed)
-            self._senders[count] = np.frombuffer(packed, np.uint8)
-            count += 1
-        if not count:
-            return None
-        lengths, senders = self._lengths[:count].copy(), self._senders[:count].copy()
-        return Batch(self._rows[:count], lengths, np.array(arrivals), senders, self._dropped)
+                self.on_arrival(self._rows[i].data, int(self._lengths[i]), packed)
+            self._senders[i] = np.frombuffer(packed, np.uint8)
+        return BATCH - first
 
 
 def pack_address(host: str, port: int) -> bytes:

@@ -6,6 +6,7 @@ import ipaddress
 import selectors
 import socket
 import threading
+import time
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Annotated, Any
@@ -15,6 +16,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 
 from .datagrams import BATCH, Batch, Datagrams, OnArrival, canonical_address, pack_address
 from .receiver import Receiver, log
+from .short_slices import ask_for_short_slices
 from .sockets import open_socket
 
 # At many packets per second it is cheaper to let some come together; the renderer shares the
@@ -22,6 +24,7 @@ from .sockets import open_socket
 _KEPT_BYTES = 2048
 _BUSY = 8  # packets in a batch
 _GATHER = 5e-4  # s
+_LATER = 4e-3  # s for which packets that are answered may wait until they are looked at
 
 
 def _as_list(value: Any) -> Any:
@@ -123,25 +126,39 @@ class UdpReceiver(Receiver):
         # A recording keeps what is wrong whole, if it is not very long.
         datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
         datagrams.on_arrival = self._on_arrival(datagrams.send)
+        answers, since = datagrams.on_arrival is not None, 0.0
+        if answers:
+            ask_for_short_slices()
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake[0], selectors.EVENT_READ)
             while not self._closing.is_set():
                 try:
-                    batch = datagrams.receive()
+                    count = datagrams.read()
                 except OSError as error:
                     # An ICMP answer to somebody else's packet may surface here; go on receiving.
                     self.counters.last_fault = f"socket: {error.strerror}"
                     self._closing.wait(0.01)  # an error that stays must not take a whole core
                     continue
+                if answers and datagrams.waiting < BATCH:
+                    # The next answer is more urgent than what is there to be looked at.
+                    if count and datagrams.waiting == count:
+                        since = time.monotonic()
+                    left = _LATER - (time.monotonic() - since) if datagrams.waiting else None
+                    if left is None or left > 0.0:
+                        selector.select(left)
+                        continue
+                batch = datagrams.take()
                 if batch is None:
                     selector.select()
                     continue
                 if batch.dropped is not None:
                     self.counters.dropped = batch.dropped
                 self._take_in(batch)
-                if _BUSY <= len(batch) < BATCH:
+                if _BUSY <= len(batch) < BATCH and not answers:
                     self._closing.wait(_GATHER)
+        if (batch := datagrams.take()) is not None:
+            self._take_in(batch)
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
         """What is done with each packet first of all, strangers' too; None for nothing."""
