@@ -35,6 +35,7 @@ class FriReceiver(UdpReceiver):
             in it: its flags, and all but its header, are 0. Without answers the controller calls
             the quality unacceptable. With them an interface that its program has put into command
             mode stays there, and holds the robot where that program has it.
+            Answers go first: what is in a packet is looked at up to 4 ms later.
     """
 
     name: str = "fri"
