@@ -12,7 +12,7 @@ import os
 import time
 from collections.abc import Callable
 
-from sero_mj.show.gl import choose_backend
+from sero_mj.show.headless.gl import choose_backend
 
 choose_backend()
 
@@ -23,8 +23,8 @@ from rich.table import Table
 
 from sero_mj import make_environment
 from sero_mj.paths import find_scenario
-from sero_mj.simulate.sweep import Sweep
-from sero_mj.simulate.vary import Vary
+from sero_mj.study.sweep import Sweep
+from sero_mj.study.vary import Vary
 
 ENVIRONMENTS = (
     ("lwr/reach", {}),

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sero_mj.show.gl import choose_backend
+from sero_mj.show.headless.gl import choose_backend
 
 choose_backend()
 
@@ -33,9 +33,9 @@ from sero_mj.drive.mirror import load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout, no_command
 from sero_mj.receive.receiver import Receiver
-from sero_mj.receive.recording import Recording
-from sero_mj.receive.recording_writer import RecordingWriter
 from sero_mj.receive.structure import Structure
+from sero_mj.record.recording import Recording
+from sero_mj.record.recording_writer import RecordingWriter
 
 Row = tuple[str, str, str, str, str]
 HERE = Path(__file__).parent

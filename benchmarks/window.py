@@ -19,7 +19,7 @@ import numpy as np
 from worlds import WORLDS, make_world
 
 from sero_mj import Mirror
-from sero_mj.show.window import Window
+from sero_mj.show.window.host import Window
 
 FRAMES = 200
 _FIRST = """
@@ -28,7 +28,7 @@ os.environ["MUJOCO_GL"] = "glfw"
 from sero_mj.cli.arguments import read_scene_or_model
 scene = read_scene_or_model("lwr_udp")
 from sero_mj.drive.mirror import Mirror
-from sero_mj.show.window import Window
+from sero_mj.show.window.host import Window
 with Mirror(scene) as mirror, Window(mirror, size=(1280, 800)) as window:
     window.frame()
     print(time.time())

@@ -41,20 +41,20 @@ if TYPE_CHECKING:
     from .drive.mirror import Mirror as Mirror
     from .drive.mirror import load_scene as load_scene
     from .drive.place import Placer as Placer
-    from .drive.record_sources import record_sources as record_sources
     from .environment.make import make_environment as make_environment
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
     from .errors import SimulationError as SimulationError
     from .receive.fri import FriReceiver as FriReceiver
-    from .receive.recording import Recording as Recording
-    from .receive.replay import Replay as Replay
     from .receive.shm import ShmReader as ShmReader
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
-    from .show.capture import render_film as render_film
-    from .show.capture import render_picture as render_picture
-    from .show.headless import HeadlessRenderer as HeadlessRenderer
+    from .record.record_sources import record_sources as record_sources
+    from .record.recording import Recording as Recording
+    from .record.replay import Replay as Replay
+    from .show.headless.capture import render_film as render_film
+    from .show.headless.capture import render_picture as render_picture
+    from .show.headless.renderer import HeadlessRenderer as HeadlessRenderer
     from .show.overlay import Overlay as Overlay
     from .show.overlay import overlay as overlay
     from .show.viewer import Viewer as Viewer
@@ -85,13 +85,13 @@ _HOME = {
     "Mirror": "drive.mirror",
     "load_scene": "drive.mirror",
     "Placer": "drive.place",
-    "record_sources": "drive.record_sources",
+    "record_sources": "record.record_sources",
     "make_environment": "environment.make",
     "DeclarationError": "errors",
     "SeroError": "errors",
     "FriReceiver": "receive.fri",
-    "Recording": "receive.recording",
-    "Replay": "receive.replay",
+    "Recording": "record.recording",
+    "Replay": "record.replay",
     "ShmReader": "receive.shm",
     "SimulationError": "errors",
     "Structure": "receive.structure",
@@ -102,9 +102,9 @@ _HOME = {
     "Simulation": "simulate.simulation",
     "SensorErrors": "simulate.sensors",
     "Sensors": "simulate.sensors",
-    "render_film": "show.capture",
-    "render_picture": "show.capture",
-    "HeadlessRenderer": "show.headless",
+    "render_film": "show.headless.capture",
+    "render_picture": "show.headless.capture",
+    "HeadlessRenderer": "show.headless.renderer",
     "Overlay": "show.overlay",
     "overlay": "show.overlay",
     "Viewer": "show.viewer",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from shutil import copy
 
-from sero_mj.receive.recording_writer import RecordingWriter
+from sero_mj.record.recording_writer import RecordingWriter
 
 EVENTS = {"values0": (2,), "vectors0": (1, 3), "matrices0": (1, 4, 4)}
 DECLARED = {"port": 32000, "structure": "2F1V1M", "double": True}

@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 
-from sero_mj.drive.ahead import Ahead
 from sero_mj.drive.mirror import load_scene
-from sero_mj.drive.play import MotionPackets
-from sero_mj.drive.send import paced, send
 from sero_mj.receive.structure import Structure
+from sero_mj.send.ahead import Ahead
+from sero_mj.send.play import MotionPackets
+from sero_mj.send.sender import paced, send
 
 PARABOLA = Structure("n:1H t:1I at:1d v:2f tag:1B=7 bits:1I")
 

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import START, lwr_model, lwr_robot
 
-from sero_mj.assemble.frames import frame, rotation_angle, rotation_from_rpy
-from sero_mj.errors import DeclarationError
-from sero_mj.simulate.cartesian_laws import (
+from sero_mj.control.cartesian_laws import (
     CARTESIAN_LAWS,
     CartesianConstant,
     CartesianWayPoints,
     cartesian_law_from,
 )
-from sero_mj.simulate.reach import follow_poses
+from sero_mj.control.reach import follow_poses
+from sero_mj.errors import DeclarationError
+from sero_mj.frames import frame, rotation_angle, rotation_from_rpy
 
 Array = NDArray[np.float64]
 MODEL = lwr_model()

@@ -13,11 +13,11 @@ from runs import record_run, simulated, sine_run, two_joints
 
 from sero_mj.cli import main
 from sero_mj.errors import CsvError, UsageError
-from sero_mj.simulate.align import align, at_times
-from sero_mj.simulate.compare import as_json, compare, exceeded, write_csv
-from sero_mj.simulate.compare_scene import compare_scene
-from sero_mj.simulate.run_log import RunLog
-from sero_mj.simulate.shift import find_shift
+from sero_mj.runs.run_log import RunLog
+from sero_mj.study.align import align, at_times
+from sero_mj.study.compare import as_json, compare, exceeded, write_csv
+from sero_mj.study.compare_scene import compare_scene
+from sero_mj.study.shift import find_shift
 
 
 def shifted(log: RunLog, **signals: float) -> RunLog:
@@ -293,7 +293,7 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
 def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
     from PIL import Image
 
-    from sero_mj.show.capture import render_picture
+    from sero_mj.show.headless.capture import render_picture
 
     log = simulated().log
 

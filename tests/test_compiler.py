@@ -7,7 +7,7 @@ import pytest
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
-from sero_mj.simulate.compiler import Compiler, fingerprint
+from sero_mj.control.compiler import Compiler, fingerprint
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
@@ -94,6 +94,6 @@ def test_a_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.Mon
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("a world is compiled again")
 
-    monkeypatch.setattr("sero_mj.simulate.compiler.World", refuse)
-    monkeypatch.setattr("sero_mj.simulate.robot_model.World", refuse)
+    monkeypatch.setattr("sero_mj.control.compiler.World", refuse)
+    monkeypatch.setattr("sero_mj.control.robot_model.World", refuse)
     Simulation(read_scenario(name), compiler=compiler)

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.drive.export_csv import Exported, column_names, export_csv
-from sero_mj.drive.read_csv import read_csv
-from sero_mj.drive.write_csv import csv_table
 from sero_mj.errors import CsvError, UnknownName
-from sero_mj.receive.recording import Recording
-from sero_mj.receive.recording_writer import RecordingWriter
 from sero_mj.receive.structure import Structure
+from sero_mj.record.export_csv import Exported, column_names, export_csv
+from sero_mj.record.read_csv import read_csv
+from sero_mj.record.recording import Recording
+from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.record.write_csv import csv_table
 
 LAYOUT = Structure("2F1V1M")
 

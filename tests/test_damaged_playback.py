@@ -16,8 +16,8 @@ from sero_mj import Mirror
 from sero_mj.cli import main
 from sero_mj.drive.mirror import load_scene
 from sero_mj.errors import SourceError
-from sero_mj.receive.recording import Recording
 from sero_mj.receive.structure import Structure
+from sero_mj.record.recording import Recording
 
 LAYOUT = Structure("2F1V1M")  # what `recordings` declares
 PACKETS = [

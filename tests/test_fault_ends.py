@@ -11,10 +11,10 @@ import pytest
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.errors import DeclarationError
-from sero_mj.simulate.plot import spans_of
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
+from sero_mj.study.plot import spans_of
 
 HOME = np.deg2rad([0.0, 30.0, 0.0, -90.0, 0.0, 60.0, 0.0])
 A1, A2, A3, A4 = (0, 1, 3, 4)  # the third joint is E1

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sero_mj.assemble import frames
-from sero_mj.assemble.declaration import numbers
+from sero_mj import frames
+from sero_mj.declaration import numbers
 
 ANGLES = st.floats(-2 * math.pi, 2 * math.pi)
 THREE_ANGLES = st.tuples(ANGLES, ANGLES, ANGLES)

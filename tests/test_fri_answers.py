@@ -24,10 +24,10 @@ from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import COMMAND, no_command
-from sero_mj.receive.recording_writer import RecordingWriter
 from sero_mj.receive.short_slices import ask_for_short_slices
 from sero_mj.receive.structure import Structure
 from sero_mj.receive.udp import UdpReceiver
+from sero_mj.record.recording_writer import RecordingWriter
 
 
 @pytest.fixture

@@ -18,21 +18,21 @@ from polling import until
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.cli import main
-from sero_mj.drive.fri_answers import AnswerStatistics
-from sero_mj.drive.fri_controller import Faults, FriController
-from sero_mj.drive.fri_signals import FriSignals
 from sero_mj.drive.mirror import Mirror, load_scene
-from sero_mj.drive.send import UdpSink
 from sero_mj.errors import SourceError, UsageError
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout, no_command
+from sero_mj.send.fri_answers import AnswerStatistics
+from sero_mj.send.fri_controller import Faults, FriController
+from sero_mj.send.fri_signals import FriSignals
+from sero_mj.send.sender import UdpSink
 
 # A controller in a process of its own; it prints what it did when it has sent its packets.
 ROBOT = """
 import json, sys
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.drive.fri_controller import Faults, FriController
-from sero_mj.drive.send import UdpSink
+from sero_mj.send.fri_controller import Faults, FriController
+from sero_mj.send.sender import UdpSink
 options = json.loads(sys.argv[2])
 faults = Faults(**options.pop("faults", {}))
 controller = FriController(SerialRobot.from_model("lwr"), faults=faults, **options)

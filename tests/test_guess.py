@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 
-from sero_mj.assemble.frames import rotation_from_rpy
+from sero_mj.frames import rotation_from_rpy
 from sero_mj.receive.guess import describe_bytes, find_frames, guess_layouts, plausibility
 from sero_mj.receive.structure import Structure
 

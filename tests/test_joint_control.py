@@ -13,17 +13,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
+from sero_mj.control.damping import design_damping, unstable_joint
+from sero_mj.control.joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
+from sero_mj.control.robot_model import RobotModel
+from sero_mj.control.state import Sensed, Target
+from sero_mj.control.torque_limits import LimitedController
 from sero_mj.errors import DeclarationError, SimulationError
-from sero_mj.simulate.damping import design_damping, unstable_joint
-from sero_mj.simulate.joint_control import (
-    GravityCompensation,
-    JointImpedance,
-    JointPosition,
-    Torque,
-)
-from sero_mj.simulate.robot_model import RobotModel
-from sero_mj.simulate.state import Sensed, Target
-from sero_mj.simulate.torque_limits import LimitedController
 
 Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)

@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.errors import DeclarationError
-from sero_mj.simulate.law import Motion
-from sero_mj.simulate.laws import LAWS, Chirp, Constant, Recorded, Sine, Step, law_from
-from sero_mj.simulate.time_laws import (
+from sero_mj.control.law import Motion
+from sero_mj.control.laws import LAWS, Chirp, Constant, Recorded, Sine, Step, law_from
+from sero_mj.control.time_laws import (
     quintic,
     quintic_duration,
     trapezoid,
     trapezoid_blend,
     trapezoid_duration,
 )
-from sero_mj.simulate.way_points import WayPoints
+from sero_mj.control.way_points import WayPoints
+from sero_mj.errors import DeclarationError
 
 Array = NDArray[np.float64]
 SPEEDS = np.array([1.0, 2.0, 0.5])

@@ -200,7 +200,7 @@ def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> 
         ("drive.follow", "from .. import paths, __version__"),
         ("drive.follow", "from .. import SerialRobot"),
         ("cli.fk", "from .arguments import port"),
-        ("__main__", "import sero_mj.show.gl"),
+        ("__main__", "import sero_mj.show.headless.gl"),
         ("errors", "import mujoco.viewer, decor"),  # somebody else's decor
     ],
 )

@@ -14,8 +14,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from polling import until
 
-from sero_mj.assemble.frames import nearest_rotation, rotation_from_rpy
 from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.frames import nearest_rotation, rotation_from_rpy
 from sero_mj.receive.checks import are_frames, find_not_frame
 from sero_mj.receive.kinds import make_source
 from sero_mj.receive.source import Counters, Packet

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
-from sero_mj.simulate.joint_control import JointImpedance
-from sero_mj.simulate.observer import MomentumObserver, external_torques
-from sero_mj.simulate.state import Sensed, Target
+from sero_mj.control.joint_control import JointImpedance
+from sero_mj.control.observer import MomentumObserver, external_torques
+from sero_mj.control.state import Sensed, Target
 
 Array = NDArray[np.float64]
 STEP = 1e-3

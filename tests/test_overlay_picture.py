@@ -14,8 +14,8 @@ from PIL import Image
 
 import sero_mj
 from sero_mj.assemble.world import World
-from sero_mj.show.headless import HeadlessRenderer
-from sero_mj.show.picture import Picture
+from sero_mj.show.headless.picture import Picture
+from sero_mj.show.headless.renderer import HeadlessRenderer
 
 pytestmark = pytest.mark.gl
 

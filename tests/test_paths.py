@@ -20,10 +20,10 @@ import sero_mj
 from sero_mj import paths
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene_file import read_scene
-from sero_mj.assemble.toml_file import key_lines
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
+from sero_mj.toml_file import key_lines
 
 MINIMAL = 'dh_convention = "craig"\n'
 

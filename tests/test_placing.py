@@ -12,7 +12,6 @@ from polling import until
 
 from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
 from sero_mj.assemble.double import Double
-from sero_mj.assemble.frames import frame_from, inverse
 from sero_mj.assemble.looks import Camera
 from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
@@ -21,8 +20,9 @@ from sero_mj.assemble.world import World
 from sero_mj.decor.flange_check import flange_difference
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.drive.place import Placer
-from sero_mj.drive.play import MotionPackets
 from sero_mj.errors import DeclarationError
+from sero_mj.frames import frame_from, inverse
+from sero_mj.send.play import MotionPackets
 
 Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 BASE = {"xyz": [0.2, -0.3, 0.1], "rpy": [0.1, -0.2, 1.0]}

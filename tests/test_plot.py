@@ -15,12 +15,12 @@ from PIL import Image
 from runs import simulated, sine_run, two_joints
 
 from sero_mj.errors import RenderError, UsageError
-from sero_mj.simulate.envelope import envelope
-from sero_mj.simulate.figure import BLUE, FAULT, INK, ORANGE, Sheet, Span
-from sero_mj.simulate.monitor import Finding
-from sero_mj.simulate.plot import plot_run, spans_of
-from sero_mj.simulate.plot_comparison import plot_comparison
-from sero_mj.simulate.run_log import RunLog
+from sero_mj.runs.monitor import Finding
+from sero_mj.runs.run_log import RunLog
+from sero_mj.study.envelope import envelope
+from sero_mj.study.figure import BLUE, FAULT, INK, ORANGE, Sheet, Span
+from sero_mj.study.plot import plot_run, spans_of
+from sero_mj.study.plot_comparison import plot_comparison
 
 
 @pytest.fixture
@@ -193,9 +193,9 @@ def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -
 
 def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path: Path) -> None:
     code = (
-        "import sys; import sero_mj.simulate.plot, sero_mj.simulate.plot_comparison;"
+        "import sys; import sero_mj.study.plot, sero_mj.study.plot_comparison;"
         "print('matplotlib' in sys.modules);"
-        "from runs import sine_run; sero_mj.simulate.plot.plot_run(sine_run(), sys.argv[1]);"
+        "from runs import sine_run; sero_mj.study.plot.plot_run(sine_run(), sys.argv[1]);"
         "print('matplotlib.pyplot' in sys.modules)"
     )
     done = subprocess.run(

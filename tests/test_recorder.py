@@ -18,10 +18,10 @@ import pytest
 from mcap.reader import make_reader
 from polling import until
 
-from sero_mj.drive.record import Recorder
 from sero_mj.errors import RecordingError, UnknownName
-from sero_mj.receive.recording import Recording
 from sero_mj.receive.structure import Structure
+from sero_mj.record.recorder import Recorder
+from sero_mj.record.recording import Recording
 
 LAYOUT = Structure("2F1V")
 

@@ -15,12 +15,12 @@ from mcap.reader import make_reader
 from recordings import DECLARED, EVENTS, begin, record
 
 from sero_mj.errors import UnknownName
-from sero_mj.receive.mcap_file import SHORT_ENDING
-from sero_mj.receive.recording import Recording
-from sero_mj.receive.recording_format import Clock
-from sero_mj.receive.recording_writer import RecordingWriter
-from sero_mj.receive.replay import Replay
 from sero_mj.receive.structure import Structure
+from sero_mj.record.mcap_file import SHORT_ENDING
+from sero_mj.record.recording import Recording
+from sero_mj.record.recording_format import Clock
+from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.record.replay import Replay
 
 
 def test_what_goes_in_comes_out(tmp_path: Path) -> None:

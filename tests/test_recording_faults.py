@@ -18,8 +18,8 @@ from mcap.writer import Writer
 from recordings import begin, numbered, record
 
 from sero_mj.errors import RecordingError, UnknownName
-from sero_mj.receive.recording import Recording
-from sero_mj.receive.recording_writer import RecordingWriter
+from sero_mj.record.recording import Recording
+from sero_mj.record.recording_writer import RecordingWriter
 
 
 def test_what_is_not_closed_is_a_whole_file_without_an_index(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
 from sero_mj.drive.mirror import load_scene
 from sero_mj.errors import DeclarationError
-from sero_mj.receive.replay import Replay
 from sero_mj.receive.structure import Structure
+from sero_mj.record.replay import Replay
 
 LAYOUT = Structure("2F1V1M")  # what `recordings` declares
 PACKETS = [

@@ -13,11 +13,11 @@ from runs import HOME, record_packets, record_run, simulated
 from sero_mj.assemble.scene_file import read_scene
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.errors import RecordingError, UsageError
-from sero_mj.receive.recording import Recording
-from sero_mj.receive.recording_writer import FLUSH_AFTER
-from sero_mj.simulate.run_log import event_of
+from sero_mj.record.recording import Recording
+from sero_mj.record.recording_writer import FLUSH_AFTER
+from sero_mj.runs.run_log import event_of
+from sero_mj.runs.run_recording import read_run
 from sero_mj.simulate.run_recorder import RunRecorder
-from sero_mj.simulate.run_recording import read_run
 from sero_mj.simulate.staging import SOURCE
 
 # Degrees and mNm; outputs of robots go into others.

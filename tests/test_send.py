@@ -15,10 +15,10 @@ import pytest
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
-from sero_mj.drive.motion import InverseDynamics, SineMotion
-from sero_mj.drive.play import MotionPackets
-from sero_mj.drive.send import SendReport, UdpSink, paced, send
 from sero_mj.errors import SourceError, StructureError, UsageError
+from sero_mj.send.motion import InverseDynamics, SineMotion
+from sero_mj.send.play import MotionPackets
+from sero_mj.send.sender import SendReport, UdpSink, paced, send
 
 UDP = {"kind": "udp", "port": 4711, "structure": "2F2F2F"}
 ROUTES = {

@@ -15,12 +15,12 @@ import pytest
 from polling import until
 from shm_tools import block, make, needs_posix, remove
 
-from sero_mj.drive.shm_writer import ShmWriter
 from sero_mj.receive import shm_block
 from sero_mj.receive.report import describe, report
 from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import Block
 from sero_mj.receive.structure import Structure
+from sero_mj.send.shm_writer import ShmWriter
 
 __all__ = ["block"]  # a fixture
 pytestmark = needs_posix

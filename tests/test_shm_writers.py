@@ -20,12 +20,12 @@ from shm_tools import block, compile_c, make, needs_posix, remove, unlink
 
 from sero_mj.decor.staleness import Staleness
 from sero_mj.drive.mirror import Mirror, load_scene
-from sero_mj.drive.shm_writer import ShmWriter
 from sero_mj.errors import SourceError
 from sero_mj.paths import find_scene
 from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import Block
 from sero_mj.receive.structure import Structure
+from sero_mj.send.shm_writer import ShmWriter
 
 __all__ = ["block"]  # a fixture
 pytestmark = needs_posix

@@ -18,7 +18,7 @@ from polling import until
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot
 from sero_mj.cli import main
-from sero_mj.receive.recording import Recording
+from sero_mj.record.recording import Recording
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_source import SimulatedSource
 from sero_mj.simulate.simulation import Simulation

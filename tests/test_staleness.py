@@ -16,7 +16,7 @@ from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import GREY, Host, Kind
 from sero_mj.drive.place import Placer
-from sero_mj.show.headless import HeadlessRenderer
+from sero_mj.show.headless.renderer import HeadlessRenderer
 
 GEOM = mujoco.mjtGeom
 

@@ -8,9 +8,9 @@ import pytest
 from rich.console import Console
 from runs import simulated, sine_run, two_joints
 
-from sero_mj.simulate.monitor import Finding
-from sero_mj.simulate.run_log import RunLog
-from sero_mj.simulate.summary import as_json, as_table, summarise
+from sero_mj.runs.monitor import Finding
+from sero_mj.runs.run_log import RunLog
+from sero_mj.study.summary import as_json, as_table, summarise
 
 
 def printed(rows: list, title: str = "") -> str:

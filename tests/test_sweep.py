@@ -20,10 +20,10 @@ from sero_mj.errors import CsvError, DeclarationError, UsageError
 from sero_mj.paths import find_scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.simulate.sweep import Sweep
-from sero_mj.simulate.sweep_summary import summarise
-from sero_mj.simulate.sweep_table import SweepTable
-from sero_mj.simulate.vary import Vary, full_grid, latin_hypercube
+from sero_mj.study.sweep import Sweep
+from sero_mj.study.sweep_summary import summarise
+from sero_mj.study.sweep_table import SweepTable
+from sero_mj.study.vary import Vary, full_grid, latin_hypercube
 
 SCENARIO = """
 [robots.lwr]
@@ -402,7 +402,7 @@ def wait_for(happens: Any, seconds: float = 30.0) -> None:
 def test_processes_load_no_opengl(file: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
-        "from sero_mj.simulate.workers import work\n"
+        "from sero_mj.study.workers import work\n"
         "class End:\n"
         "    asked = 0\n"
         "    def recv(self):\n"

@@ -26,7 +26,7 @@ from sero_mj.show.web import app
 from sero_mj.show.web.host import check_address, page_url
 from sero_mj.show.web.site import make_site, with_head
 from sero_mj.show.web.studio import _NO_GOODBYES, CalmUi, QuietServer
-from sero_mj.show.window_help import help_columns
+from sero_mj.show.window.help import help_columns
 
 
 def test_the_page_takes_every_geom_of_the_budget() -> None:

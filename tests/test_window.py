@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from window_tools import MISSING, ROOT, SIZE, Driven, screen
 
-from sero_mj.receive.recording_writer import RecordingWriter
+from sero_mj.record.recording_writer import RecordingWriter
 
 pytestmark = [
     pytest.mark.gl,

@@ -10,7 +10,7 @@ from sero_mj import Scene, SerialRobot, View, World
 from sero_mj.assemble.looks import Camera as SceneCamera
 from sero_mj.decor.view import View as PictureView
 from sero_mj.errors import UnknownName
-from sero_mj.show.window_camera import Navigator, axes
+from sero_mj.show.window.camera import Navigator, axes
 
 
 @pytest.fixture

@@ -17,11 +17,11 @@ from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_K
 from sero_mj.show.mouse import Clicked, Mouse, Moved
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
-from sero_mj.show.window_film import due_frames, free_name
-from sero_mj.show.window_help import help_columns, pages
-from sero_mj.show.window_keys import WindowKeys
-from sero_mj.show.window_layout import arrange
-from sero_mj.show.window_timeline import TimeLine
+from sero_mj.show.window.film import due_frames, free_name
+from sero_mj.show.window.help import help_columns, pages
+from sero_mj.show.window.keys import WindowKeys
+from sero_mj.show.window.layout import arrange
+from sero_mj.show.window.timeline import TimeLine
 
 # ---- clock
 

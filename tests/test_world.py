@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from sero_mj.assemble import frames
+from sero_mj import frames
 from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Camera, Light, Scene

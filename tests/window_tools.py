@@ -21,7 +21,7 @@ import os
 os.environ["MUJOCO_GL"] = "glfw"
 from sero_mj.cli.arguments import read_scene_or_model, replay_instead
 from sero_mj.drive.mirror import Mirror
-from sero_mj.show.window import Window
+from sero_mj.show.window.host import Window
 from pathlib import Path
 scene, settings, size, options, replay = json.loads(sys.argv[1])
 scene = read_scene_or_model(scene, settings)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from .declaration import Array, Declaration, Frame, Name, Point, Rgba, of_shape
+from ..declaration import Array, Declaration, Frame, Name, Point, Rgba, of_shape
 
 VectorKind = Literal["force", "torque", "velocity", "angular_velocity"]
 # What turns about its direction, and is shown by a round arrow.

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .frames import rotation_about
+from ..frames import rotation_about
 
 Array = NDArray[np.float64]
 Convention = Literal["craig", "standard"]

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from ..declaration import Array, Declaration, of_shape
 from ..errors import DeclarationError, Problem
-from .declaration import Array, Declaration, of_shape
 from .inertia import link_name, not_physical, tensors_from
 
 # kg/m3 of a link's hull: hollow aluminium with motors and gears. The hulls of the LWR's moving

@@ -14,8 +14,8 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
+from .. import frames
 from ..errors import DeclarationError
-from . import frames
 from .mjcf_geoms import mesh_asset, shape_geom
 from .robot import SerialRobot
 from .shapes import grow_links

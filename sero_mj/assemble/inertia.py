@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .declaration import numbers
+from ..declaration import numbers
 
 Array = NDArray[np.float64]
 

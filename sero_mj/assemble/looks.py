@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from .declaration import Array, Declaration, Frame, Point
+from ..declaration import Array, Declaration, Frame, Point
 
 Rgb = tuple[float, float, float]
 

@@ -21,14 +21,7 @@ from .inputs import moving
 from .looks import PALETTES
 from .mjcf_double import add_double
 from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
-from .mjcf_geoms import (
-    SITE_GROUP,
-    joint_axis_frame,
-    joint_centre,
-    mesh_asset,
-    set_pose,
-    shape_geom,
-)
+from .mjcf_geoms import SITE_GROUP, joint_axis_frame, joint_centre, mesh_asset, set_pose, shape_geom
 from .mjcf_piece import read_piece
 from .objects import Object
 from .robot import SerialRobot

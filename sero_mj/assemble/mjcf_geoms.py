@@ -10,8 +10,8 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
+from .. import frames
 from ..errors import DeclarationError, Problem
-from . import frames
 from .robot import SerialRobot
 from .shapes import LinkShape
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from .declaration import Declaration, Frame, Name, Rgba, Vector
+from ..declaration import Declaration, Frame, Name, Rgba, Vector
 
 MESH_FORMATS = (".stl", ".obj", ".msh")
 

@@ -17,8 +17,9 @@ from pydantic import (
 )
 
 from .. import paths
+from ..declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
 from ..errors import DeclarationError
-from .declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
+from ..toml_file import key_lines, located, read_toml
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, is_over, merged_tables
 from .objects import set_directory
@@ -41,7 +42,6 @@ from .robot_parts import (
     dh_rows,
 )
 from .shapes import housing_radii
-from .toml_file import key_lines, located, read_toml
 
 _CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
 

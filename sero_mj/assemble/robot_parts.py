@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
+from ..declaration import Array, Declaration, Name, of_shape
 from ..errors import DeclarationError, Problem, did_you_mean, nearest
-from .declaration import Array, Declaration, Name, of_shape
 from .dh import COLUMNS, Column
 from .objects import Object, check_mesh_file
 

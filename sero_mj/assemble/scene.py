@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DeclarationError, Problem, did_you_mean
+from ..toml_file import key_lines, located
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
 from .looks import Camera, Light, View
@@ -16,7 +17,6 @@ from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
 from .route_text import names_in, origin_text
 from .scene_toggles import SceneToggles
-from .toml_file import key_lines, located
 
 
 class Scene:

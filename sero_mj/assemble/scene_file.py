@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from .. import paths
+from ..declaration import is_name
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
+from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
-from .declaration import is_name
 from .double import Double
 from .looks import Camera, Light, View
 from .objects import Object, set_directory
@@ -18,7 +19,6 @@ from .robot import SerialRobot, build_robot
 from .route_text import origin_text
 from .scene import Scene
 from .scene_toggles import SceneToggles
-from .toml_file import read_toml
 
 T = TypeVar("T")
 

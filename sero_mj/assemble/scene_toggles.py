@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .declaration import Declaration
+from ..declaration import Declaration
 
 
 class SceneToggles(Declaration):

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName
-from .declaration import numbers
+from ..frames import frame_from, inverse
 from .frame_table import arrow_table, frame_table
-from .frames import frame_from, inverse
 from .ghost import Ghost
 from .inputs import BLANKABLE, Input, list_inputs, userdata_slots
 from .joint_table import joint_table, site_ids

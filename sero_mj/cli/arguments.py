@@ -17,7 +17,7 @@ from ..errors import DeclarationError, Problem, UsageError
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..receive.recording import Recording
+    from ..record.recording import Recording
 
 # Subparsers have no public type.
 Commands = Any
@@ -173,7 +173,7 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..receive.recording import Recording
+    from ..record.recording import Recording
 
     with Recording(file) as recording:
         recorded = list(recording.sources)
@@ -195,7 +195,7 @@ def check_span(recording: Recording, start: float | None, stop: float | None = N
     Raises:
         UsageError: it ends before the start, or the stop is not after the start.
     """
-    from ..receive.replay import check_start
+    from ..record.replay import check_start
 
     if start is not None:
         try:

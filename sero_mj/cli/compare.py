@@ -13,8 +13,8 @@ from ..errors import RecordingError, UsageError
 from .arguments import Commands, add_command, not_negative, read_scene_or_model, size
 
 if TYPE_CHECKING:
-    from ..simulate.align import Pair
-    from ..simulate.run_log import RunLog
+    from ..runs.run_log import RunLog
+    from ..study.align import Pair
 
 _EPILOG = """\
 examples:
@@ -87,8 +87,8 @@ def _offset(text: str) -> float | Literal["auto"]:
 def run(options: argparse.Namespace) -> int:
     """Compares; returns 0, or 1 when a tolerance is exceeded."""
     _check_names(options)
-    from ..simulate.align import align
-    from ..simulate.compare import as_json, as_table, compare, exceeded, write_csv
+    from ..study.align import align
+    from ..study.compare import as_json, as_table, compare, exceeded, write_csv
 
     a, b = _read(options)
     pair = align(a, b, options.robot, options.offset)
@@ -110,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
     if options.csv is not None:
         write_csv(pair, options.csv)
     if options.plot is not None:
-        from ..simulate.plot_comparison import plot_pair
+        from ..study.plot_comparison import plot_pair
 
         plot_pair(pair, options.plot)
     if options.render is not None:
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_names(options: argparse.Namespace) -> None:
     """Refuses names that nothing can be written to before anything is computed."""
-    from ..simulate.figure import SUFFIXES
+    from ..study.figure import SUFFIXES
 
     if options.plot is not None and options.plot.suffix.lower() not in SUFFIXES:
         expected = ", ".join(SUFFIXES)
@@ -137,7 +137,7 @@ def _angle(options: argparse.Namespace) -> float | None:
 
 
 def _read(options: argparse.Namespace) -> list[RunLog]:
-    from ..simulate.run_recording import read_run
+    from ..runs.run_recording import read_run
 
     scene = None if options.scene is None else read_scene_or_model(options.scene)
     of_a, _, of_b = (options.source or "").partition(",")
@@ -155,7 +155,7 @@ def _read(options: argparse.Namespace) -> list[RunLog]:
 def _film(pair: Pair, a: RunLog, options: argparse.Namespace) -> None:
     from tempfile import TemporaryDirectory
 
-    from ..simulate.compare_scene import compare_scene
+    from ..study.compare_scene import compare_scene
     from .render import film_with_progress
 
     with TemporaryDirectory() as directory:

@@ -13,7 +13,7 @@ import sys
 from typing import Any
 
 from ..show.display import has_display
-from ..show.gl import BACKENDS, PACKAGES, osmesa_is_there
+from ..show.headless.gl import BACKENDS, PACKAGES, osmesa_is_there
 from .arguments import Commands, add_command
 
 _EPILOG = """\

@@ -32,9 +32,9 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Writes; returns 0, or 1 where the recording is damaged and nothing could be read."""
-    from ..drive.export_csv import export_csv
-    from ..receive.recording import Recording
-    from ..receive.replay import Replay
+    from ..record.export_csv import export_csv
+    from ..record.recording import Recording
+    from ..record.replay import Replay
 
     if options.output.exists() and not options.overwrite:
         raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")

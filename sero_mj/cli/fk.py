@@ -63,7 +63,7 @@ def compare(robot: Any, q: Any) -> dict[str, Any]:
     """Base-to-flange of a robot by both routes, and how far they are apart (m, rad)."""
     import mujoco
 
-    from ..assemble import frames
+    from .. import frames
     from ..assemble.scene import Scene
     from ..assemble.world import World
 

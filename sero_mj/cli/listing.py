@@ -11,7 +11,7 @@ from .. import paths
 from .arguments import Commands, add_command
 
 if TYPE_CHECKING:
-    from ..assemble.declaration import Declaration
+    from ..declaration import Declaration
 
 
 def add_to(commands: Commands) -> None:
@@ -73,14 +73,14 @@ def _print_fields() -> None:
 
 def _print_scenario_fields() -> None:
     """Every table of a scenario with its kinds, keys, defaults and meanings."""
-    from ..simulate.cartesian_laws import CARTESIAN_LAWS
-    from ..simulate.controllers import CONTROLLERS
+    from ..control.cartesian_laws import CARTESIAN_LAWS
+    from ..control.controllers import CONTROLLERS
+    from ..control.laws import LAWS
+    from ..runs.measures import MEASURES
+    from ..runs.monitor import KINDS, Monitor
     from ..simulate.disturbances import DISTURBANCES
     from ..simulate.expect import Expect
     from ..simulate.faults import FAULTS
-    from ..simulate.laws import LAWS
-    from ..simulate.measures import MEASURES
-    from ..simulate.monitor import KINDS, Monitor
     from ..simulate.scenario import Run
     from ..simulate.sensors import SIGNALS, SensorErrors
 

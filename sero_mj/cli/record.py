@@ -14,7 +14,7 @@ from .arguments import Commands, add_command, not_negative, positive, read_scene
 from .ending import until_ended
 
 if TYPE_CHECKING:
-    from ..drive.record import Recorder
+    from ..record.recorder import Recorder
 
 _EPILOG = """\
 examples:
@@ -52,8 +52,8 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Records; returns 0, or 1 when nothing came."""
-    from ..drive.record_sources import record_sources
     from ..drive.route import wire
+    from ..record.record_sources import record_sources
 
     if options.output.suffix.lower() != ".mcap":
         raise UsageError(f"{options.output}: expected a name that ends in .mcap")

@@ -9,14 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from .arguments import (
-    Commands,
-    add_command,
-    not_negative,
-    positive,
-    replay_instead,
-    size,
-)
+from .arguments import Commands, add_command, not_negative, positive, replay_instead, size
 from .scene_options import add_scene_options, read_scene
 
 if TYPE_CHECKING:
@@ -105,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     if not is_film and (options.duration or options.fps):
         raise UsageError(f"-o {output}: --duration and --fps are for films (.mp4)")
     if options.clicks:  # what was hit is worth a line
-        logging.getLogger("sero_mj.show.capture").setLevel(logging.INFO)
+        logging.getLogger("sero_mj.show.headless.capture").setLevel(logging.INFO)
     scene = read_scene(options)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
@@ -124,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
             clicks=options.clicks,
         )
     else:
-        from ..show.capture import render_picture
+        from ..show.headless.capture import render_picture
 
         silent = render_picture(
             scene,
@@ -152,7 +145,7 @@ def film_with_progress(
     from rich import progress as bars
     from rich.console import Console
 
-    from ..show.capture import render_film
+    from ..show.headless.capture import render_film
 
     columns = (
         bars.TextColumn("{task.description}"),

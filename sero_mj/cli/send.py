@@ -91,9 +91,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
-    from ..drive.ahead import Ahead
-    from ..drive.play import MotionPackets
-    from ..drive.send import paced, send
+    from ..send.ahead import Ahead
+    from ..send.play import MotionPackets
+    from ..send.sender import paced, send
 
     rate = 1000.0 if options.rate is None else options.rate
     amplitude = 1.0 if options.amplitude is None else options.amplitude

@@ -67,8 +67,8 @@ def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
     Raises:
         UsageError: the options do not suit FRI, or the source moves no robot.
     """
-    from ..drive.fri_controller import Faults, FriController
-    from ..drive.send import UdpSink
+    from ..send.fri_controller import Faults, FriController
+    from ..send.sender import UdpSink
 
     if options.shm is not None:
         raise UsageError("--shm: FRI is a protocol of UDP; leave it out")

@@ -15,9 +15,9 @@ from .sink import goes_to_shm
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..drive.playback import Playback
     from ..receive.receiver import Receiver
     from ..receive.structure import Structure
+    from ..send.playback import Playback
 
 _OPTIONS = ("speed", "loop", "recorded")
 
@@ -64,10 +64,10 @@ def send_file(
     Raises:
         UsageError: the options do not suit the file.
     """
-    from ..drive.play import choose_source, structure_for
-    from ..drive.playback import timed
     from ..drive.route import wire
-    from ..drive.send import send
+    from ..send.play import choose_source, structure_for
+    from ..send.playback import timed
+    from ..send.sender import send
 
     if options.play.suffix.lower() == ".toml" or str(options.play) in list_scenarios():
         return _send_simulation(options)
@@ -126,8 +126,8 @@ def _send_simulation(options: argparse.Namespace) -> int:
 def _open(
     options: argparse.Namespace, source: Receiver, structure: Structure, to_shm: bool
 ) -> Playback:
-    from ..drive.playback import RecordedPackets, TablePackets
-    from ..receive.recording import Recording
+    from ..record.recording import Recording
+    from ..send.playback import RecordedPackets, TablePackets
 
     file: Path = options.play
     if file.suffix.lower() == ".csv":

@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
 
         write_csv(simulation, options.csv)
     if options.plot is not None:
-        from ..simulate.plot import plot_run, spans_of
+        from ..study.plot import plot_run, spans_of
 
         plot_run(
             simulation.log,
@@ -182,7 +182,7 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
 
 
 def _render(simulation: Simulation, options: argparse.Namespace) -> None:
-    from ..show.capture import render_picture
+    from ..show.headless.capture import render_picture
     from ..simulate.simulated_source import staged
 
     scene = staged(simulation)
@@ -204,7 +204,7 @@ def _print(
     if not quiet:
         from rich.console import Console
 
-        from ..simulate.summary import as_table, summarise
+        from ..study.summary import as_table, summarise
 
         speed = simulation.time / seconds if seconds > 0 else float("inf")
         print(
@@ -224,7 +224,7 @@ def _print(
 def _as_json(
     simulation: Simulation, seconds: float, error: Any, outcomes: list[Any], findings: list[Any]
 ) -> dict[str, Any]:
-    from ..simulate import summary
+    from ..study import summary
 
     return {
         "scenario": simulation.scenario.name,

@@ -56,7 +56,7 @@ class Sender:
     """
 
     def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
-        from ..drive.play import MotionPackets
+        from ..send.play import MotionPackets
         from ..simulate.log_signals import LogSignals
         from .sink import make_sink
 
@@ -79,7 +79,7 @@ class Sender:
         Raises:
             SimulationError: it cannot go on.
         """
-        from ..drive.send import send
+        from ..send.sender import send
 
         simulation = self._simulation
         stopped: list[SimulationError] = []

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from ..errors import UsageError
 
 if TYPE_CHECKING:
-    from ..drive.send import UdpSink
-    from ..drive.shm_writer import ShmWriter
     from ..receive.receiver import Receiver
     from ..receive.structure import Structure
+    from ..send.sender import UdpSink
+    from ..send.shm_writer import ShmWriter
 
 
 def goes_to_shm(options: argparse.Namespace, source: Receiver) -> bool:
@@ -25,10 +25,10 @@ def make_sink(
     options: argparse.Namespace, source: Receiver, structure: Structure
 ) -> UdpSink | ShmWriter:
     """Where the packets go: what the command line says, else where the source receives."""
-    from ..drive.send import UdpSink
-    from ..drive.shm_writer import ShmWriter
     from ..receive.shm import ShmReader
     from ..receive.udp import UdpReceiver
+    from ..send.sender import UdpSink
+    from ..send.shm_writer import ShmWriter
 
     if goes_to_shm(options, source):
         if not isinstance(source, ShmReader):

@@ -15,9 +15,9 @@ from ..errors import UsageError
 from .arguments import Commands, add_command, overrides
 
 if TYPE_CHECKING:
-    from ..simulate.sweep import Sweep
-    from ..simulate.sweep_summary import Summary
-    from ..simulate.sweep_table import SweepTable
+    from ..study.sweep import Sweep
+    from ..study.sweep_summary import Summary
+    from ..study.sweep_table import SweepTable
 
 _EPILOG = """\
 examples:
@@ -81,10 +81,10 @@ def _seed(text: str) -> int:
 def run(options: argparse.Namespace) -> int:
     """Runs; returns 0, or 1 when not every variant held."""
     from ..paths import find_scenario
-    from ..simulate.sweep import Sweep
-    from ..simulate.sweep_summary import summarise
-    from ..simulate.sweep_table import SweepTable
-    from ..simulate.vary import Vary
+    from ..study.sweep import Sweep
+    from ..study.sweep_summary import summarise
+    from ..study.sweep_table import SweepTable
+    from ..study.vary import Vary
 
     _check_options(options)
     sweep = Sweep(
@@ -104,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
     seconds = time.perf_counter() - begin
     summary = summarise(table.rows, sweep.columns)
     if options.plot is not None:
-        from ..simulate.sweep_plot import plot_sweep
+        from ..study.sweep_plot import plot_sweep
 
         plot_sweep(sweep, table.rows, options.plot)
     if options.json:

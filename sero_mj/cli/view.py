@@ -10,14 +10,7 @@ from pathlib import Path
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
-from .arguments import (
-    Commands,
-    add_command,
-    not_negative,
-    port,
-    replay_instead,
-    size,
-)
+from .arguments import Commands, add_command, not_negative, port, replay_instead, size
 from .scene_options import add_scene_options, read_scene
 
 _SIZE = (1280, 800)

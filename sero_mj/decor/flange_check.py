@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.frames import rotation_angle
 from ..assemble.parts import RobotPart
 from ..assemble.world import World
+from ..frames import rotation_angle
 from .axes import AXIS_RGB, draw_bars
 from .cards import Cards
 from .layout import RIGHT

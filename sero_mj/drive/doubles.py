@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE
-from ..assemble.frames import frame, rotation_from_quat
 from ..assemble.mjcf_double import OUT_OF_SIGHT
 from ..assemble.parts import DoublePart
 from ..assemble.world import World
+from ..frames import frame, rotation_from_quat
 
 Array = NDArray[np.float64]
 

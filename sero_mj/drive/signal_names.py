@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..assemble.inputs import Input
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
-from ..receive.signals_json import Signals
+from ..record.signals_json import Signals
 from .units import robot_of
 from .wiring import Route
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from ..assemble.model_world import ModelWorld
+from ..foreign.model_world import ModelWorld
 from .mirror import Listener, Mirror
 
 

@@ -9,10 +9,10 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
+from ..control.gains import ControllerDeclaration
+from ..control.joint_control import JointImpedance, Torque
+from ..control.state import Target
 from ..errors import DeclarationError, Problem, SimulationError
-from ..simulate.gains import ControllerDeclaration
-from ..simulate.joint_control import JointImpedance, Torque
-from ..simulate.state import Target
 
 Array = NDArray[np.float64]
 Kind = Literal["torque", "impedance"]

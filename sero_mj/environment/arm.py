@@ -11,17 +11,17 @@ from dm_env import specs
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..assemble.declaration import Declaration
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
+from ..control.controllers import make_controller
+from ..control.robot_model import RobotModel
+from ..control.state import Sensed, Target
+from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, SimulationError
-from ..simulate.controllers import make_controller
 from ..simulate.plant import Plant
-from ..simulate.robot_model import RobotModel
 from ..simulate.scenario import RobotSensors
 from ..simulate.sensors import SIGNALS, Sensors
-from ..simulate.state import Sensed, Target
 from .actions import AnyAction, ImpedanceAction, Kind, TorqueAction
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..assemble.declaration import Declaration
 from ..assemble.robot import SerialRobot
+from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ..paths import list_models, list_scenarios
 from .arm import Settings

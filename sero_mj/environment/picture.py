@@ -13,7 +13,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..drive.place import Placer
-from ..show.headless import HeadlessRenderer
+from ..show.headless.renderer import HeadlessRenderer
 
 Array = NDArray[np.float64]
 GOAL = "goal"

@@ -12,26 +12,26 @@ from dm_env import specs
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from ..assemble.declaration import Declaration
 from ..assemble.robot import SerialRobot
+from ..control.compiler import Compiler
+from ..control.controllers import make_controller
+from ..control.gains import ControllerDeclaration
+from ..control.robot_model import RobotModel
+from ..control.state import Sensed, Target
+from ..control.torque_limits import Controller
+from ..declaration import Declaration
 from ..drive.mirror import Mirror
 from ..errors import DeclarationError, Problem, UnknownName
-from ..show.headless import HeadlessRenderer
-from ..simulate.compiler import Compiler
-from ..simulate.controllers import make_controller
+from ..runs.measures import MEASURES
+from ..runs.run_log import RunLog, event_of
+from ..show.headless.renderer import HeadlessRenderer
 from ..simulate.expect import Expect
-from ..simulate.gains import ControllerDeclaration
-from ..simulate.measures import MEASURES
 from ..simulate.plant import Plant
-from ..simulate.robot_model import RobotModel
-from ..simulate.run_log import RunLog, event_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from ..simulate.simulated_source import SimulatedSource
 from ..simulate.simulation import Simulation
 from ..simulate.staging import stage
-from ..simulate.state import Sensed, Target
-from ..simulate.torque_limits import Controller
 from .actions import AnyAction, ImpedanceAction, Kind, TorqueAction
 from .episodes import EpisodicEnvironment
 

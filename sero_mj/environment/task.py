@@ -9,7 +9,7 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from ..assemble.cartesian import SmartArrow
-from ..assemble.declaration import Declaration
+from ..declaration import Declaration
 
 if TYPE_CHECKING:
     from .arm import Arm

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import DeclarationError, Problem, nearest
+from ..record.replay import Replay
 from .live import LIVE
 from .receiver import Receiver
-from .replay import Replay
 from .source import Source
 
 KINDS: dict[str, type[Receiver]] = {**LIVE, "replay": Replay}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from ..assemble.declaration import Declaration
+from ..declaration import Declaration
 from ..errors import StructureError, UnknownName, did_you_mean
 from .intake import Intake
 from .source import QUIET_AFTER, Counters, Packet, Packets

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..drive.mirror import Mirror
-from ..receive.replay import Replay
+from ..record.replay import Replay
 from ..simulate.simulated_source import SimulatedSource
 from .torque_history import SPAN
 

@@ -17,7 +17,7 @@ from .clock import Clock
 
 if TYPE_CHECKING:
     from .web.host import WebHost
-    from .window import Window
+    from .window.host import Window
 
 
 class LiveHost(Protocol):
@@ -73,7 +73,7 @@ def open_window(mirror: Mirror, **options: Any) -> Window:
         RenderError: there is no display, or no OpenGL.
         UnknownName: no camera of that name.
     """
-    from .window import Window
+    from .window.host import Window
 
     return Window(mirror, **options)
 

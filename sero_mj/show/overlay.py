@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
-from ..assemble.model_world import ModelWorld
 from ..assemble.scene_toggles import SceneToggles
 from ..decor.draw import Decor
 from ..decor.pen import Host, Pen
 from ..decor.toggles import Toggles
 from ..decor.view import View
 from ..errors import UsageError
+from ..foreign.model_world import ModelWorld
 from .camera import find_camera
 from .canvas import canvas_of
-from .headless import DEFAULT_SIZE, HeadlessRenderer
+from .headless.picture import Picture
+from .headless.renderer import DEFAULT_SIZE, HeadlessRenderer
 from .interaction import Gesture, click, hover
 from .picking import Picked, pick
-from .picture import Picture
 
 log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ from ..errors import UsageError, did_you_mean
 from ..simulate.named_scene import read_named_scene
 from .clicks import OnClick
 from .display import has_display
-from .headless import DEFAULT_SIZE
+from .headless.renderer import DEFAULT_SIZE
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
 

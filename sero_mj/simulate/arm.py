@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiler import Compiler
-from .controllers import make_controller
-from .joint_control import GravityCompensation
-from .observer import MomentumObserver
-from .plan import Plan
+from ..control.compiler import Compiler
+from ..control.controllers import make_controller
+from ..control.joint_control import GravityCompensation
+from ..control.observer import MomentumObserver
+from ..control.plan import Plan
+from ..control.state import Sensed, Target
 from .plant import Plant
 from .scenario import Scenario
-from .state import Sensed, Target
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from ..assemble.declaration import Frame, Name, Point, Vector
 from ..assemble.inertia import not_physical, tensors_from
-from .kinds import by_kind
+from ..declaration import Frame, Name, Point, Vector
+from ..kinds import by_kind
 from .timed import Timed
 
 Array = NDArray[np.float64]

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..assemble.declaration import Declaration, Name
 from ..assemble.scene import Scene
+from ..declaration import Declaration, Name
 from ..errors import DeclarationError, Problem, did_you_mean
+from ..runs.measures import MEASURES, NEED_TARGET
+from ..runs.monitor import KINDS, Finding
+from ..runs.run_log import RunLog
 from .disturbances import Disturbance
 from .faults import Fault
-from .measures import MEASURES, NEED_TARGET
-from .monitor import KINDS, Finding
-from .run_log import RunLog
 
 Array = NDArray[np.float64]
 

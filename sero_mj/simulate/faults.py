@@ -8,10 +8,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
-from ..assemble.declaration import Name
 from ..assemble.robot import SerialRobot
+from ..declaration import Name
 from ..errors import DeclarationError, Problem, did_you_mean
-from .kinds import by_kind
+from ..kinds import by_kind
 from .plant import Plant
 from .sensors import Signal
 from .timed import Timed

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ..runs.run_log import event_of
 from .disturbances import Force, Payload
 from .faults import Fault
 from .plant import Plant
 from .push import Push
-from .run_log import event_of
 from .scenario import Scenario
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from .run_log import event_of
+from ..runs.run_log import event_of
 from .simulation import Simulation
 
 Array = NDArray[np.float64]

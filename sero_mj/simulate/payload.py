@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..assemble.declaration import numbers
 from ..assemble.inertia import not_physical, principal, tensors_from
 from ..assemble.mjcf_dynamics import PAYLOAD
+from ..declaration import numbers
 
 Array = NDArray[np.float64]
 

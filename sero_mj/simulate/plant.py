@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..assemble.declaration import numbers
 from ..assemble.parts import RobotPart
 from ..assemble.world import World
+from ..declaration import numbers
 from ..errors import SimulationError, UnknownName
 from .joint_model import JointModel
 from .payload import attach_payload, detach_payload

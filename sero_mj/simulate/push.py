@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..assemble.declaration import numbers
 from ..assemble.world import World
+from ..declaration import numbers
 from ..errors import UnknownName
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
-from ..drive.read_csv import read_csv
 from ..errors import CsvError, DeclarationError, Problem, SeroError, did_you_mean
-from .run_recording import read_run
+from ..record.read_csv import read_csv
+from ..runs.run_recording import read_run
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from typing import Self
 import numpy as np
 
 from .. import __version__
-from ..drive.export_csv import column_names
 from ..drive.signal_names import joint_names
-from ..drive.write_csv import csv_table
-from ..receive.recording_writer import RecordingWriter
-from ..receive.signals_json import Signals
-from .run_log import PER_JOINT, event_of
+from ..record.export_csv import column_names
+from ..record.recording_writer import RecordingWriter
+from ..record.signals_json import Signals
+from ..record.write_csv import csv_table
+from ..runs.run_log import PER_JOINT, event_of
 from .scenario import Scenario
 from .simulation import Simulation
 from .staging import SOURCE

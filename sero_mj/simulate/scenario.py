@@ -10,23 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..assemble.declaration import Declaration
 from ..assemble.objects import Object
 from ..assemble.scene import Scene
+from ..control.cartesian_laws import CARTESIAN_LAWS, CartesianLaw
+from ..control.controllers import controller_from
+from ..control.gains import ControllerDeclaration
+from ..control.joint_control import GravityCompensation, Torque
+from ..control.law import Law
+from ..control.laws import LAWS
+from ..control.torque_limits import Controller
+from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, did_you_mean
-from .cartesian_laws import CARTESIAN_LAWS, CartesianLaw
-from .controllers import controller_from
+from ..kinds import by_kind
+from ..runs.monitor import Monitor
 from .disturbances import Disturbance, Force, Payload, disturbance_from
 from .expect import Expect
 from .faults import Fault, fault_from
-from .gains import ControllerDeclaration
-from .joint_control import GravityCompensation, Torque
-from .kinds import by_kind
-from .law import Law
-from .laws import LAWS
-from .monitor import Monitor
 from .sensors import SIGNALS, SensorErrors, Sensors
-from .torque_limits import Controller
 
 Array = NDArray[np.float64]
 AnyLaw = Law | CartesianLaw

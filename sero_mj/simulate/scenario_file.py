@@ -8,9 +8,9 @@ from typing import Any
 
 from ..assemble.scene import Scene
 from ..assemble.scene_file import read_scene, read_scene_tables
-from ..assemble.toml_file import read_toml
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ..paths import find_scenario, find_scene
+from ..toml_file import read_toml
 from .recorded_motion import with_motion
 from .scenario import Run, Scenario
 from .sections import OTHERS, SECTIONS
@@ -95,7 +95,7 @@ def _read_motions(own: dict[str, Any], scene: Scene, file: Path) -> list[Problem
 
 
 def _placed(problems: list[Problem], file: Path) -> list[Problem]:
-    from ..assemble.toml_file import key_lines, located
+    from ..toml_file import key_lines, located
 
     lines = key_lines(file)
     return [problem if problem.file else located(problem, file, lines) for problem in problems]

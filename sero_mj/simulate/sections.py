@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..assemble.toml_file import read_toml
 from ..errors import DeclarationError
+from ..toml_file import read_toml
 
 SECTIONS = ("controllers", "targets", "sensors", "disturbances", "faults", "expect", "monitor")
 OTHERS = ("scene", "run", "description")

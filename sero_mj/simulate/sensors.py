@@ -13,7 +13,7 @@ from numpy import add, copyto, divide, multiply, rint
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from ..assemble.declaration import Declaration, numbers
+from ..declaration import Declaration, numbers
 from ..errors import UnknownName
 
 Array = NDArray[np.float64]

@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
+from ..control.compiler import Compiler
+from ..control.joint_control import GravityCompensation
+from ..control.plan import Plan, make_plan
 from ..errors import DeclarationError, Problem, SimulationError
+from ..runs.monitor import Finding
+from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
 from .arm import Arm
-from .compiler import Compiler
 from .contacts import Contacts
 from .expect import Outcome
 from .happenings import Happenings
-from .joint_control import GravityCompensation
-from .monitor import Finding
-from .plan import Plan, make_plan
 from .plant import Plant
-from .run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
 from .scenario import Scenario
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
 from ..assemble.scene import Scene
+from ..runs.run_log import RunLayout, event_of
 from .disturbances import Force
-from .run_log import RunLayout, event_of
 from .scenario import Scenario
 
 SOURCE = "simulation"

@@ -6,7 +6,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from ..assemble.declaration import Declaration
+from ..declaration import Declaration
 
 
 class Timed(Declaration):

@@ -289,7 +289,7 @@ class WebHost:
 
     def picture(self, width: int = 1280, height: int = 800) -> NDArray[np.uint8]:
         """What is seen, (height, width, 3), drawn here by the classic renderer."""
-        from ..headless import HeadlessRenderer
+        from ..headless.renderer import HeadlessRenderer
 
         with HeadlessRenderer(self.world, width, height) as renderer:
             renderer.camera, renderer.toggles = self.viewer.camera, self.toggles

@@ -18,7 +18,7 @@ from ..clock import SPEEDS, Clock, time_text
 from ..notice import Notice
 from ..status_line import Mood, clock_text, source_text
 from ..torque_history import TorqueHistory
-from ..window_help import help_columns
+from ..window.help import help_columns
 from .decor import WebDecor
 from .plots import TorquePlots
 from .robot_panel import RobotPanel

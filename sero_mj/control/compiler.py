@@ -1,0 +1,74 @@
+"""`Compiler`: compiles worlds, and remembers them, for the same robots are simulated many times."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..assemble.robot import SerialRobot
+from ..assemble.scene import Scene
+from ..assemble.world import World
+from ..declaration import Declaration
+from .robot_model import RobotModel
+
+_MOST = 8  # worlds that are remembered; a sweep over masses has a new one every time
+
+
+class Compiler:
+    """Compiles dynamic worlds; one that was compiled before is copied, which takes no time.
+
+    Two scenes are the same when everything that is declared of robots, objects and floor is;
+    mesh files are taken not to change while it lives.
+    """
+
+    def __init__(self) -> None:
+        self._worlds: dict[object, World] = {}
+
+    def world(self, scene: Scene) -> World:
+        """A dynamic world with a model of its own, which may be changed.
+
+        Args:
+            scene: of which robots, objects and floor are looked at, and nothing else.
+
+        Raises:
+            DeclarationError: what MuJoCo cannot compile.
+        """
+        world = copy.copy(self._find(scene))
+        world.model = copy.copy(world.model)
+        world.scene = scene
+        return world
+
+    def robot_model(self, robot: SerialRobot) -> RobotModel:
+        """What a controller knows of a robot, for it alone.
+
+        Raises:
+            DeclarationError: MuJoCo cannot compile the robot.
+        """
+        return RobotModel.of(robot, self._find(Scene(robots=[robot], floor=False)))
+
+    def _find(self, scene: Scene) -> World:
+        key = fingerprint([scene.robots, scene.objects, scene.floor])
+        world = self._worlds.pop(key, None)
+        if world is None:
+            world = World(scene, dynamic=True)
+            if len(self._worlds) >= _MOST:
+                self._worlds.pop(next(iter(self._worlds)))
+        self._worlds[key] = world  # the one that was asked for last stands last
+        return world
+
+
+def fingerprint(value: Any) -> object:
+    """Something that is equal, and hashes alike, where declarations say the same."""
+    if isinstance(value, Declaration):
+        fields = type(value).model_fields
+        return type(value).__name__, tuple(fingerprint(getattr(value, key)) for key in fields)
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype.str, value.tobytes()
+    if isinstance(value, Mapping):
+        return "mapping", tuple((key, fingerprint(each)) for key, each in value.items())
+    if isinstance(value, list | tuple):
+        return "list", tuple(fingerprint(each) for each in value)
+    return type(value).__name__, repr(value)

@@ -1,0 +1,190 @@
+"""What robots, objects, cameras and sources share: fields that are checked all at once.
+
+A `Declaration` is a pydantic model that refuses unknown keys and turns everything that is wrong
+with its fields into `Problem`s that say what was found and what would be right.
+"""
+
+from __future__ import annotations
+
+import re
+import reprlib
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from .errors import DeclarationError, Problem, did_you_mean
+from .frames import frame_from
+
+Array = NDArray[np.float64]
+
+
+LARGEST = 1e9  # no length, angle, torque or mass of a robot is larger in SI units
+
+
+class Declaration(BaseModel):
+    """Base of everything that can be declared in a file or built in Python.
+
+    Raises:
+        DeclarationError: with one `Problem` for everything that is wrong.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        arbitrary_types_allowed=True,
+        validate_default=True,
+        populate_by_name=True,
+        allow_inf_nan=False,
+    )
+
+    def __init__(self, /, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            problems: list[Problem] = []
+            for detail in error.errors(include_url=False):
+                problems += _problems(detail, type(self))
+            # A message may be empty: the cause is reported under another key.
+            raise DeclarationError([p for p in problems if p.message]) from None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Sets a field, if the declaration is still right with it; else changes nothing."""
+        if name.startswith("_"):
+            super().__setattr__(name, value)
+            return
+        fields = type(self).model_fields
+        kept = {key: held for key, held in self.__dict__.items() if key in fields}
+        # What is set in degrees replaces the same in radians, and has become that itself before.
+        kept = {
+            key: held for key, held in kept.items() if f"{key}_deg" != name and key[-4:] != "_deg"
+        }
+        checked = type(self)(**{**kept, name: value})
+        self.__dict__.clear()  # computed properties go as well
+        self.__dict__.update(checked.__dict__)
+        self.__pydantic_fields_set__.add(name)
+
+
+def numbers(value: Any) -> Array:
+    """Returns a float64 array of finite numbers.
+
+    Raises:
+        ValueError: something in it is not a number, or is NaN or infinite.
+    """
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ValueError("expected rows of equal length") from None
+    if array.dtype.kind not in "iuf" and array.size:
+        raise ValueError(f"found {reprlib.repr(value)}; expected numbers")
+    array = array.astype(np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError(f"found {reprlib.repr(value)}; expected finite numbers, no NaN or inf")
+    if (np.abs(array) > LARGEST).any():
+        raise ValueError(f"found {reprlib.repr(value)}; expected numbers up to {LARGEST:g}")
+    return array
+
+
+def of_shape(*shape: int | None) -> BeforeValidator:
+    """Returns a validator for arrays of that shape; None is any length.
+
+    A flat list is taken for rows when it fills whole rows, as the paper writes `dhParams`.
+    """
+    names = iter("nm") if len(shape) > 1 and None in shape[1:] else iter("nn")
+    wanted = " x ".join(next(names) if length is None else str(length) for length in shape)
+
+    def validate(value: Any) -> Any:
+        if value is None:
+            return None
+        array = numbers(value)
+        if len(shape) == 2 and array.ndim == 1 and shape[1] and array.size % shape[1] == 0:
+            array = array.reshape(-1, shape[1])
+        fits = array.ndim == len(shape) and all(
+            want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+        )
+        if not fits:
+            found = " x ".join(map(str, array.shape)) or "one number"
+            raise ValueError(f"found {found}; expected {wanted} numbers")
+        return array
+
+    return BeforeValidator(validate)
+
+
+def _in_range(rgba: Array) -> Array:
+    if (rgba < 0).any() or (rgba > 1).any():
+        raise ValueError(f"found {rgba.tolist()}; expected four numbers from 0 to 1")
+    return rgba
+
+
+def is_name(text: str) -> str:
+    """Returns the text, if it can name a robot, a source or an object in routes and models.
+
+    Raises:
+        ValueError: it has other characters.
+    """
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
+        raise ValueError(
+            f"found {text!r}; expected letters, digits, _ and -, the first a letter or _"
+        )
+    return text
+
+
+def _frame(value: Any) -> Any:
+    return frame_from(value, numbers)
+
+
+Vector = Annotated[Array, of_shape(None)]
+Point = Annotated[Array, of_shape(3)]
+Rgba = Annotated[Array, of_shape(4), AfterValidator(_in_range)]
+Name = Annotated[str, AfterValidator(is_name)]
+Frame = Annotated[Array, BeforeValidator(_frame)]
+
+
+def _problems(detail: ErrorDetails, kind: type[BaseModel]) -> list[Problem]:
+    key = ".".join(str(part) for part in detail["loc"])
+    cause = detail.get("ctx", {}).get("error")
+    if isinstance(cause, DeclarationError):  # a declaration inside this one: keep its own keys
+        return [problem.inside(key) for problem in cause.problems]
+    return [Problem(key, _MESSAGES.get(detail["type"], _plain_message)(detail, kind))]
+
+
+def _plain_message(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+    if detail["type"] == "value_error":
+        return str(detail["ctx"]["error"])
+    expected = detail["msg"].replace("Input should be ", "").removeprefix("a valid ")
+    if "dictionary" in expected:
+        expected = "a table"
+    if expected == "boolean":
+        expected = "true or false"
+    return f"found {reprlib.repr(detail['input'])}; expected {expected}"
+
+
+def _unknown_key(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+    names = {field.alias or name for name, field in kind.model_fields.items()}
+    return f"unknown key{did_you_mean(str(detail['loc'][-1]), names)}"
+
+
+def _missing(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+    name = str(detail["loc"][-1])
+    field = kind.model_fields.get(name)
+    literal = field is not None and get_origin(field.annotation) is Literal
+    choices = [repr(choice) for choice in get_args(field.annotation)] if field and literal else []
+    return "is required" + (f"; expected {' or '.join(choices)}" if choices else "")
+
+
+def _literal(detail: ErrorDetails, kind: type[BaseModel]) -> str:
+    found = detail["input"]
+    expected = detail["ctx"]["expected"]
+    choices = [choice.strip("' ") for choice in expected.replace(" or ", ",").split(",")]
+    near = did_you_mean(str(found), choices) if isinstance(found, str) else ""
+    return f"found {found!r}; expected {expected}" + (near if "did you mean" in near else "")
+
+
+_MESSAGES: dict[str, Callable[[ErrorDetails, type[BaseModel]], str]] = {
+    "extra_forbidden": _unknown_key,
+    "missing": _missing,
+    "literal_error": _literal,
+}

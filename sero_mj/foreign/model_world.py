@@ -1,0 +1,349 @@
+"""`ModelWorld`: a world made from a model that somebody else has compiled.
+
+It has everything that decor, picking and clicks read of a `World`, found in the model instead of
+declared in a scene. What the user's data has no room for is kept here (see `model_state`).
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.cartesian import SmartArrow
+from ..assemble.double import Double
+from ..assemble.frame_table import arrow_table, frame_table
+from ..assemble.ghost import Ghost
+from ..assemble.inputs import BLANKABLE, list_inputs, userdata_slots
+from ..assemble.joint_table import joint_table
+from ..assemble.looks import View
+from ..assemble.named_frames import NamedFrame
+from ..assemble.parts import DoublePart
+from ..assemble.scene import Scene
+from ..assemble.scene_toggles import SceneToggles
+from ..assemble.world import World
+from ..declaration import numbers
+from ..errors import DeclarationError, Problem, UnknownName
+from ..frames import frame_from
+from .found_frames import body_labels, list_found_frames
+from .found_robot import FoundPart, found_robot
+from .joint_poses import JointPoses
+from .model_doubles import ModelDoubles
+from .model_sizes import measure
+from .model_state import ModelState, Sites
+from .model_trees import Tree, find_trees, torque_limits
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+_FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input and its field
+_MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation where a model says nothing
+_EMPTY = np.empty(0, np.intp)
+
+
+class FoundScene(Scene):
+    """What a scene says, of a model that no scene has declared."""
+
+    def __init__(self, frames: Mapping[str, NamedFrame], **fields: Any) -> None:
+        self._frames = dict(frames)  # is asked for while the rest is checked
+        super().__init__(floor=False, **fields)
+
+    def named_frames(self) -> dict[str, NamedFrame]:
+        """All frames of the model that have names."""
+        return self._frames
+
+
+class ModelWorld(World):
+    """The world of an overlay.
+
+    Args:
+        model: compiled by the user; not changed.
+        data: its state, the user's; not changed.
+        robots: what is said of robots over what the model says, by name.
+        doubles: of its robots.
+        arrows: Cartesian vectors.
+        frames: bodies and sites whose axes are shown, beside those of robots.
+        toggles: what is shown of all.
+        name: in titles.
+
+    Attributes:
+        not_finite: how many values were set that are NaN or infinite; these are not shown.
+
+    Raises:
+        DeclarationError: the model has no joint with an axis, or what is said does not fit it.
+        UnknownName: no robot, body or site of that name.
+    """
+
+    is_borrowed = True
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        *,
+        robots: Mapping[str, Mapping[str, Any]] | None = None,
+        doubles: Sequence[Double] = (),
+        arrows: Sequence[SmartArrow] = (),
+        frames: Sequence[str] = (),
+        toggles: SceneToggles | None = None,
+        name: str = "overlay",
+    ) -> None:
+        self.model, self.data, self.not_finite = model, data, 0
+        self.dynamic, self.dynamics, self.placed = False, {}, {}
+        trees = find_trees(model)
+        if not trees:
+            raise DeclarationError([Problem("model", _no_joints(model))])
+        said = dict(robots or {})
+        for robot in said:
+            if robot not in [tree.name for tree in trees]:
+                raise UnknownName("robot", robot, [tree.name for tree in trees])
+        rest = mujoco.MjData(model)
+        mujoco.mj_fwdPosition(model, rest)
+        found: dict[str, FoundPart] = {}
+        start = 0
+        for tree in trees:
+            found[tree.name] = self._part(tree, rest, said.get(tree.name, {}), start)
+            start += len(tree.joints)
+        self.robots = dict(found)
+        wanted = {double.name: double for double in doubles if double.of in found}
+        named, places = list_found_frames(model, found, wanted, frames)
+        self.scene = FoundScene(
+            named,
+            robots=[part.robot for part in found.values()],
+            doubles=list(doubles),
+            arrows=list(arrows),
+            view=_view(model),
+            toggles=toggles,
+            name=name,
+        )
+        self.doubles = self._double_parts(start)
+        single = {key: part for key, part in self.doubles.items() if part.path is None}
+        self.owners = {**self.robots, **single}
+        self.inputs = {
+            target: item
+            for target, item in list_inputs(self.scene).items()
+            if item.kind != "pose" and not (item.kind == "angles" and item.name in self.robots)
+        }
+        self.slots, self.flags = userdata_slots(self.scene)
+        self._userdata = np.zeros(
+            len(self.flags) + sum(slot.stop - slot.start for slot in self.slots.values())
+        )
+        points = [arrow for arrow in self.scene.arrows.values() if arrow.site is not None]
+        of = ["", *single]
+        self._sites = Sites(
+            joints=[
+                ("" if key in self.robots else key, self._joint_poses(part))
+                for key, part in self.owners.items()
+            ],
+            frames=np.array([of.index(place.of) for place in places.values()], np.intp),
+            rows=np.array([place.row for place in places.values()], np.intp),
+            points=np.array([arrow.at for arrow in points]).reshape(-1, 3),
+            names=list(single),
+        )
+        centres = [
+            f"{part.scope}centre{i + 1}"
+            for part in self.owners.values()
+            for i in range(part.robot.n)
+        ]
+        rows = {
+            key: row
+            for row, key in enumerate([*centres, *named, *(str(arrow.site) for arrow in points)])
+        }
+
+        def sites(names: Sequence[str]) -> Ints:
+            return np.array([rows[key] for key in names], np.intp)
+
+        self.joints = joint_table(self.owners, self.slots, self.flags, sites)
+        self.frames = frame_table(self.scene, list(self.owners), self.flags, sites)
+        self.arrows = arrow_table(self.scene, self.slots, self.flags, sites)
+        self._posed = ModelDoubles(model, self.doubles)
+        self._declare()
+
+    def _part(
+        self, tree: Tree, rest: mujoco.MjData, said: Mapping[str, Any], start: int
+    ) -> FoundPart:
+        model = self.model
+        sizes = measure(model, rest, tree)
+        revolute = model.jnt_type[tree.joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        robot = found_robot(tree, revolute, torque_limits(model, tree.joints), sizes, said)
+        labels = body_labels(model, tree)
+        bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
+        along = rest.xanchor[tree.joints[tree.chain]]
+        reach = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum()) if len(along) else 0.0
+        return FoundPart(
+            robot=robot,
+            dh=robot.dh,
+            qpos=model.jnt_qposadr[tree.joints].astype(np.intp),
+            dofs=model.jnt_dofadr[tree.joints].astype(np.intp),
+            mocap=-1,
+            bodies=bodies,
+            flange_body=tree.last,
+            joints=slice(start, start + robot.n),
+            tree=tree,
+            size=reach or sizes.link,
+            tool=labels[tree.last],
+            labels=[labels[int(body)] for body in bodies],
+        )
+
+    def _double_parts(self, start: int) -> dict[str, DoublePart]:
+        parts = {}
+        for name, double in self.scene.doubles.items():
+            robot = self.robots[double.of]
+            path = None if double.path is None else double.poses()
+            stop = start + (robot.robot.n if path is None else 0)
+            parts[name] = DoublePart(
+                double=double,
+                of=robot,
+                mocap=_EMPTY.reshape(1, 0),
+                bodies=_EMPTY.reshape(1, 0),
+                frames=_EMPTY,
+                path=path,
+                joints=slice(start, stop),
+            )
+            start = stop
+        return parts
+
+    def _joint_poses(self, part: Any) -> JointPoses:
+        of: Any = part.of if isinstance(part, DoublePart) else part
+        return JointPoses.of(self.model, of.tree.joints, of.robot.offsets)
+
+    def _declare(self) -> None:
+        """Sets what doubles and arrows are declared with, and what robots have from the model."""
+        self._live = {
+            (name, key): True for name in self.robots for key in _FROM_MODEL
+        }  # what is not given by the user
+        for double in self.doubles.values():
+            if double.path is None:
+                keys = ("joint_angles", "torques", "commanded_torques")
+                self._set_declared(
+                    self.data, double.double, (*keys, "joint_accelerations", "billboard_values")
+                )
+        for arrow in self.scene.arrows.values():
+            self._set_declared(self.data, arrow, ("vector",))
+
+    def make_data(self) -> mujoco.MjData:
+        """Returns a copy of the user's data, frames up to date."""
+        data = copy.copy(self.data)
+        mujoco.mj_fwdPosition(self.model, data)
+        return data
+
+    def reset(self, data: mujoco.MjData) -> None:
+        """Does nothing: the data is the user's."""
+
+    def state(self, data: Any) -> ModelState:
+        """What decor reads of `data`, an `MjData` of this model with frames up to date."""
+        if isinstance(data, ModelState):
+            return data
+        for (name, key), live in self._live.items():
+            if live:
+                slot = self.slots[f"{name}.{key}"]
+                self._userdata[slot] = getattr(data, _FROM_MODEL[key])[self.robots[name].dofs]
+                self._userdata[self.flags[f"{name}.{key}"]] = 1.0
+        angles = {
+            name: self._userdata[self.slots[f"{name}.joint_angles"]]
+            for name, part in self.doubles.items()
+            if part.path is None and self._userdata[self.flags[f"{name}.joint_angles"]] > 0
+        }
+        doubles = self._posed.pose(data, angles)
+        positions, rotations = self._sites.read(data, doubles)
+        return ModelState(data, self._userdata, positions, rotations, doubles)
+
+    def ghosts(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+        """What is to be drawn of the doubles that are switched on, (D,)."""
+        return [
+            ghost
+            for name, on in zip(self.doubles, shown, strict=True)
+            if on
+            for ghost in self._posed.ghosts(state, name)
+        ]
+
+    def set_input(self, data: Any, target: str, values: Any) -> None:
+        """Sets an input from now on; what the model itself says no longer counts for it.
+
+        Args:
+            data: not changed.
+            target: `name.input`, e.g. `arm.torques`; see `inputs`.
+            values: (n,), (3,), or one number, SI units; or a number by name of joint, the others
+                having none. NaN and infinity are no data: they are not shown, do not move a
+                double, and are counted in `not_finite`.
+
+        Raises:
+            UnknownName: no such name, input or joint.
+            ValueError: not as many numbers as it takes, or joint angles of a robot.
+        """
+        name, _, key = target.partition(".")
+        if key == "joint_angles" and name in self.robots:
+            raise ValueError(f"{target}: {name} stands where your data has it; set data.qpos")
+        item = self.resolve_input(target)
+        if isinstance(values, Mapping) and item.kind in ("angles", "values"):
+            values = self._by_name(name, values)
+        try:
+            array = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        except (TypeError, ValueError):
+            array = np.empty(0)
+        if array.shape != item.shape:
+            found = f"shape {array.shape}" if array.size else repr(values)
+            many = "1 number" if item.count == 1 else f"{item.meaning}: shape {item.shape}"
+            raise ValueError(f"{target}: found {found}; expected {many}")
+        bad = ~np.isfinite(array)
+        if bad.any() and not isinstance(values, _ByName):
+            if not self.not_finite:
+                log.warning("%s: NaN or infinite values; they are counted and not shown", target)
+            self.not_finite += int(bad.sum())
+            if item.kind not in BLANKABLE:
+                return
+        elif item.shape == (4, 4):
+            try:
+                array = frame_from(array, numbers)
+            except ValueError as error:
+                raise ValueError(f"{target}: {error}") from None
+        self._userdata[self.slots[target]] = np.where(bad, np.nan, array).ravel()
+        self._userdata[self.flags[target]] = 1.0
+        self._live.pop((name, key), None)
+
+    def _by_name(self, owner: str, values: Mapping[str, Any]) -> Array:
+        names = self.owners[owner].robot.names
+        array = np.full(len(names), np.nan).view(_ByName)
+        for joint, value in values.items():
+            if joint not in names:
+                raise UnknownName(f"joint of {owner}", joint, names)
+            try:
+                array[names.index(joint)] = value
+            except (TypeError, ValueError):
+                message = f"{owner}: joint {joint}: found {value!r}; expected a number"
+                raise ValueError(message) from None
+        return array
+
+    def clear_input(self, target: str) -> None:
+        """Takes back what was set: what the model says is shown again, else nothing.
+
+        Raises:
+            UnknownName: no such input.
+        """
+        item = self.resolve_input(target)
+        self._userdata[self.flags[target]] = 0.0
+        if item.name in self.robots and item.key in _FROM_MODEL:
+            self._live[item.name, item.key] = True
+
+
+class _ByName(np.ndarray):
+    """Values of some joints: that the others are NaN is no fault."""
+
+
+def _no_joints(model: mujoco.MjModel) -> str:
+    kinds = [mujoco.mjtJoint(int(kind)).name[6:].lower() for kind in np.unique(model.jnt_type)]
+    found = f"joints of type {' and '.join(kinds)}" if kinds else "no joint"
+    return f"found {found}; expected a hinge or slide joint: arrows turn about these"
+
+
+def _view(model: mujoco.MjModel) -> View:
+    """The model's own view where it has one, else ours."""
+    own = float(model.vis.global_.azimuth), float(model.vis.global_.elevation)
+    return View() if own == _MUJOCO_VIEW else View(azimuth_deg=own[0], elevation_deg=own[1])

@@ -1,0 +1,160 @@
+"""Rigid frames as 4x4 row-major arrays; `T_a_b` maps coordinates of b into a. No MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import did_you_mean
+
+Array = NDArray[np.float64]
+
+_ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
+# A frame typed with four digits (0.7071) is meant to be a rotation; one off by more is a mistake.
+_TYPED_ROTATION_TOLERANCE = 1e-3
+
+
+def rotation_about(axis: int, angle: float | Array) -> Array:
+    """Rotation matrices about one coordinate axis.
+
+    Args:
+        axis: 0, 1 or 2 for x, y or z.
+        angle: rad, any shape (...).
+
+    Returns:
+        (..., 3, 3).
+    """
+    c, s = np.cos(angle), np.sin(angle)
+    matrix = np.zeros((*np.shape(angle), 3, 3))
+    matrix[..., axis, axis] = 1.0
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix[..., i, i] = matrix[..., j, j] = c
+    matrix[..., i, j], matrix[..., j, i] = -s, s
+    return matrix
+
+
+def rotation_from_rpy(rpy: Array) -> Array:
+    """Rotation (3, 3) from roll, pitch, yaw in rad about the fixed x, y, z axes (as in URDF)."""
+    roll, pitch, yaw = rpy
+    return rotation_about(2, yaw) @ rotation_about(1, pitch) @ rotation_about(0, roll)
+
+
+def rotation_from_quat(quat: Array) -> Array:
+    """Rotation (3, 3) from a unit quaternion w, x, y, z."""
+    quat = quat / np.abs(quat).max()  # squares of huge numbers would overflow
+    w, x, y, z = quat / np.linalg.norm(quat)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def frame(rotation: Array | None = None, position: Array | None = None) -> Array:
+    """Builds a 4x4 frame from a rotation (3, 3) and a position (3,) in m; identity by default."""
+    matrix = np.eye(4)
+    if rotation is not None:
+        matrix[:3, :3] = rotation
+    if position is not None:
+        matrix[:3, 3] = position
+    return matrix
+
+
+def inverse(T_a_b: Array) -> Array:
+    """Returns T_b_a of rigid frames (..., 4, 4)."""
+    result = np.zeros_like(T_a_b)
+    transposed = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    result[..., :3, :3] = transposed
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", transposed, T_a_b[..., :3, 3])
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def rotation_angle(rotation: Array) -> float:
+    """Angle (rad) of a rotation matrix (3, 3), exact near 0 and near pi."""
+    skew = 0.5 * np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    return float(np.arctan2(np.linalg.norm(skew), 0.5 * (np.trace(rotation) - 1.0)))
+
+
+def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
+    """Reads a frame as a file or a user writes it.
+
+    Args:
+        value: 4x4 rows, 16 numbers row by row, or a mapping with `xyz` (m) and one of
+            `rpy` (rad), `rpy_deg`, `quat` (w, x, y, z).
+        numbers: turns a list into a float64 array or raises ValueError.
+
+    Raises:
+        ValueError: says what was found and what would be right.
+    """
+    if isinstance(value, Mapping):
+        return _frame_from_table(value, numbers)
+    matrix = numbers(value)
+    if matrix.size != 16:
+        raise ValueError(
+            f"found {matrix.size} numbers; expected 4 x 4, or {{ xyz = [...], rpy = [...] }}"
+        )
+    matrix = matrix.reshape(4, 4).copy()
+    if matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"last row is {matrix[3].tolist()}; expected [0, 0, 0, 1] (row-major)")
+    matrix[:3, :3] = nearest_rotation(matrix[:3, :3])
+    return matrix
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """Returns the rotation nearest to a matrix typed with few digits; an exact one unchanged.
+
+    Raises:
+        ValueError: it is no rotation, not even roughly, or it is a mirror image.
+    """
+    # Entries far above 1 are refused before their squares overflow.
+    far = np.abs(matrix).max() > 2.0
+    off = np.inf if far else float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if off > _TYPED_ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+        raise ValueError("upper left 3 x 3 is not a rotation (orthonormal, determinant +1)")
+    if off < 1e-14:
+        return matrix
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ vt)
+
+
+def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array]) -> Array:
+    known = ("xyz", *_ROTATION_KEYS)
+    for key in table:
+        if key not in known:
+            raise ValueError(f"unknown key '{key}'{did_you_mean(key, known)}")
+    given = [key for key in _ROTATION_KEYS if key in table]
+    if len(given) > 1:
+        raise ValueError(f"found both '{given[0]}' and '{given[1]}'; expected one rotation")
+
+    def vector(key: str, length: int) -> Array:
+        array = numbers(table[key])
+        if array.shape != (length,):
+            if array.size == length:
+                raise ValueError(f"'{key}' is nested; expected {length} numbers in one list")
+            raise ValueError(f"'{key}' has {array.size} numbers; expected {length}")
+        return array
+
+    position = vector("xyz", 3) if "xyz" in table else None
+    rotation = None
+    if "rpy" in table:
+        rotation = rotation_from_rpy(vector("rpy", 3))
+    elif "rpy_deg" in table:
+        rotation = rotation_from_rpy(np.deg2rad(vector("rpy_deg", 3)))
+    elif "quat" in table:
+        quat = vector("quat", 4)
+        if np.abs(quat).max() < 1e-6:
+            raise ValueError("'quat' is zero; expected a unit quaternion w, x, y, z")
+        rotation = rotation_from_quat(quat)
+    return frame(rotation, position)

@@ -1,0 +1,165 @@
+"""A recording as a run: of a simulation, or of a robot that a scene's routes lead to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from ..assemble.scene import Scene
+from ..errors import RecordingError, UsageError, did_you_mean
+from ..record.recording import Recording
+from .recorded_events import read_events, receiver_of
+from .recorded_robots import read_tables, recorded_robots
+from .recorded_routes import follow_routes
+from .run_log import TIME, RunLog, event_of
+
+Array = NDArray[np.float64]
+
+_DERIVED = ("actual_", "target_")  # before `angles`, in events of a robot that has others as well
+_ANGLES = "_angles"
+
+
+def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
+    """Reads a recording of a simulation, or of robots that a scene mirrors.
+
+    A source with the events `time` and `ROBOT_angles` is a run as it was logged. Of others the
+    scene in the recording says what leads to which robot, in which unit. Time counts from the
+    start of the simulation, or from the first packet that tells where the robots are.
+
+    Args:
+        path: a recording.
+        source: which of its sources; all that matter when None.
+        scene: the robots and the routes; those in the recording when None.
+
+    Returns:
+        The signals `angles`, `velocities` (by differences where they were not sent) and, where
+        there are such, `torques`, `commanded_torques`, and all others of a simulation.
+
+    Raises:
+        RecordingError: it cannot be read, is no recording, or has no robot.
+        UsageError: no such source, or there are several and one has to be chosen.
+    """
+    path = Path(path)
+    with Recording(path) as recording:
+        names = _chosen(recording, source)
+        runs = [name for name in names if _robots_of(recording.sources[name].events)]
+        if len(runs) > 1:
+            found = ", ".join(runs)
+            raise UsageError(f"{path} has several runs: {found}; choose one of these sources")
+        if runs:
+            return _simulated(recording, runs[0], scene)
+        robots = recorded_robots(recording) if scene is None else scene.robots
+        if not robots:
+            found = ", ".join(recording.attachments) or "no files"
+            reason = f"has no robot in it: found {found}; expected a scene, give one"
+            raise RecordingError(path, reason)
+        routes = _routes_in(recording) if scene is None else scene.routes
+        doubles = _tables_in(recording, "doubles") if scene is None else _doubles_of(scene)
+        signals, times = follow_routes(recording, names, robots, routes, doubles)
+        known = {name: robots[name] for name in robots if event_of(name, "angles") in signals}
+        return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
+
+
+def _chosen(recording: Recording, source: str | None) -> list[str]:
+    names = list(recording.sources)
+    if source is not None and source not in names:
+        near = did_you_mean(source, names)
+        raise UsageError(f"no source '{source}' in {recording.path}{near}")
+    if not names:
+        raise RecordingError(recording.path, "has no source")
+    return names if source is None else [source]
+
+
+def _robots_of(events: Iterable[str]) -> list[str]:
+    """Robots, as events call them, of a run that was logged; none when it is no such run."""
+    events = list(events)
+    if TIME not in events:
+        return []
+    prefixes = [event.removesuffix(_ANGLES) for event in events if event.endswith(_ANGLES)]
+    return [
+        prefix
+        for prefix in prefixes
+        if not any(
+            f"{prefix}_".endswith(f"_{derived}")
+            and f"{prefix}_".removesuffix(f"_{derived}") in prefixes
+            for derived in _DERIVED
+        )
+    ]
+
+
+def _simulated(recording: Recording, name: str, scene: Scene | None) -> RunLog:
+    receiver = receiver_of(recording, name)
+    receiver.allow_nan([event for event in receiver.events if event != TIME])
+    series = read_events(recording, receiver, name)
+    if len(series.times) == 0:
+        raise RecordingError(recording.path, f"has no good packet of '{name}'")
+    times = series.events[TIME][:, 0]
+    rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
+    declared = recorded_robots(recording) if scene is None else scene.robots
+    signals = {
+        event: values[rising].reshape(-1, *_row_shape(receiver.events[event]))
+        for event, values in series.events.items()
+    }
+    robots = {}
+    for prefix in _robots_of(receiver.events):
+        count = signals[f"{prefix}_angles"].shape[1]
+        chosen = _declared(recording.path, prefix, count, declared)
+        robots[chosen.name] = chosen
+    signals = _with_velocities(robots, signals, times[rising])
+    return RunLog(robots, signals, times[rising], recording.path.stem)
+
+
+def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Of an event in a row of a `RunLog`: one vector or matrix has no axis for its number."""
+    return shape[1:] if len(shape) > 1 and shape[0] == 1 else shape
+
+
+def _declared(
+    path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]
+) -> SerialRobot:
+    """The robot that events mean."""
+    by_event = {event_of(name, "angles").removesuffix(_ANGLES): each
+                for name, each in robots.items()}  # fmt: skip
+    robot = by_event.get(prefix)
+    if robot is None and len(robots) == 1:  # its file alone does not tell how it was called
+        only = next(iter(robots.values()))
+        robot = only.model_copy(update={"name": prefix}) if only.n == count else None
+    if robot is None:
+        near = did_you_mean(prefix, by_event)
+        raise RecordingError(path, f"does not say what robot '{prefix}' is{near}; give a scene")
+    if robot.n != count:
+        reason = f"{prefix}_angles are {count}; its robot '{robot.name}' has {robot.n} joints"
+        raise RecordingError(path, reason)
+    return robot
+
+
+def _routes_in(recording: Recording) -> dict[str, Any]:
+    return _tables_in(recording, "routes")
+
+
+def _tables_in(recording: Recording, key: str) -> dict[str, Any]:
+    for tables in read_tables(recording).values():
+        if "robots" in tables and isinstance(tables.get(key), dict):
+            return dict(tables[key])
+    return {}
+
+
+def _doubles_of(scene: Scene) -> dict[str, Any]:
+    return {name: {"of": double.of} for name, double in scene.doubles.items()}
+
+
+def _with_velocities(
+    robots: Mapping[str, SerialRobot], signals: Mapping[str, Array], times: Array
+) -> dict[str, Array]:
+    """Adds the velocities that were not sent, as differences of angles."""
+    found = dict(signals)
+    for name in robots:
+        event = event_of(name, "velocities")
+        if event not in found and len(times) > 1:
+            found[event] = np.gradient(found[event_of(name, "angles")], times, axis=0)
+    return found

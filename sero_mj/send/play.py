@@ -1,0 +1,294 @@
+"""Packets as a robot would send them: every receiving feature can be tried without one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.inputs import Input, list_inputs
+from ..assemble.robot import SerialRobot
+from ..assemble.scene import Scene
+from ..drive.route import wire
+from ..drive.wiring import Route, Wiring
+from ..errors import DeclarationError, UsageError, did_you_mean
+from ..frames import frame, rotation_about
+from ..receive.receiver import Receiver
+from ..receive.structure import Structure
+from .backwards import Backwards
+from .motion import InverseDynamics, SineMotion
+
+Array = NDArray[np.float64]
+LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
+_SWITCHED_AFTER = 4.0  # s
+_MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}
+
+
+def choose_source(wiring: Wiring, name: str | None = None) -> Receiver:
+    """The receiver of this name, or the only one.
+
+    Raises:
+        UsageError: there is none, or several are there to choose from.
+    """
+    receivers = {name: one for name, one in wiring.sources.items() if isinstance(one, Receiver)}
+    if name is None and len(receivers) == 1:
+        name = next(iter(receivers))
+    if name in receivers:
+        return receivers[name]
+    if name is not None or not receivers:
+        named = f" '{name}'" if name else ""
+        raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', receivers)}")
+    names = ", ".join(receivers)
+    raise UsageError(f"the scene has several sources; choose with --source: {names}")
+
+
+def structure_for(source: Receiver, text: str | None = None) -> Structure:
+    """The structure of packets for a source, or another one of the same types."""
+    if text is None:
+        return source.layout
+    return Structure(text, is_double=source.is_double, column_major=source.column_major)
+
+
+class Player(Protocol):
+    """Says what the sensors of one robot say."""
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+
+
+class MotionPackets:
+    """Packets of a scene's source, with the signals that its routes lead to the robots.
+
+    Args:
+        scene: robots and routes.
+        source: whose packets to make; the scene's only one when None.
+        structure: instead of the source's.
+        amplitude: of the motion, 0 to 1.
+        players: robot name to what says its signals, instead of a motion.
+
+    Attributes:
+        structure: of the packets.
+        source: the receiver they are meant for.
+
+    Raises:
+        DeclarationError: the scene's sources or routes are wrong.
+        UsageError: the scene has no such source, or nothing is routed from it.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        source: str | None = None,
+        structure: str | None = None,
+        amplitude: float = 1.0,
+        players: Mapping[str, Player] | None = None,
+    ) -> None:
+        wiring = wire(scene)
+        if wiring.problems:
+            raise DeclarationError(scene.located(wiring.problems))
+        self.source = choose_source(wiring, source)
+        self.structure = structure_for(self.source, structure)
+        routes = _connected(wiring.routes, self.source.name, self.structure.events)
+        if not routes:
+            raise UsageError(_nothing_to_send(wiring.routes, self.source.name, self.structure))
+        for route in routes:
+            self._check_size(route)
+        self._scene = scene
+        self._inputs = list_inputs(scene)
+        self._routes = {route.to.target: route for route in wiring.routes}
+        # Of routes that ask for different things of one event the first ones get them.
+        routes.sort(key=lambda route: _importance(scene, route.to))
+        self._wanted = [(route.to, route.negated) for route in routes]
+        self._backwards = None if all(r.value.whole for r in routes) else Backwards(routes)
+        self._plain: dict[str, str] = {}  # event to the input that gets all of it
+        for route in routes:
+            if route.value.whole is not None:
+                self._plain.setdefault(route.value.whole.key, route.to.target)
+        played = {self._robot_of(item) for item in self._asked(routes)} - {None}
+        self._robots: dict[str, Player] = {}
+        for name in sorted(name for name in played if name):
+            if players is None:
+                self._robots[name] = _Player(scene.robots[name], amplitude)
+            elif name in players:
+                self._robots[name] = players[name]
+            else:
+                raise UsageError(f"nothing is known of robot '{name}'{did_you_mean(name, players)}")
+        self._is_motion = players is None
+
+    def _check_size(self, route: Route) -> None:
+        """Whether the structure has all the numbers that a route takes."""
+        for term in route.value.terms:
+            if term.origin.name != self.source.name or not term.origin.is_event:
+                continue
+            found = math.prod(self.structure.events[term.origin.key])
+            missing = int(term.take.max()) >= found
+            if missing or (route.value.whole is not None and found != route.to.count):
+                wanted = f"takes {route.to.meaning}" if route.value.whole else f"is {route.text}"
+                raise UsageError(
+                    f"structure '{self.structure.text}': {term.origin.key} has {found} values; "
+                    f"{route.to.target} {wanted}"
+                )
+
+    def _asked(self, routes: Sequence[Route]) -> list[Input]:
+        """The inputs of routes, and those that they read of robots, doubles and arrows."""
+        todo = [route.to.target for route in routes]
+        todo += [output for route in routes for output in route.outputs]
+        seen: dict[str, Input] = {}
+        while todo:
+            target = todo.pop()
+            if target not in seen:
+                seen[target] = self._inputs[target]
+                todo += self._routes[target].outputs if target in self._routes else []
+        return list(seen.values())
+
+    def _robot_of(self, item: Input) -> str | None:
+        """The robot whose motion decides what an input gets."""
+        if item.kind in ("angles", "values") or item.key == "flange_check":
+            double = self._scene.doubles.get(item.name)
+            return item.name if double is None else double.of
+        return None
+
+    def at(self, t: float) -> bytes:
+        """Returns the packet of time t (s)."""
+        now = {name: player.signals(t) for name, player in self._robots.items()}
+        wanted = {}
+        for item, negated in self._wanted:
+            value = self._value(item, now, t)
+            wanted[item.target] = 1.0 - value if negated else value
+        if self._backwards is None:
+            values = {event: wanted[target] for event, target in self._plain.items()}
+        else:
+            numbers = self._backwards.solve(
+                {target: np.ravel(value) for target, value in wanted.items()},
+                lambda origin: self._output(str(origin), now, t),
+            )
+            values = {
+                origin.key: numbers(origin, math.prod(self.structure.events[origin.key]))
+                for origin in self._backwards.origins
+                if origin.name == self.source.name
+            }
+        shapes = self.structure.events
+        values = {event: np.reshape(value, shapes[event]) for event, value in values.items()}
+        for event in self.structure.matrices:
+            # What nothing leads from has to be a frame, or the packet is malformed.
+            frames = values.setdefault(event, np.zeros(shapes[event]))
+            values[event] = np.where(frames.any(axis=(1, 2), keepdims=True), frames, np.eye(4))
+        return self.structure.encode(values)
+
+    def _output(self, target: str, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
+        """What can be read of a robot, a double or an arrow at time t."""
+        item, route = self._inputs[target], self._routes.get(target)
+        if route is not None and route.sources:
+            return self._value(item, now, t)
+        if route is not None:
+            return route.value.evaluate(lambda origin: self._output(str(origin), now, t))
+        scene = self._scene
+        if item.key == "joint_angles" and item.name in scene.robots:
+            return scene.robots[item.name].home
+        sections: tuple[Mapping[str, object], ...] = (scene.robots, scene.doubles, scene.arrows)
+        declared = next(section[item.name] for section in sections if item.name in section)
+        value = getattr(declared, item.key, None)
+        return np.zeros(item.count) if value is None else np.asarray(value, np.float64)
+
+    def _value(self, item: Input, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
+        """What an input gets at time t."""
+        scene, robot = self._scene, self._robot_of(item)
+        if robot is not None:
+            # A double gets the command that its robot will follow.
+            is_target = item.key == "joint_angles" and item.name in scene.doubles
+            key = "commanded_angles" if is_target else item.key
+            signals = now[robot]
+            return signals[key] if key in signals else signals["further"]
+        if item.kind == "vector" and not self._is_motion:
+            return np.zeros(3)  # what acts there nobody has measured
+        if item.kind == "vector":
+            size = _MAGNITUDES[scene.arrows[item.name].kind]
+            return size * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
+        if item.kind == "toggle":
+            phase = int(t / _SWITCHED_AFTER)
+            return np.array([float(phase % (3 if item.key == "arrow_quantity" else 2))])
+        return self._frame(item, t)
+
+    def _frame(self, item: Input, t: float) -> Array:
+        """Where a base, an object or a camera is declared; a received frame goes in a circle."""
+        scene = self._scene
+        if item.name in scene.robots:
+            return scene.robots[item.name].base_frame
+        if item.name in scene.cameras:
+            return scene.cameras[item.name].frame
+        placed = {thing.name: thing.frame for thing in scene.objects}
+        if item.name in placed:
+            return placed[item.name]
+        declared = scene.frames[item.name].frame
+        start = frame(position=np.array([0.5, 0.0, 0.5])) if declared is None else declared
+        return np.asarray(frame(rotation_about(2, 0.4 * t)) @ start)
+
+
+def _connected(routes: Sequence[Route], source: str, events: Collection[str]) -> list[Route]:
+    """Routes that take something from a source, or from what shares a route with it.
+
+    Those that take from the source an event that is not among `events` are left out.
+    """
+    taking = [
+        route
+        for route in routes
+        if all(
+            origin.key in events
+            for origin in route.value.origins
+            if origin.is_event and origin.name == source
+        )
+    ]
+    names = {source}
+    while True:
+        found = [route for route in taking if names & set(route.sources)]
+        more = {name for route in found for name in route.sources} | names
+        if more == names:
+            return found
+        names = more
+
+
+def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure) -> str:
+    """Why: no route leads from the source, or none takes what the structure has."""
+    taken = {
+        o.key: None for r in routes for o in r.value.origins if o.is_event and o.name == source
+    }
+    if not taken:
+        return f"no route leads from '{source}': there is nothing to send"
+    return (
+        f"structure '{structure.text}' has {', '.join(structure.events)}; the routes from "
+        f"'{source}' take {', '.join(taken)}: there is nothing to send"
+    )
+
+
+def _importance(scene: Scene, item: Input) -> int:
+    """What moves a robot comes first, switches come last; else the order of the routes."""
+    if item.kind == "angles":
+        return int(item.name in scene.doubles)
+    return {"pose": 2, "frame": 2, "values": 3, "vector": 4}.get(item.kind, 5)
+
+
+class _Player:
+    """What one robot's sensors say during a motion."""
+
+    def __init__(self, robot: SerialRobot, amplitude: float) -> None:
+        self._robot = robot
+        self._motion = SineMotion(robot, amplitude)
+        self._dynamics = InverseDynamics(robot)
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        position, velocity, acceleration = self._motion.at(t)
+        torques = self._dynamics.torques(position, velocity, acceleration)
+        return {
+            "joint_angles": position,
+            "commanded_angles": self._motion.at(t + LEAD)[0],
+            "torques": torques,
+            "commanded_torques": torques,  # a perfect controller: the error is zero
+            "joint_accelerations": acceleration,
+            "billboard_values": velocity,
+            "flange_check": self._robot.fwd_kin_base_to_flange(position),
+            # Of the robot's own inputs nothing is known; temperatures in degrees, say.
+            "further": 30.0 + 5.0 * np.sin(0.2 * t + np.arange(self._robot.n)),
+        }

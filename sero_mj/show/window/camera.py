@@ -1,0 +1,141 @@
+"""Moves the camera of a live viewer: orbit, pan, zoom, centre, named cameras, follow a frame."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assemble.world import World
+from ..camera import find_camera, list_cameras
+
+Array = NDArray[np.float64]
+
+_DEGREES_PER_HEIGHT = 180.0  # that a drag across the window's height turns the view by
+_STEEPEST_DEG = 89.0
+_PER_NOTCH = 0.9  # of the distance, for one notch of the wheel
+_NEAREST, _FARTHEST = 0.02, 500.0  # m
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+
+
+class Navigator:
+    """A camera that is moved by hand.
+
+    Drags are in shares of the window's height, so that they feel the same in every size.
+
+    Args:
+        world: the compiled scene.
+        wanted: see `find_camera`.
+
+    Attributes:
+        camera: what the renderer looks through.
+        following: the frame that it goes along with; None for none.
+
+    Raises:
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(self, world: World, wanted: str | None = None) -> None:
+        self.camera = find_camera(world, wanted)
+        self.following: str | None = None
+        self._world = world
+        self._start = wanted
+        self._last = np.zeros(3)  # where the followed frame was
+
+    def orbit(self, right: float, down: float) -> None:
+        """Turns about what it looks at, by a drag of so many heights of the window."""
+        camera = self.camera
+        azimuth = camera.azimuth - _DEGREES_PER_HEIGHT * right
+        camera.azimuth = (azimuth + 180.0) % 360.0 - 180.0
+        camera.elevation = float(
+            np.clip(
+                camera.elevation - _DEGREES_PER_HEIGHT * down,
+                min(-_STEEPEST_DEG, camera.elevation),
+                max(_STEEPEST_DEG, camera.elevation),
+            )
+        )
+
+    def pan(self, right: float, down: float, tan_half_fovy: float) -> None:
+        """Moves sideways, so that what it looks at stays under the pointer.
+
+        Args:
+            right: of the drag, heights of the window.
+            down: likewise.
+            tan_half_fovy: of the view.
+        """
+        camera = self.camera
+        _, to_right, to_up = axes(camera.azimuth, camera.elevation)
+        height = 2.0 * tan_half_fovy * camera.distance
+        camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
+
+    def zoom(self, notches: float) -> None:
+        """Comes nearer by so many notches of the wheel, or goes away."""
+        distance = self.camera.distance * _PER_NOTCH ** np.clip(notches, -100.0, 100.0)
+        self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
+
+    def centre(self, point: Array) -> None:
+        """Looks at a point (3,), m, in the same direction; orbits turn about it."""
+        self.camera.lookat = point
+
+    def free(self, position: Array, forward: Array) -> None:
+        """Turns a camera of the scene into one that can be moved, from the same place.
+
+        Args:
+            position: of the eye, (3,), m.
+            forward: unit vector (3,).
+        """
+        if self.camera.type == _FREE:
+            return
+        self.camera.type = _FREE
+        self.camera.fixedcamid = -1
+        self.camera.azimuth = float(np.rad2deg(np.arctan2(forward[1], forward[0])))
+        self.camera.elevation = float(np.rad2deg(np.arcsin(np.clip(forward[2], -1, 1))))
+        self.camera.lookat = position + self.camera.distance * forward
+
+    def choose(self, number: int) -> str:
+        """Looks through a camera by its number, 1 for the first; 0 is the scene's own view.
+
+        Returns:
+            what to tell the user.
+        """
+        names = list_cameras(self._world)
+        if number == 0:
+            self.camera = find_camera(self._world, self._start)
+            self.following = None
+            return "the view of the start"
+        if number > len(names):
+            count = f"{len(names)} cameras" if len(names) != 1 else "one camera"
+            return f"no camera {number}: the scene has {count if names else 'none'}"
+        distance, lookat = self.camera.distance, self.camera.lookat.copy()
+        self.camera = find_camera(self._world, names[number - 1])
+        self.camera.distance, self.camera.lookat = distance, lookat
+        self.following = None
+        return f"camera {names[number - 1]}"
+
+    def follow(self, data: mujoco.MjData, frame: str | None) -> str:
+        """Goes along with a frame from now on, or with none; returns what to tell the user."""
+        if frame is None or frame == self.following:
+            self.following = None
+            return "follows nothing"
+        self._last = self._world.frame(data, frame)[:3, 3].copy()
+        self.following = frame
+        return f"follows {frame}"
+
+    def advance(self, data: mujoco.MjData) -> None:
+        """Goes along with the frame that is followed, as far as it has moved since last time."""
+        if self.following is None or self.camera.type != _FREE:
+            return
+        now = self._world.frame(data, self.following)[:3, 3]
+        if np.isfinite(now).all():
+            self.camera.lookat = self.camera.lookat + now - self._last
+            self._last = now.copy()
+
+
+def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]:
+    """Unit vectors forward, right and up (3,) of a free camera."""
+    azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    forward = np.array([ca * ce, sa * ce, se])
+    right = np.array([sa, -ca, 0.0])
+    up = np.array([-ca * se, -sa * se, ce])
+    return forward, right, up

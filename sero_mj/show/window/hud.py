@@ -1,0 +1,179 @@
+"""What a window writes over the picture: bar, time line, messages, help."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+
+from ...decor.font import Font
+from ..status_line import Mood, Piece
+from .gl import GlWindow
+from .timeline import TimeLine
+
+Rgba = tuple[float, float, float, float]
+BAR: Rgba = (0.07, 0.09, 0.12, 1.0)
+PANEL: Rgba = (0.07, 0.09, 0.12, 0.92)
+HELP: Rgba = (0.07, 0.09, 0.12, 0.96)
+BAD: Rgba = (0.45, 0.07, 0.06, 0.95)
+_TRACK: Rgba = (0.22, 0.26, 0.31, 1.0)
+_DONE: Rgba = (0.26, 0.56, 0.82, 1.0)
+_HANDLE: Rgba = (0.93, 0.95, 0.97, 1.0)
+_RED: Rgba = (0.92, 0.22, 0.18, 1.0)
+TITLE = (1.0, 0.72, 0.30)
+_DIM = (0.60, 0.65, 0.71)
+_TEXT = (0.90, 0.92, 0.94)
+_MOODS: dict[Mood, tuple[float, float, float]] = {
+    "good": (0.55, 0.85, 0.62),
+    "quiet": (0.95, 0.80, 0.40),
+    "bad": (1.00, 0.52, 0.40),
+    "plain": (0.80, 0.84, 0.88),
+}
+_PAD = 0.45  # of a line's height
+_HELP_LINE = 1.08  # of a line's height
+_HELP_COLUMN = 27.0  # of a line's height, wide
+_GAP = 1.6  # between pieces of the status line, of a line's height
+
+
+class Hud:
+    """Draws panels and text in pixels from the lower left corner of the window."""
+
+    def __init__(self, window: GlWindow) -> None:
+        self._window = window
+
+    @property
+    def font(self) -> Font:
+        """Of all that is written here."""
+        return self._window.hud_font
+
+    @property
+    def bar_height(self) -> int:
+        """Of the status line, pixels."""
+        return round(self.font.height * (1 + 2 * 0.3))
+
+    @property
+    def line_height(self) -> int:
+        """Of the strip with the time line, pixels."""
+        return round(self.font.height * 1.3)
+
+    def box(self, left: float, bottom: float, width: float, height: float, rgba: Rgba) -> None:
+        """Fills a rectangle."""
+        rect = mujoco.MjrRect(round(left), round(bottom), round(width), round(height))
+        mujoco.mjr_rectangle(rect, *rgba)
+
+    def panel(
+        self,
+        rect: tuple[float, float, float, float],
+        lines: Sequence[tuple[float, float, str, tuple[float, float, float]]],
+        rgba: Rgba = PANEL,
+    ) -> None:
+        """Fills a rectangle and writes into it.
+
+        Args:
+            rect: left, bottom, width, height.
+            lines: x and y of their lower left corner from that of the panel, text and colour.
+            rgba: of the panel.
+        """
+        self.box(*rect, rgba)
+        for x, y, text, rgb in lines:
+            # Text is placed in shares of what was filled last.
+            mujoco.mjr_text(
+                mujoco.mjtFont.mjFONT_NORMAL,
+                text.encode("ascii", "replace").decode(),
+                self._window.hud,
+                x / max(round(rect[2]), 1),
+                y / max(round(rect[3]), 1),
+                *rgb,
+            )
+
+    def status(self, pieces: Sequence[Piece], hint: str, width: int) -> None:
+        """Draws the status line; what finds no room is left out, and the last goes to the right.
+
+        Args:
+            pieces: the most important first.
+            hint: at the right end, where there is room.
+            width: of the window, pixels.
+        """
+        h, base = self.font.height, 0.55 * self.font.height
+        x, lines = _PAD * h, []
+        right = width - self.font.width(hint) - _PAD * h
+        for text, mood in pieces:
+            wide = self.font.width(text.encode("ascii", "replace"))
+            if x + wide > width - _PAD * h:
+                break
+            lines.append((x, base, text, _MOODS[mood]))
+            x += wide + _GAP * h
+        if x < right:
+            lines.append((right, base, hint, _DIM))
+        self.panel((0, 0, width, self.bar_height), lines, BAR)
+
+    def time_line(self, width: int, bottom: float, end: float) -> TimeLine:
+        """Where the time line is in a window of that width."""
+        h = self.font.height
+        return TimeLine(h, bottom + 0.5 * h, width - 2 * h, round(0.3 * h), end)
+
+    def draw_time_line(self, line: TimeLine, time: float, width: int, bottom: float) -> None:
+        """Draws it in its strip."""
+        self.box(0, bottom, width, self.line_height, BAR)
+        x = line.x_of(time)
+        self.box(line.left, line.bottom, line.width, line.height, _TRACK)
+        self.box(line.left, line.bottom, x - line.left, line.height, _DONE)
+        half = 0.8 * line.height
+        self.box(x - half, line.bottom - half, 2 * half, line.height + 2 * half, _HANDLE)
+
+    def message(self, text: str, width: int, bottom: float, *, is_bad: bool = False) -> None:
+        """Writes a line into the middle, just above the bar."""
+        h = self.font.height
+        text = _shortened(text, self.font, width - 4 * h)
+        wide = self.font.width(text) + 2 * _PAD * h * 1.6
+        left = (width - wide) / 2
+        lines = [(0.7 * h, 0.54 * h, text, _TEXT)]
+        self.panel((left, bottom + 0.8 * h, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
+
+    def filming(self, text: str, width: int, top: float) -> None:
+        """Shows that a film is being made."""
+        h = self.font.height
+        wide = self.font.width(text) + 2.2 * h
+        left, bottom = (width - wide) / 2, top - 2.0 * h
+        self.panel((left, bottom, wide, 1.5 * h), [(1.4 * h, 0.45 * h, text, _TEXT)])
+        self.box(left + 0.55 * h, bottom + 0.5 * h, 0.5 * h, 0.5 * h, _RED)
+
+    def help_room(self, size: tuple[int, int]) -> tuple[int, int]:
+        """How many rows a column of the help may have, and how many columns it may have."""
+        h = self.font.height
+        return int((size[1] - 2.6 * h) / (_HELP_LINE * h)), int((size[0] - h) / (_HELP_COLUMN * h))
+
+    def help(self, columns: Sequence[Sequence[tuple[str, str]]], width: int, height: int) -> None:
+        """Draws the help: columns of rows of what to press and what that does.
+
+        A row without words is a heading.
+        """
+        font = self.font
+        h, line = font.height, _HELP_LINE * font.height
+        sizes = []
+        for rows in columns:
+            keys = max([font.width(key) for key, meaning in rows if meaning] or [0]) + 1.2 * h
+            sizes.append((keys, keys + max(font.width(meaning) for _, meaning in rows)))
+        wide = sum(total for _, total in sizes) + 2.0 * h * len(sizes) + h
+        tall = line * max(len(rows) for rows in columns) + 2.4 * h
+        left, bottom = max((width - wide) / 2, 0), max((height - tall) / 2, 0)
+        lines = []
+        x = 1.5 * h
+        for (keys, total), rows in zip(sizes, columns, strict=True):
+            y = tall - 1.2 * h - line
+            for key, meaning in rows:
+                if meaning:
+                    lines.append((x, y, key, _MOODS["good"]))
+                    lines.append((x + keys, y, meaning, _TEXT))
+                elif key:
+                    lines.append((x, y, key, TITLE))
+                y -= line
+            x += total + 2.0 * h
+        self.panel((left, bottom, wide, tall), lines, HELP)
+
+
+def _shortened(text: str, font: Font, width: float) -> str:
+    text = text.encode("ascii", "replace").decode()
+    while len(text) > 4 and font.width(text) > width:
+        text = text[:-4] + "..."
+    return text

@@ -1,0 +1,187 @@
+"""Two runs of a robot on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from ..errors import UsageError, did_you_mean
+from ..runs.run_log import RunLog
+from ..runs.torques import compared_signal
+from .shift import Shift, find_shift
+
+Array = NDArray[np.float64]
+
+# What is compared, where both runs have it.
+COMPARED = ("angles", "velocities", "torques", "commanded_torques")
+# Longer without a packet than this, and than so many packets, nothing is known in between.
+_GAP, _GAP_ROWS = 0.1, 5
+_LEAST_LIKENESS = 0.5  # below, an offset that was found means nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two runs of a robot at the same times.
+
+    Attributes:
+        robot: as the first run declares it.
+        times: (T,), s, on the clock of the first run.
+        a: signal to the first run's values, (T, n).
+        b: likewise of the second; NaN where it says nothing.
+        offset: what was added to the times of the second run, s.
+        likeness: of the motions where the offset was found, 1 for the same motion; else None.
+        names: of the two runs.
+    """
+
+    robot: SerialRobot
+    times: Array
+    a: Mapping[str, Array]
+    b: Mapping[str, Array]
+    offset: float
+    likeness: float | None
+    names: tuple[str, str]
+
+    def difference(self, signal: str) -> Array:
+        """First run less second, (T, n).
+
+        Raises:
+            KeyError: one of them has no such signal.
+        """
+        return np.asarray(self.a[signal] - self.b[signal])
+
+    @property
+    def signals(self) -> list[str]:
+        """What both have."""
+        return [signal for signal in COMPARED if signal in self.a and signal in self.b]
+
+
+def align(
+    a: RunLog, b: RunLog, robot: str | None = None, offset: float | Literal["auto"] = 0.0
+) -> Pair:
+    """Puts two runs on one clock, at the times of the one with more rows per second.
+
+    In between values are interpolated linearly; not across gaps, though.
+
+    Args:
+        a: a run.
+        b: another one.
+        robot: its name in both; `NAME,NAME` where they differ. The only common one when None.
+        offset: s, added to the times of `b`; `auto` finds it by the velocities of the joints.
+
+    Raises:
+        UsageError: there is no such robot, or no time that both have; names what there is.
+    """
+    of_a, of_b = choose_robots(a, b, robot)
+    shift: Shift | None = None
+    if offset == "auto":
+        shift = find_shift(a.times, a.of(of_a, "angles"), b.times, b.of(of_b, "angles"))
+        if shift is None:
+            found = "one of the runs hardly moves"
+            raise UsageError(f"--offset auto: {found}; expected a number of seconds")
+        if shift.likeness < _LEAST_LIKENESS:
+            found = (
+                f"the motions of {a.name} and {b.name} are not alike ({shift.likeness:.2f} of 1)"
+            )
+            raise UsageError(f"--offset auto: {found}; expected a number of seconds")
+    seconds = float(offset) if shift is None else shift.seconds
+    moved = b.times + seconds
+    begin, end = max(a.times[0], moved[0]), min(a.times[-1], moved[-1])
+    base = a.times if a.timestep <= b.timestep else moved
+    slack = 1e-6 * max(a.timestep, b.timestep)
+    times = base[(base >= begin - slack) & (base <= end + slack)]
+    if len(times) < 2:
+        spans = [f"{name} from {t[0]:.3f} s to {t[-1]:.3f} s"
+                 for name, t in ((a.name, a.times), (b.name, moved))]  # fmt: skip
+        where = f" with the offset {seconds:g} s" if seconds else ""
+        hint = "expected runs that overlap; give --offset S, or --offset auto"
+        raise UsageError(f"found {spans[0]}, {spans[1]}{where}; {hint}")
+    return Pair(
+        a.robots[of_a],
+        times,
+        {
+            s: at_times(a.times, compared_signal(a, of_a, s), times)
+            for s in COMPARED
+            if a.has(of_a, s)
+        },
+        {
+            s: at_times(moved, compared_signal(b, of_b, s), times)
+            for s in COMPARED
+            if b.has(of_b, s)
+        },
+        seconds,
+        None if shift is None else shift.likeness,
+        (a.name, b.name),
+    )
+
+
+def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, str]:
+    """Names of the robot in two runs.
+
+    Args:
+        a: a run.
+        b: another one.
+        name: in both, or `NAME,NAME`; the only common one, or the only one in each, when None.
+
+    Raises:
+        UsageError: there is none, there are several, or they have another number of joints.
+    """
+    if name is not None:
+        in_a, _, in_b = name.partition(",")
+        pair = in_a.strip(), (in_b or in_a).strip()
+        for run, wanted in zip((a, b), pair, strict=True):
+            if wanted not in run.robots:
+                near = did_you_mean(wanted, run.robots)
+                raise UsageError(f"--robot: no robot '{wanted}' in {run.name}{near}")
+    else:
+        common = [each for each in a.robots if each in b.robots]
+        if len(common) == 1:
+            pair = common[0], common[0]
+        elif not common and len(a.robots) == len(b.robots) == 1:
+            pair = next(iter(a.robots)), next(iter(b.robots))
+        elif common:
+            raise UsageError(f"both runs have {', '.join(common)}; choose with --robot NAME")
+        else:
+            has = [f"{run.name} has {', '.join(run.robots) or 'no robot'}" for run in (a, b)]
+            hint = "choose with --robot NAME,NAME"
+            raise UsageError(f"{has[0]}, {has[1]}: no robot in common; {hint}")
+    first, second = a.robots[pair[0]], b.robots[pair[1]]
+    if first.n != second.n:
+        found = f"{pair[0]} has {first.n} joints in {a.name}, {pair[1]} has {second.n} in {b.name}"
+        raise UsageError(f"{found}; expected the same number")
+    return pair
+
+
+def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, Array]:
+    """What a run has of what is compared, at other times."""
+    return {
+        signal: at_times(times, compared_signal(log, robot, signal), wanted)
+        for signal in COMPARED
+        if log.has(robot, signal)
+    }
+
+
+def at_times(times: Array, values: Array, wanted: Array) -> Array:
+    """Values (T, n) at other times, linearly in between; NaN in gaps, and outside."""
+    if len(times) == 1:
+        return np.where(wanted[:, None] == times[0], values[0], np.nan)
+    right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    left = right - 1
+    widths = times[right] - times[left]
+    with np.errstate(invalid="ignore"):
+        share = np.clip((wanted - times[left]) / widths, 0.0, 1.0)
+        result = values[left] + share[:, None] * (values[right] - values[left])
+    # NaN beside a row that is met exactly says nothing about that row.
+    for exact, rows in ((share == 0.0, left), (share == 1.0, right)):
+        result[exact] = values[rows[exact]]
+    steps = np.diff(times)
+    longest = max(_GAP, _GAP_ROWS * float(np.median(steps)))
+    slack = 1e-6 * float(np.median(steps))
+    inside = (widths > longest) & (share > 0.0) & (share < 1.0)
+    outside = (wanted < times[0] - slack) | (wanted > times[-1] + slack)
+    result[inside | outside] = np.nan
+    return np.asarray(result)

@@ -1,0 +1,182 @@
+"""How much two runs of a robot differ, joint by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..record.write_csv import csv_table
+from .align import Pair
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+Array = NDArray[np.float64]
+
+_IN_TABLE = ("angles", "torques")  # where there are such; the rest is in the JSON
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much a signal of a joint differs; first run less second.
+
+    Attributes:
+        joint: its name.
+        signal: `angles`, `velocities`, `torques` or `commanded_torques`.
+        unit: rad, m, rad/s, m/s, Nm or N.
+        peak: the difference of the greatest size, with its sign; NaN where nothing is known.
+        at: when, s.
+        rms: root mean square over time.
+    """
+
+    joint: str
+    signal: str
+    unit: str
+    peak: float
+    at: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Exceeded:
+    """A difference above what is allowed."""
+
+    difference: Difference
+    tolerance: float
+
+    def __str__(self) -> str:
+        found, factor, unit = self.difference, *shown_as(self.difference.unit)
+        what = "torque" if found.signal == "torques" else "angle"
+        peak, allowed = factor * abs(found.peak), factor * self.tolerance
+        return f"{found.joint}: {what} differs by {peak:.4g} {unit} at {found.at:.3f} s; " \
+               f"allowed {allowed:.4g} {unit}"  # fmt: skip
+
+
+def compare(pair: Pair) -> list[Difference]:
+    """What differs, signal by signal and joint by joint; only what both runs have."""
+    found = []
+    for signal in pair.signals:
+        difference = pair.difference(signal)
+        for k, joint in enumerate(pair.robot.names):
+            unit = unit_of(signal, pair.robot.types[k])
+            found.append(_difference(joint, signal, unit, pair.times, difference[:, k]))
+    return found
+
+
+def unit_of(signal: str, joint_type: str) -> str:
+    """The unit of a joint's signal."""
+    turns = joint_type == "revolute"
+    if signal.endswith("torques"):
+        return "Nm" if turns else "N"
+    length = "rad" if turns else "m"
+    return f"{length}/s" if signal.endswith("velocities") else length
+
+
+def _difference(joint: str, signal: str, unit: str, times: Array, values: Array) -> Difference:
+    known = np.isfinite(values)
+    if not known.any():
+        return Difference(joint, signal, unit, np.nan, np.nan, np.nan)
+    row = int(np.nanargmax(np.abs(values)))
+    rms = float(np.sqrt(np.mean(values[known] ** 2)))
+    return Difference(joint, signal, unit, float(values[row]), float(times[row]), rms)
+
+
+def exceeded(
+    differences: Sequence[Difference], *, torque: float | None = None, angle: float | None = None
+) -> list[Exceeded]:
+    """Differences of measured torques or angles above a tolerance; NaN is above any.
+
+    Args:
+        differences: what `compare` found.
+        torque: Nm (N for sliding joints); any when None.
+        angle: rad (m for sliding joints); any when None.
+    """
+    allowed = {"torques": torque, "angles": angle}
+    found = []
+    for each in differences:
+        tolerance = allowed.get(each.signal)
+        if tolerance is not None and not abs(each.peak) <= tolerance:
+            found.append(Exceeded(each, tolerance))
+    return found
+
+
+def as_json(pair: Pair, differences: Sequence[Difference]) -> dict[str, Any]:
+    """Everything, of JSON's types; what is unknown is None."""
+    return {
+        "a": pair.names[0],
+        "b": pair.names[1],
+        "robot": pair.robot.name,
+        "offset": pair.offset,
+        "likeness": pair.likeness,
+        "begin": float(pair.times[0]),
+        "end": float(pair.times[-1]),
+        "rows": len(pair.times),
+        "differences": [
+            {key: None if isinstance(value, float) and np.isnan(value) else value
+             for key, value in asdict(each).items()}
+            for each in differences
+        ],
+    }  # fmt: skip
+
+
+def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
+    """For the terminal: angles in degrees."""
+    from rich import box
+    from rich.table import Table
+
+    span = f"{pair.times[0]:.3f} s to {pair.times[-1]:.3f} s"
+    title = f"{pair.names[0]} less {pair.names[1]}: {pair.robot.name}, {span}"
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table.add_column("joint", no_wrap=True)
+    shown = [signal for signal in _IN_TABLE if signal in pair.signals] or pair.signals
+    for signal in shown:
+        units = {shown_as(unit_of(signal, kind))[1] for kind in pair.robot.types}
+        unit = f", {units.pop()}" if len(units) == 1 else ""
+        table.add_column(f"{signal.replace('_', ' ')}\nrms{unit}", justify="right")
+        table.add_column(f"peak{unit}", justify="right")
+        table.add_column("at, s", justify="right")
+    for joint in pair.robot.names:
+        cells = [joint]
+        for each in differences:
+            if each.joint == joint and each.signal in shown:
+                factor, unit = shown_as(each.unit)
+                unit = f" {unit}" if len({shown_as(unit_of(each.signal, kind))[1]
+                                          for kind in pair.robot.types}) > 1 else ""  # fmt: skip
+                peak = f"{factor * each.peak:+.3g}{unit}"
+                cells += [f"{factor * each.rms:.3g}{unit}", peak, f"{each.at:.3f}"]
+        table.add_row(*cells)
+    return table
+
+
+def shown_as(unit: str) -> tuple[float, str]:
+    """A factor, and the unit that people read: degrees, mm."""
+    if unit.startswith("rad"):
+        return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
+    if unit.startswith("m"):
+        return 1e3, unit.replace("m", "mm", 1)
+    return 1.0, unit
+
+
+def write_csv(pair: Pair, path: Path | str) -> None:
+    """Writes both runs and their difference as a table: `time`, `torques_A1_a`, `_b`, `_diff`.
+
+    Raises:
+        CsvError: the file cannot be written.
+    """
+    names, columns = ["time"], [pair.times]
+    for signal in pair.signals:
+        difference = pair.difference(signal)
+        for k, joint in enumerate(pair.robot.names):
+            for suffix, values in (
+                ("a", pair.a[signal]), ("b", pair.b[signal]), ("diff", difference),
+            ):  # fmt: skip
+                names.append(f"{signal}_{joint}_{suffix}")
+                columns.append(values[:, k])
+    with csv_table(path) as table:
+        table.writerow(names)
+        table.writerows(np.column_stack(columns).tolist())

@@ -1,0 +1,176 @@
+"""A run in a few numbers for each joint: torques, errors, saturation, faults found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runs.run_log import RunLog
+from ..runs.torques import torque_error
+from .compare import shown_as, unit_of
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ..runs.monitor import Finding
+
+Array = NDArray[np.float64]
+
+_NOTHING = 5e-4  # Nm, N, deg or mm, in the table
+_USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")
+
+
+@dataclass(frozen=True)
+class JointSummary:
+    """A joint in a run; None where the run does not say.
+
+    Attributes:
+        robot: whose.
+        joint: its name.
+        torque_unit: `Nm` or `N`.
+        angle_unit: `rad` or `m`.
+        peak_torque_error: commanded less measured of the greatest size, with its sign.
+        peak_torque_error_at: when, s.
+        rms_torque_error: root mean square over time.
+        peak_torque: measured, of the greatest size, with its sign.
+        peak_share: its size as a share of the joint's limit.
+        peak_position_error: target less angle of the greatest size, with its sign; of what is
+            true where that is known, else of what was measured.
+        saturated_share: of the time in which the command was cut.
+        findings: how many the monitor made.
+        first_finding: the kind of the first.
+        first_finding_at: when it was made, s.
+    """
+
+    robot: str
+    joint: str
+    torque_unit: str
+    angle_unit: str
+    peak_torque_error: float | None = None
+    peak_torque_error_at: float | None = None
+    rms_torque_error: float | None = None
+    peak_torque: float | None = None
+    peak_share: float | None = None
+    peak_position_error: float | None = None
+    saturated_share: float | None = None
+    findings: int = 0
+    first_finding: str | None = None
+    first_finding_at: float | None = None
+
+
+def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummary]:
+    """Sums up a run, a row for each joint of every robot.
+
+    Args:
+        log: the run; signals may be missing.
+        findings: what the monitor found in it.
+    """
+    found = sorted(findings, key=lambda finding: finding.time)
+    rows = []
+    for robot, declared in log.robots.items():
+        has = {signal: log.has(robot, signal) for signal in _USED}
+        limits = log.torque_limits(robot)
+        error = torque_error(log, robot) if has["torques"] and has["commanded_torques"] else None
+        position = None
+        if has["target_angles"]:
+            angles = log.of(robot, "actual_angles" if has["actual_angles"] else "angles")
+            position = log.of(robot, "target_angles") - angles
+        for k, joint in enumerate(declared.names):
+            mine = [f for f in found if f.robot == robot and f.joint == joint]
+            values: dict[str, Any] = {"findings": len(mine)}
+            if mine:
+                values |= {"first_finding": mine[0].kind, "first_finding_at": mine[0].time}
+            if error is not None:
+                row, values["peak_torque_error"] = _peak(error[:, k])
+                values["peak_torque_error_at"] = None if row is None else float(log.times[row])
+                values["rms_torque_error"] = _rms(error[:, k])
+            if has["torques"]:
+                peak = values["peak_torque"] = _peak(log.of(robot, "torques")[:, k])[1]
+                if peak is not None and np.isfinite(limits[k]):
+                    values["peak_share"] = abs(peak) / float(limits[k])
+            if position is not None:
+                values["peak_position_error"] = _peak(position[:, k])[1]
+            if has["saturated"] and len(log.times):
+                values["saturated_share"] = float(np.mean(log.of(robot, "saturated")[:, k] > 0.5))
+            kind = declared.types[k]
+            rows.append(JointSummary(robot, joint, unit_of("torques", kind),
+                                     unit_of("angles", kind), **values))  # fmt: skip
+    return rows
+
+
+def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
+    """The rows as tables of JSON's types, SI units."""
+    return [asdict(row) for row in rows]
+
+
+def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
+    """For the terminal; angles in degrees. Columns of which nothing is known are left out."""
+    from rich import box
+    from rich.table import Table
+
+    several = len({row.robot for row in rows}) > 1
+    table = Table(title=title or None, title_justify="left", title_style="bold",
+                  box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))  # fmt: skip
+    table.add_column("joint", no_wrap=True)
+    columns = [(heading, [cell(row) for row in rows]) for heading, cell in _COLUMNS]
+    columns = [_with_unit_above(*column) for column in columns if any(column[1])]
+    for heading, _ in columns:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for i, row in enumerate(rows):
+        name = f"{row.robot}/{row.joint}" if several else row.joint
+        table.add_row(name, *(cells[i] or "-" for _, cells in columns))
+    return table
+
+
+def _peak(values: Array) -> tuple[int | None, float | None]:
+    """Row and value of what is of the greatest size."""
+    if not np.isfinite(values).any():
+        return None, None
+    row = int(np.nanargmax(np.abs(values)))
+    return row, float(values[row])
+
+
+def _rms(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else None
+
+
+def _with_unit(value: float | None, unit: str, form: str) -> str:
+    if value is None:
+        return ""
+    factor, shown = shown_as(unit)
+    number = factor * value
+    if abs(number) < _NOTHING:
+        return f"0 {shown}"
+    return f"{number:{'+.0f' if abs(number) >= 1000.0 else form}} {shown}"
+
+
+def _with_unit_above(heading: str, cells: list[str]) -> tuple[str, list[str]]:
+    """A unit that all cells share stands in the heading instead."""
+    units = {cell.rpartition(" ")[2] for cell in cells if cell}
+    if len(units) > 1 or "s" in units:
+        return heading, cells
+    return f"{heading}\n{units.pop()}", [cell.rpartition(" ")[0] for cell in cells]
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{100.0 * value:.1f} %"
+
+
+def _found(row: JointSummary) -> str:
+    return f"{row.findings}, {row.first_finding_at:.3f} s" if row.findings else ""
+
+
+_COLUMNS = (
+    ("error\npeak", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
+    ("error\nrms", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
+    ("torque\npeak", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
+    ("of\nlimit", lambda row: _percent(row.peak_share)),
+    ("position\nerror", lambda row: _with_unit(row.peak_position_error, row.angle_unit, "+.3g")),
+    ("time\nsaturated", lambda row: _percent(row.saturated_share)),
+    ("faults,\nfirst at", _found),
+)

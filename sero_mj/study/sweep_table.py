@@ -1,0 +1,191 @@
+"""`SweepTable`: the results of a sweep in a CSV file, whole after every row."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from ..errors import CsvError, UsageError
+from ..record.write_csv import csv_table
+from .sweep import Sweep
+
+
+class SweepTable:
+    """Keeps what came of every variant, in memory and, row by row, in a file.
+
+    Beside OUT.csv stands OUT.csv.json with what it depends on. Rows are written as they come; when
+    all are there they are put in order, so that the file is the same however many ran at once.
+    Use it as a context manager.
+
+    Args:
+        sweep: whose results.
+        path: where to; None keeps them in memory only.
+        resume: go on with a file that is there.
+        overwrite: write over it.
+
+    Attributes:
+        rows: variant number to its row, by column; numbers, truths, texts, None for unknown.
+
+    Raises:
+        UsageError: a file is there and it is neither to be gone on with nor written over, or it
+            belongs to another sweep: says what differs.
+        CsvError: it cannot be written, or is no table of a sweep.
+    """
+
+    def __init__(
+        self,
+        sweep: Sweep,
+        path: Path | None = None,
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+    ) -> None:
+        self.rows: dict[int, dict[str, Any]] = {}
+        self._sweep, self._path = sweep, path
+        self._columns = sweep.columns
+        self._file: Any = None
+        if path is None:
+            return
+        about = path.with_name(f"{path.name}.json")
+        try:
+            if path.exists() and resume:
+                self._check_settings(path, about)
+                self._read(path)
+            elif path.exists() and not overwrite:
+                expected = "--resume to go on with it, or --overwrite"
+                raise UsageError(f"{path}: is there already; expected {expected}")
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                about.write_text(json.dumps(sweep.settings, indent=2) + "\n", encoding="utf-8")
+                path.write_text(_line(self._columns), encoding="utf-8")
+            self._file = open(path, "a", encoding="utf-8", newline="")  # noqa: SIM115
+        except OSError as error:
+            raise CsvError(path, f"cannot be written: {error.strerror}") from error
+
+    def _check_settings(self, path: Path, about: Path) -> None:
+        try:
+            found = json.loads(about.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            message = f"cannot be gone on with: {about.name} with its settings is missing"
+            raise UsageError(f"{path}: {message}; expected --overwrite") from None
+        wanted = json.loads(json.dumps(self._sweep.settings))
+        differences = _differences(found, wanted)
+        if differences:
+            text = "; ".join(differences[:6])
+            raise UsageError(f"--resume {path}: it belongs to another sweep: {text}")
+
+    def _read(self, path: Path) -> None:
+        """Takes over the rows that are whole; half a row, of a process that was killed, goes."""
+        contents = path.read_bytes()
+        whole = contents[: contents.rfind(b"\n") + 1]
+        if len(whole) < len(contents):
+            with open(path, "r+b") as file:
+                file.truncate(len(whole))
+        lines = list(csv.reader(io.StringIO(whole.decode("utf-8"), newline="")))
+        if not lines:  # it was killed before the first line
+            path.write_text(_line(self._columns), encoding="utf-8")
+            return
+        if lines[0] != self._columns:
+            raise CsvError(path, f"found columns {','.join(lines[0])[:80]}; expected a sweep's")
+        for number, cells in enumerate(lines[1:], start=2):
+            if len(cells) != len(self._columns) or not cells[0].isdecimal():
+                expected = f"expected a variant's number and {len(self._columns) - 1} more"
+                raise CsvError(path, f"found {len(cells)} entries; {expected}", line=number)
+            variant = int(cells[0])
+            if variant >= len(self._sweep.variants):
+                message = f"found variant {variant}; expected below {len(self._sweep.variants)}"
+                raise CsvError(path, message, line=number)
+            given = self._sweep.variants[variant]
+            row = dict(zip(self._columns, (_value(cell) for cell in cells), strict=True))
+            self.rows[variant] = {**row, "error": cells[self._columns.index("error")], **given}
+
+    def add(self, number: int, result: Mapping[str, Any]) -> None:
+        """Adds what came of a variant.
+
+        Raises:
+            CsvError: the disk is full, say; what was written before stays.
+        """
+        row = {"variant": number, **self._sweep.variants[number], **result}
+        self.rows[number] = {column: row.get(column) for column in self._columns}
+        if self._file is None:
+            return
+        try:
+            self._file.write(_line([_cell(self.rows[number][column]) for column in self._columns]))
+            self._file.flush()
+        except OSError as error:
+            assert self._path is not None
+            raise CsvError(self._path, f"cannot be written: {error.strerror}") from error
+
+    def close(self) -> None:
+        """Puts the rows in order when all are there."""
+        if self._file is None or self._path is None:
+            return
+        self._file.close()
+        self._file = None
+        if len(self.rows) < len(self._sweep.variants):
+            return
+        # Where it fails, the rows are there in another order.
+        with csv_table(self._path, "cannot be put in order") as table:
+            table.writerow(self._columns)
+            for number in sorted(self.rows):
+                row = self.rows[number]
+                table.writerow([_cell(row[column]) for column in self._columns])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _line(cells: list[str]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(cells)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _value(cell: str) -> Any:
+    if cell in ("", "true", "false"):
+        return {"": None, "true": True, "false": False}[cell]
+    try:
+        return int(cell) if cell.lstrip("-").isdecimal() else float(cell)
+    except ValueError:
+        return cell
+
+
+def _differences(found: Any, wanted: Any, key: str = "") -> list[str]:
+    """What two settings do not have in common, by key."""
+    if isinstance(found, dict) and isinstance(wanted, dict):
+        keys = dict.fromkeys([*found, *wanted])
+        return [
+            text
+            for each in keys
+            for text in _differences(
+                found.get(each), wanted.get(each), f"{key}.{each}" if key else each
+            )
+        ]
+    if found == wanted:
+        return []
+    if key.startswith("files."):
+        return [f"{key.removeprefix('files.')} has changed"]
+    was, now = ("nothing" if value is None else value for value in (found, wanted))
+    return [f"{key} was {was} and is {now}"]
