@@ -6,23 +6,26 @@ computed once, when a scene is read; `Value.compile` makes of it what runs with 
 - Entries are picked along the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
 - Operands have one shape, or one of them is a number or can be repeated as in numpy.
 - A list puts the numbers of its entries one after the other.
-- Matrices go whole: one of several can be picked. All that can be computed with them is another
-  unit of length: `udp.matrices0 * mm` and `0.001 * udp.matrices0` scale their positions.
+- Matrices cannot be indexed or combined, but for one of several that can be picked, and for
+  another unit of length: `udp.matrices0 * mm` and `0.001 * udp.matrices0` scale their positions.
 """
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import RouteError
-from .affine import Affine, Array, Ints, Origin, make_affine
-from .syntax import Chain, Join, Minus, Name, Node, Number, Pick
+from .affine import Affine, Origin, Term, make_affine
+from .syntax import Expression, first_word, word_after
 from .units import LENGTH, Exponents, describe
 
-Part = tuple[Origin, Ints, Array]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,40 +33,56 @@ class Value:
     """An array of constants plus multiples of received numbers.
 
     Attributes:
-        offset: the constants; its shape is the value's.
-        dimensions: exponents of the unit of each entry, (*shape, 4).
-        parts: of each origin: which of its numbers goes to each entry (-1 for none), and what it
-            is multiplied by; arrays of the value's shape.
-        sizes: how many numbers each origin has.
+        entries: an array of the value's shape, with fields: `offset`, the constant; `unit`, the
+            exponents of its unit (4); `index`, which of the received numbers are added (k), -1 for
+            none; `factor`, what each is multiplied by (k).
         is_frames: whether it is 4 x 4 frames.
+        origins: what the numbers are counted through, each with how many it has.
     """
 
-    offset: Array
-    dimensions: Exponents
-    parts: tuple[Part, ...] = ()
-    sizes: Mapping[Origin, int] | None = None
+    entries: NDArray[np.void]
     is_frames: bool = False
+    origins: Mapping[Origin, int] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Of the array; () for a number."""
-        return self.offset.shape
+        return self.entries.shape
+
+    @property
+    def offset(self) -> Array:
+        """The constants, of the value's shape."""
+        return np.asarray(self.entries["offset"])
+
+    @property
+    def dimensions(self) -> Exponents:
+        """Exponents of the unit of each entry, (*shape, 4)."""
+        return np.asarray(self.entries["unit"])
 
     @property
     def is_constant(self) -> bool:
         """Whether nothing received is in it."""
-        return not self.parts
+        return not self.entries["index"].shape[-1]
 
     def compile(self, count: int) -> Affine:
         """Returns what runs with every packet; a constant number is repeated `count` times."""
-        offset = np.broadcast_to(self.offset.ravel(), count).astype(np.float64)
-        parts = [(origin, take.ravel(), times.ravel()) for origin, take, times in self.parts]
-        return make_affine(offset, parts, dict(self.sizes or {}))
+        entries = np.broadcast_to(self.entries.ravel(), count)
+        origins, starts = list(self.origins), np.cumsum([0, *self.origins.values()])
+        terms = []
+        for index, factor in zip(entries["index"].T, entries["factor"].T, strict=True):
+            owners = np.searchsorted(starts, index, side="right") - 1
+            for owner in np.unique(owners[index >= 0]).tolist():
+                at = np.flatnonzero(owners == owner)
+                take = index[at] - starts[owner]
+                terms.append(Term(origins[owner], at, take, factor[at]))
+        return make_affine(np.array(entries["offset"]), terms, self.origins)
 
 
 def constant(number: float, dimension: tuple[int, ...] = (0, 0, 0, 0)) -> Value:
     """A number, with the exponents of its unit."""
-    return Value(np.array(number, np.float64), np.array(dimension, np.int64))
+    entries = _entries((), 0)
+    entries["offset"], entries["unit"] = number, dimension
+    return Value(entries)
 
 
 def numbers_of(origin: Origin, shape: tuple[int, ...], dimensions: Exponents | None) -> Value:
@@ -75,178 +94,218 @@ def numbers_of(origin: Origin, shape: tuple[int, ...], dimensions: Exponents | N
         dimensions: exponents of their units, (count, 4); None for plain numbers.
     """
     count = int(np.prod(shape))
-    if dimensions is None:
-        dimensions = np.zeros((count, 4), np.int64)
-    part = (origin, np.arange(count).reshape(shape), np.ones(shape))
-    is_frames = len(shape) == 3
-    return Value(
-        np.zeros(shape), dimensions.reshape(*shape, 4), (part,), {origin: count}, is_frames
-    )
+    entries = _entries((count,), 1)
+    entries["index"][:, 0], entries["factor"] = np.arange(count), 1.0
+    if dimensions is not None:
+        entries["unit"] = dimensions
+    return Value(entries.reshape(shape), len(shape) == 3, {origin: count})
 
 
-def evaluate(tree: Node, text: str, names: Mapping[str, Value]) -> Value:
+def _entries(shape: tuple[int, ...], width: int) -> NDArray[np.void]:
+    """Zeros, each entry with room for so many received numbers."""
+    fields: list[Any] = [("offset", np.float64), ("unit", np.int64, (4,))]
+    fields += [("index", np.intp, (width,)), ("factor", np.float64, (width,))]
+    entries = np.zeros(shape, fields)
+    entries["index"] = -1
+    return entries
+
+
+def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
     """Computes what an expression means.
 
     Args:
-        tree: its tree.
-        text: its text, for messages.
+        expression: what `parse` returned.
         names: what every name in it stands for.
 
     Raises:
         RouteError: points at what has no meaning, and says why.
     """
+    origins: dict[Origin, int] = {}
+    numbered = {}
+    for name, value in names.items():
+        entries = value.entries.copy()
+        entries["index"] += sum(origins.values())
+        numbered[name] = replace(value, entries=entries)
+        origins |= value.origins
     with np.errstate(all="ignore"):
-        value = _Evaluator(text, names).evaluate(tree)
-    if not all(np.isfinite(part).all() for part in (value.offset, *(p[2] for p in value.parts))):
-        raise RouteError(text, 0, "expected finite numbers", len(text))
-    return value
+        value = _Evaluator(expression, numbered).evaluate(expression.tree)
+    if not (np.isfinite(value.offset).all() and np.isfinite(value.entries["factor"]).all()):
+        raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
+    return replace(value, origins=origins)
 
 
 class _Evaluator:
-    def __init__(self, text: str, names: Mapping[str, Value]) -> None:
-        self._text = text
-        self._names = names
+    def __init__(self, expression: Expression, names: Mapping[str, Value]) -> None:
+        self._expression, self._names = expression, names
+        self._refuse = expression.refuse
 
-    def evaluate(self, node: Node) -> Value:
-        match node:
-            case Number():
-                return constant(node.value)
-            case Name():
-                return self._names[node.text]
-            case Minus():
-                value = self.evaluate(node.of)
-                self._not_frames(node.at, "-", value)
-                return _scaled(value, np.float64(-1.0))
-            case Join():
-                return self._join(node)
-            case Pick():
-                return self._pick(node)
-            case Chain():
-                return self._chain(node)
-
-    def _chain(self, node: Chain) -> Value:
-        value = self.evaluate(node.first)
-        for sign, at, following in node.rest:
-            other = self.evaluate(following)
-            if value.is_frames or other.is_frames:
-                value = self._scaled_frames(at, sign, value, other)
-                continue
-            try:
-                shape = np.broadcast_shapes(value.shape, other.shape)
-            except ValueError:
-                shapes = f"{_amount(value)} and {_amount(other)}"
-                reason = f"expected as many on both sides; there are {shapes}"
-                raise RouteError(self._text, at, reason) from None
-            value, other = _spread(value, shape), _spread(other, shape)
-            if sign in "+-":
-                value = self._sum(at, sign, value, other)
-            else:
-                value = self._product(at, sign, value, other)
+    def evaluate(self, node: ast.expr) -> Value:
+        chain = []  # a sum of 1,000 terms is as deep a tree; it is evaluated without recursion
+        while True:
+            match node:
+                case (
+                    ast.BinOp(left=inner) | ast.UnaryOp(operand=inner) | ast.Subscript(value=inner)
+                ):
+                    chain.append(node)
+                    node = inner
+                case _:
+                    break
+        value = self._operand(node)
+        for outer in reversed(chain):
+            match outer:
+                case ast.BinOp():
+                    value = self._binary(outer, value, self.evaluate(outer.right))
+                case ast.Subscript():
+                    value = self._pick(outer, value)
+                case ast.UnaryOp(op=ast.USub()):
+                    if value.is_frames:
+                        self._refuse_frames(outer)
+                    value = _scaled(value, np.float64(-1.0))
         return value
 
-    def _sum(self, at: int, sign: str, left: Value, right: Value) -> Value:
-        plain = ~left.dimensions.any(axis=-1) | ~right.dimensions.any(axis=-1)
-        other = (left.dimensions != right.dimensions).any(axis=-1) & ~plain
-        if other.any():
+    def _operand(self, node: ast.expr) -> Value:
+        if isinstance(node, ast.List):
+            return self._join(node)
+        word = self._expression.words[first_word(node)]
+        if word.kind == "name":
+            return self._names[word.text]
+        if not np.isfinite(number := float(word.text)):
+            self._refuse(first_word(node), "expected a smaller number", len(word.text))
+        return constant(number)
+
+    def _binary(self, node: ast.BinOp, left: Value, right: Value) -> Value:
+        at = word_after(node.left)  # but for brackets
+        while (sign := self._expression.words[at].text) == ")":
+            at += 1
+        if left.is_frames or right.is_frames:
+            return self._scaled_frames(at, sign, left, right)
+        try:
+            shape = np.broadcast_shapes(left.shape, right.shape)
+        except ValueError:
+            shapes = f"{_amount(left)} and {_amount(right)}"
+            self._refuse(at, f"expected as many on both sides; there are {shapes}")
+        left, right = (
+            replace(value, entries=np.broadcast_to(value.entries, shape)) for value in (left, right)
+        )
+        if sign in "+-":
+            return self._sum(at, left, right if sign == "+" else _scaled(right, np.float64(-1.0)))
+        return self._product(at, sign, left, right)
+
+    def _sum(self, at: int, left: Value, right: Value) -> Value:
+        left_given, right_given = (np.any(v.dimensions, axis=-1) for v in (left, right))
+        other = np.any(left.dimensions != right.dimensions, axis=-1) & left_given & right_given
+        if np.any(other):
             first = tuple(np.argwhere(other)[0])
             units = [describe(value.dimensions[first]) for value in (left, right)]
             reason = f"expected one unit on both sides; there are {units[0]} and {units[1]}"
-            raise RouteError(self._text, at, reason)
-        if sign == "-":
-            right = _scaled(right, np.float64(-1.0))
-        given = left.dimensions.any(axis=-1, keepdims=True)
-        return Value(
-            left.offset + right.offset,
-            np.where(given, left.dimensions, right.dimensions),
-            left.parts + right.parts,
-            {**(left.sizes or {}), **(right.sizes or {})},
+            self._refuse(at, reason)
+        parts = [left.entries, right.entries]
+        entries = _entries(left.shape, sum(part["index"].shape[-1] for part in parts))
+        entries["offset"] = left.offset + right.offset
+        entries["unit"] = np.where(
+            np.expand_dims(left_given, -1), left.dimensions, right.dimensions
         )
+        for key in ("index", "factor"):
+            entries[key] = np.concatenate([part[key] for part in parts], axis=-1)
+        return Value(entries)
 
     def _product(self, at: int, sign: str, left: Value, right: Value) -> Value:
+        factors, unit = right.offset, right.dimensions
         if sign == "/":
             if not right.is_constant:
-                raise RouteError(self._text, at, "expected a constant behind it")
+                self._refuse(at, "expected a constant behind it")
             if not right.offset.all():
-                raise RouteError(self._text, at, "expected no 0 behind it")
-            right = replace(right, offset=1.0 / right.offset, dimensions=-right.dimensions)
+                self._refuse(at, "expected no 0 behind it")
+            factors, unit = 1.0 / factors, -unit
         elif not (left.is_constant or right.is_constant):
             reason = "expected a constant on one side: a route adds multiples of what is received"
-            raise RouteError(self._text, at, reason)
-        if left.is_constant:
-            left, right = right, left
-        scaled = _scaled(left, right.offset)
-        return replace(scaled, dimensions=left.dimensions + right.dimensions)
+            self._refuse(at, reason)
+        elif left.is_constant:
+            left, factors, unit = right, left.offset, left.dimensions
+        return _scaled(left, factors, unit)
 
     def _scaled_frames(self, at: int, sign: str, left: Value, right: Value) -> Value:
         """Frames whose positions are times a number: another unit of length."""
         frames, factor = (right, left) if right.is_frames and sign == "*" else (left, right)
         if sign in "+-" or not factor.is_constant or factor.shape or factor.is_frames:
             reason = "expected nothing but a number or a length beside frames, as in frames * mm"
-            raise RouteError(self._text, at, reason)
+            self._refuse(at, reason)
         size = float(factor.offset)
         if not size > 0.0:
-            raise RouteError(self._text, at, f"expected a number above 0 beside it; found {size:g}")
-        unit = factor.dimensions if sign == "*" else -factor.dimensions
-        positions = frames.dimensions[..., :3, 3, :]
-        if unit.any() and (positions.any() or tuple(unit) != LENGTH):
-            reason = f"expected a length beside frames; found {describe(unit)}"
-            raise RouteError(self._text, at, reason)
-        factors = np.ones(frames.shape)
-        factors[..., :3, 3] = size if sign == "*" else 1.0 / size
-        dimensions = frames.dimensions.copy()
-        dimensions[..., :3, 3, :] = positions + unit
-        return replace(_scaled(frames, factors), dimensions=dimensions)
+            self._refuse(at, f"expected a number above 0 beside it; found {size:g}")
+        units = np.zeros((4, 4, 4), np.int64)
+        units[:3, 3] = factor.dimensions if sign == "*" else -factor.dimensions
+        given = np.any(frames.dimensions[..., :3, 3, :])
+        if units.any() and (given or tuple(units[0, 3]) != LENGTH):
+            reason = f"expected a length beside frames; found {describe(units[0, 3])}"
+            self._refuse(at, reason)
+        factors = np.ones((4, 4))
+        factors[:3, 3] = size if sign == "*" else 1.0 / size
+        return _scaled(frames, factors, units)
 
-    def _join(self, node: Join) -> Value:
-        values = [self.evaluate(item) for item in node.items]
-        self._not_frames(node.at, "[", *values)
-        flat = [_reshaped(value, (value.offset.size,)) for value in values]
-        starts = np.cumsum([0, *(len(value.offset) for value in flat)])
-        parts: list[Part] = []
-        for value, start in zip(flat, starts, strict=False):
-            for origin, take, times in value.parts:
-                index, factor = np.full(starts[-1], -1), np.zeros(starts[-1])
-                index[start : start + len(take)] = take
-                factor[start : start + len(take)] = times
-                parts.append((origin, index, factor))
-        return Value(
-            np.concatenate([value.offset for value in flat]),
-            np.concatenate([value.dimensions for value in flat]),
-            tuple(parts),
-            {origin: size for value in flat for origin, size in (value.sizes or {}).items()},
-        )
-
-    def _pick(self, node: Pick) -> Value:
-        value = self.evaluate(node.of)
-        name = self._text[node.of.at : node.bracket].strip()
-        if not value.shape:
-            raise RouteError(self._text, node.bracket, f"expected none: {name} is a single number")
-        if value.is_frames and len(value.shape) == 2:
-            raise RouteError(
-                self._text, node.bracket, f"expected none: {name} is a frame and goes whole"
-            )
-        length = value.shape[0]
-        many = _amount(value) if len(value.shape) == 1 else f"{length} rows"
-        ends = isinstance(node.index, slice)  # a slice may end behind the last one
-        for at, number in node.places:
-            if not -length <= number < length + ends:
-                wanted = f"0 to {length - 1 + ends}, or -1 to {-length} from the end"
-                reason = f"expected {wanted}: {name} has {many}"
-                raise RouteError(self._text, at, reason, len(str(number)))
-        index = np.array(node.index) if isinstance(node.index, tuple) else node.index
-        parts = tuple(
-            (origin, np.asarray(take[index]), np.asarray(times[index]))
-            for origin, take, times in value.parts
-        )
-        offset, dimensions = np.asarray(value.offset[index]), value.dimensions[index]
-        if not offset.size:
-            raise RouteError(self._text, node.bracket, "expected a slice with something in it")
-        return replace(value, offset=offset, dimensions=dimensions, parts=parts)
-
-    def _not_frames(self, at: int, sign: str, *values: Value) -> None:
+    def _join(self, node: ast.List) -> Value:
+        values = [self.evaluate(item) for item in node.elts]
         if any(value.is_frames for value in values):
-            reason = "expected no frames beside it: these only go whole"
-            raise RouteError(self._text, at, reason, len(sign))
+            self._refuse_frames(node)
+        parts = [value.entries.ravel() for value in values]
+        joined = _entries((sum(map(len, parts)),), max(p["index"].shape[-1] for p in parts))
+        start = 0
+        for part in parts:
+            here, width = joined[start : start + len(part)], part["index"].shape[-1]
+            here["offset"], here["unit"] = part["offset"], part["unit"]
+            here["index"][:, :width], here["factor"][:, :width] = part["index"], part["factor"]
+            start += len(part)
+        return Value(joined)
+
+    def _pick(self, node: ast.Subscript, value: Value) -> Value:
+        bracket, name = word_after(node.value), self._expression.text_of(node.value)
+        while self._expression.words[bracket].text == ")":
+            bracket += 1
+        if not value.shape:
+            self._refuse(bracket, f"expected none: {name} is a single number")
+        if value.is_frames and len(value.shape) == 2:
+            self._refuse(bracket, f"expected none: {name} is a frame, which cannot be indexed")
+        index: Any
+        match node.slice:
+            case ast.Slice(lower=lower, upper=upper, step=step):
+                last = value.shape[0]  # a slice may end behind the last one
+                index = slice(
+                    self._position(lower, value, name, last),
+                    self._position(upper, value, name, last),
+                    None if step is None else self._integer(step),
+                )
+                if step is not None and index.step == 0:
+                    self._refuse(first_word(step), "expected a step other than 0")
+            case ast.Tuple(elts=several):
+                last = value.shape[0] - 1
+                index = [self._position(each, value, name, last) for each in several]
+            case _:
+                index = self._position(node.slice, value, name, value.shape[0] - 1)
+        entries = np.asarray(value.entries[index])
+        if not entries.size:
+            self._refuse(bracket, "expected a slice with something in it")
+        return replace(value, entries=entries)
+
+    def _position(self, node: ast.expr | None, value: Value, name: str, last: int) -> int | None:
+        """An index into the first axis, of which `last` is the greatest."""
+        if node is None:
+            return None
+        number, length = self._integer(node), value.shape[0]
+        if not -length <= number <= last:
+            many = _amount(value) if len(value.shape) == 1 else f"{length} rows"
+            wanted = f"0 to {last}, or -1 to {-length} from the end"
+            reason = f"expected {wanted}: {name} has {many}"
+            self._refuse(first_word(node), reason, len(str(number)))
+        return number
+
+    def _integer(self, node: ast.expr) -> int:
+        if isinstance(node, ast.UnaryOp):
+            return -self._integer(node.operand)
+        return int(self._expression.words[first_word(node)].text)
+
+    def _refuse_frames(self, node: ast.expr) -> NoReturn:
+        reason = "expected no frames beside it: these cannot be indexed or combined"
+        self._refuse(first_word(node), reason)
 
 
 def _amount(value: Value) -> str:
@@ -255,40 +314,10 @@ def _amount(value: Value) -> str:
     return "1 value" if value.offset.size == 1 else f"{value.offset.size} values"
 
 
-def _scaled(value: Value, factor: Array | np.float64) -> Value:
-    """The value times constants of its shape."""
-    parts = tuple((origin, take, times * factor) for origin, take, times in value.parts)
-    return replace(value, offset=np.asarray(value.offset * factor), parts=parts)
-
-
-def _spread(value: Value, shape: tuple[int, ...]) -> Value:
-    """The value repeated to a shape, by numpy's rules."""
-    if value.shape == shape:
-        return value
-    return replace(
-        value,
-        offset=np.broadcast_to(value.offset, shape),
-        dimensions=np.broadcast_to(
-            value.dimensions.reshape(
-                *(1,) * (len(shape) - len(value.shape)), *value.dimensions.shape
-            ),
-            (*shape, 4),
-        ),
-        parts=tuple(
-            (origin, np.broadcast_to(take, shape), np.broadcast_to(times, shape))
-            for origin, take, times in value.parts
-        ),
-    )
-
-
-def _reshaped(value: Value, shape: tuple[int, ...]) -> Value:
-    """The same numbers in another shape."""
-    return replace(
-        value,
-        offset=value.offset.reshape(shape),
-        dimensions=value.dimensions.reshape(*shape, 4),
-        parts=tuple(
-            (origin, take.reshape(shape), times.reshape(shape))
-            for origin, take, times in value.parts
-        ),
-    )
+def _scaled(value: Value, factors: Array | np.float64, unit: Exponents | int = 0) -> Value:
+    """The value times constants, with the exponents of their unit."""
+    entries = np.array(value.entries)
+    entries["offset"] *= factors
+    entries["factor"] *= np.asarray(factors)[..., None]
+    entries["unit"] += unit
+    return replace(value, entries=entries)

@@ -72,7 +72,7 @@ class Names:
 
     def _frame(self, name: str) -> Problem | None:
         if name in self._frames or self.is_fwd_kin(name):
-            return Problem("", f"{name} is a 4 x 4 frame, which only goes whole")
+            return Problem("", f"{name} is a 4 x 4 frame, which cannot be indexed or combined")
         if self._scene.is_broken(name.partition("/")[0]):
             return None
         return Problem("", f"no frame '{name}'{self.frame_hint(name)}")

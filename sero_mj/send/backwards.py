@@ -52,9 +52,8 @@ class Backwards:
         rows = np.zeros((len(route.value.offset), width))
         for term in route.value.terms:
             if term.origin.is_event:
-                places = np.arange(len(rows))[term.at]
                 columns = [self._columns[term.origin][number] for number in term.take.tolist()]
-                rows[places, columns] += 1.0 if term.times is None else term.times
+                rows[term.at, columns] += term.times
         return rows
 
     def solve(
