@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import McapError
@@ -62,7 +63,7 @@ def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
     assert "Message" in kinds
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     flips=st.lists(st.tuples(st.floats(0.0, 0.999999), st.integers(1, 255)), min_size=1, max_size=4)
 )

@@ -298,8 +298,8 @@ def test_keys_do_what_the_tables_say_in_every_host(lwr_world: World) -> None:
     ]  # fmt: skip
     for key in ("3", "f", "h", "[", "]", "]", "l", "p", "y", "escape"):
         keys.press(key)  # p is not of this host, y of none
-    assert said == ["camera 3", "follows", "selected: lwr/A6", "selected: lwr/A1", "selected: lwr/A2",
-                    "legend: off"]  # fmt: skip
+    selected = [f"selected: lwr/{joint}" for joint in ("A6", "A1", "A2")]
+    assert said == ["camera 3", "follows", *selected, "legend: off"]
     assert (host.joint, own, host.toggles.legend) == (1, ["help"], False)
     clock.asked.clear()
     for key in (".", " ", "l"):
