@@ -36,6 +36,7 @@ def test_what_is_not_closed_is_a_whole_file_without_an_index(tmp_path: Path) -> 
         assert len(list(NonSeekingReader(file).iter_messages())) == 50
 
 
+@pytest.mark.slow
 def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
     path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
     expected = record(path, numbered(12), chunk_bytes=150)
