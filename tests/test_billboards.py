@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import GEOM, drawn, labels, of_kind, rectangle, view_at, world_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -83,7 +84,7 @@ def test_a_prismatic_joint_shows_newton_and_metres() -> None:
         assert labels(rows) == [text]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     seed=st.integers(0, 2**31),
     size=st.sampled_from([(1280, 800), (640, 480), (3840, 2160), (901, 333)]),

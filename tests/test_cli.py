@@ -278,6 +278,7 @@ def test_settings_are_toml_or_numbers_with_commas() -> None:
     }
 
 
+@pytest.mark.slow
 def test_send_and_render_meet_on_a_port_of_their_own_processes(tmp_path) -> None:
     scene = tmp_path / "scene.toml"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -325,6 +326,7 @@ def test_the_command_works_from_any_directory(tmp_path) -> None:
     assert json.loads(done.stdout)["position_difference"] < 1e-12
 
 
+@pytest.mark.slow
 def test_doctor_tries_every_backend_and_says_what_to_install() -> None:
     done = sero_mj("doctor", "--json")
     found = json.loads(done.stdout)

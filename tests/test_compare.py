@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import record_run, simulated, sine_run, two_joints
@@ -25,7 +26,7 @@ def shifted(log: RunLog, **signals: float) -> RunLog:
     return RunLog(log.robots, changed, log.times, "other")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     delay=st.floats(-1.2, 1.2),
     start=st.floats(-50.0, 50.0),

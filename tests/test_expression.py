@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -153,7 +154,7 @@ FOURS = st.recursive(
 ENTRIES = st.one_of(st.floats(-1e3, 1e3, allow_subnormal=False), st.just(np.nan))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(FOURS, arrays(np.float64, 4, elements=ENTRIES), arrays(np.float64, 4, elements=ENTRIES))
 def test_any_expression_means_what_it_means_to_numpy(text: str, one: Array, two: Array) -> None:
     data = {**DATA, "udp.values0": one, "my-udp.values0": two}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import (
     GEOM,
     belonging,
@@ -80,7 +81,7 @@ def bars_and_line(rows):
     return solid[:3], solid[3:]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(mm=st.floats(0, 500), deg=st.floats(0, 180), seed=st.integers(0, 2**31))
 def test_the_difference_is_that_of_the_displacement(
     world: World, mm: float, deg: float, seed: int

@@ -202,6 +202,7 @@ def test_the_network_fails_the_same_way_for_one_seed() -> None:
     assert swapped[:4] == [1, 0, 3, 2]
 
 
+@pytest.mark.slow
 def test_a_client_in_another_process_counts_what_was_withheld() -> None:
     faults = {"loss": 0.1, "duplicates": 0.05, "swaps": 0.05, "seed": 5}
     with FriReceiver(udpport=0, only_latest_packet=False, buffer_size=4_000_000) as receiver:
@@ -221,6 +222,7 @@ def test_a_client_in_another_process_counts_what_was_withheld() -> None:
         assert (counters.malformed, counters.restarts, answers) == (0, 0, 0)
 
 
+@pytest.mark.slow
 def test_a_client_that_answers_has_a_perfect_link_and_commands_nothing() -> None:
     with FriReceiver(udpport=0, answer=True) as receiver:
         made, *_, answers, flags, rate, quality, latency = play(receiver, 1.5, cycle=0.01)

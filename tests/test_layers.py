@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -51,6 +52,7 @@ def read_package(folder: Path = PACKAGE) -> dict[str, str]:
     return sources
 
 
+@cache
 def imported_names(module: str, source: str, *, is_package: bool) -> list[tuple[int, str]]:
     """Line and full dotted name of every import, wherever it stands; `?` where none can tell."""
     found: list[tuple[int, str]] = []

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from polling import until
@@ -290,7 +291,7 @@ def runs(name: str) -> bool:
     return any(thread.name == f"udp {name}" for thread in threading.enumerate())
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(packets)
 @example(struct.pack("<2d", 1.7e308, 1.7e308))
 @example(struct.pack("<2d", math.inf, -math.inf))
@@ -318,7 +319,7 @@ def test_any_bytes_are_applied_whole_or_counted(packet: bytes) -> None:
         assert receiver.counters.not_finite == (len(packet) == 16 and not good)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     st.lists(any_double, min_size=4, max_size=4),
     st.sampled_from([IDENTITY, BY_COLUMNS, QUARTER_TURN, changed(IDENTITY, m01=NAN)])

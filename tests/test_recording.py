@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -62,7 +63,7 @@ def test_a_source_without_packets_is_there(tmp_path: Path) -> None:
         assert recording.last_before("arm", 1.0) is None
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     packets=st.lists(
         st.tuples(st.sampled_from(["a", "b"]), st.binary(max_size=60), st.floats(-5.0, 1e5)),

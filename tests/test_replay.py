@@ -207,6 +207,7 @@ def test_a_file_that_goes_away_is_told(recorded: tuple[Path, list[tuple]], tmp_p
         replay.open()
 
 
+@pytest.mark.slow
 def test_the_commands_record_render_and_export(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

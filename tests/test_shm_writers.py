@@ -135,6 +135,7 @@ def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
                 assert Staleness(mirror.world).find(mirror.data) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "pause", "between", "settle", "fields"),
     [
