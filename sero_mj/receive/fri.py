@@ -98,8 +98,9 @@ class FriReceiver(UdpReceiver):
         _short_turns.end(self)
         super().close()
 
-    def _start_afresh(self) -> None:
-        super()._start_afresh()
+    def reset(self) -> None:
+        """Forgets all packets and counters, and takes a changed declaration into account."""
+        super().reset()
         self._answers = 0
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:

@@ -87,6 +87,14 @@ class FriLayout(Structure):
             events = {*events, *_COMMANDED}
         return self._derive(super().decode_rows(rows, events))
 
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """A packet's `state` and `quality`, as `STATES` and `QUALITIES` have them.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return float(values["state"][0]), float(values["quality"][0])
+
     @property
     def required_frames(self) -> tuple[str, ...]:
         """Matrices that make a packet malformed where they are neither frames nor NaN."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,25 @@ _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_fini
 _DUPLICATE, _LATE, _RESTARTED = (
     place.value for place in (Place.DUPLICATE, Place.LATE, Place.RESTARTED)
 )
+
+_MOST_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
+
+
+def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
+    """Puts packets of any length into the rows that `Intake.take` and recorders take.
+
+    Args:
+        packets: bytes of each, n >= 1.
+        size: bytes of a right one.
+
+    Returns:
+        rows (n, `size` or more), with zeros behind a shorter packet; a longer one ends after 2048
+        bytes or `size`; and the lengths that the packets had, (n,).
+    """
+    lengths = np.array([len(packet) for packet in packets], np.intp)
+    width = max(size, min(int(lengths.max()), _MOST_KEPT))
+    text = b"".join(packet[:width].ljust(width, b"\0") for packet in packets)
+    return np.frombuffer(text, np.uint8).reshape(len(packets), width), lengths
 
 
 class Intake:

@@ -113,7 +113,7 @@ class ShmReader(Receiver):
             SourceError: this system has no POSIX shared memory, or the block may not be read.
         """
         self.close()
-        self._start_afresh()
+        self.reset()
         self._packets = WholePackets(
             self.layout,
             self.about,
@@ -236,10 +236,7 @@ class ShmReader(Receiver):
         if not self._gathered:
             return
         gathered, self._gathered = self._gathered, []
-        text = b"".join(packet.ljust(self.size, b"\0") for packet, _ in gathered)
-        rows = np.frombuffer(text, np.uint8).reshape(len(gathered), self.size)
-        lengths = np.array([len(packet) for packet, _ in gathered])
-        self._accept(rows, lengths, np.array([arrival for _, arrival in gathered]))
+        self.accept(*zip(*gathered, strict=True))
         self._checked = clock.monotonic()
 
     def _look_for_another(self) -> None:

@@ -1,4 +1,4 @@
-"""What all sources share: packets, counters, and the face they show to the rest.
+"""What all sources share: packets, counters, and the interface by which they are used.
 
 A source reads off the render thread. What is malformed is counted and never handed on.
 """
@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .timing import Timing
 
 Array = NDArray[np.float64]
 
@@ -112,16 +114,40 @@ class Counters:
         return self.wrong_size + self.wrong_constant + self.not_finite + self.not_frames
 
 
+# Gets packets as they came: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
+Tap = Callable[[NDArray[np.uint8], NDArray[np.intp], Array], None]
+
+
 class Source(Protocol):
-    """Where packets come from; `Receiver` is the base of all that sero-mj has."""
+    """Where packets come from; `Receiver` is the base of all that sero-mj has.
+
+    A source of another package is a subclass of `Receiver`, too, and hands its packets to
+    `Receiver.accept`.
+    """
 
     @property
     def counters(self) -> Counters:
         """What came in since it was opened."""
 
     @property
+    def timing(self) -> Timing:
+        """Rate, jitter and delay since it was opened."""
+
+    @property
     def name(self) -> str:
         """The source's name in routes."""
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind in files."""
+
+    @property
+    def about(self) -> str:
+        """Kind and place in a few words, for people."""
+
+    @property
+    def trouble(self) -> str:
+        """What keeps packets from coming, for people; empty when nothing is known to."""
 
     @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
@@ -130,6 +156,29 @@ class Source(Protocol):
     @property
     def size(self) -> int:
         """Bytes of a packet."""
+
+    @property
+    def only_latest_packet(self) -> bool:
+        """Whether the newest packet wins; else every packet is handed on in order."""
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """What a packet says of the robot's controller and of the quality of the link to it.
+
+        Args:
+            values: event name to its array, of one packet.
+
+        Returns:
+            state and quality, as numbers that the kind of source defines; -1 where it says nothing.
+        """
+
+    def decoding_fields(self) -> dict[str, Any]:
+        """The fields of which a replay makes a decoder, as JSON's types; for recordings."""
+
+    def decode(self, packet: bytes) -> Mapping[str, Array] | None:
+        """Decodes one packet by itself; None for one that would not be applied. Counts nothing."""
+
+    def record_to(self, tap: Tap | None) -> None:
+        """Hands all packets, the malformed too, to `tap` as they come; None ends that."""
 
     def allow_nan(self, events: Collection[str]) -> None:
         """Lets NaN and infinity mean `no data` in these events, and in no others.
@@ -159,6 +208,22 @@ class Source(Protocol):
     @property
     def is_live(self) -> bool:
         """Whether packets come when they like; those of a recording come when they are wanted."""
+
+    @property
+    def end(self) -> float | None:
+        """Until when there are packets, s on the clock of `advance_to`; None where nothing ends."""
+
+    @property
+    def step(self) -> float | None:
+        """Time step of a simulation, whose `advance_to` takes long, s; None for all others."""
+
+    @property
+    def receiving(self) -> bool:
+        """Whether a good packet came within the last half second."""
+
+    @property
+    def receive_trigger(self) -> int:
+        """How many good packets have come: it changes with every one."""
 
     def now(self) -> float:
         """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""

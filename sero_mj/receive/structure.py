@@ -140,6 +140,14 @@ class Structure:
                 if name in self._by_event
             }
 
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """State of the robot's controller and quality of the link to it; -1: packets tell neither.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return -1.0, -1.0
+
     @property
     def required_frames(self) -> tuple[str, ...]:
         """Matrices that make a packet malformed where they are neither frames nor NaN."""

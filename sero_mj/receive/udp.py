@@ -97,7 +97,7 @@ class UdpReceiver(Receiver):
         self._socket = open_socket(
             self.name, self.host, self.udpport, self.interface, self.buffer_size
         )
-        self._start_afresh()
+        self.reset()
         self._allowed = frozenset(
             canonical_address(pack_address(*split_sender(sender))) for sender in self.sender
         )
