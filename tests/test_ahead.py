@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from sero_mj.drive.mirror import load_scene
+from sero_mj.load import load_scene
 from sero_mj.receive.structure import Structure
 from sero_mj.send.ahead import Ahead
 from sero_mj.send.play import MotionPackets

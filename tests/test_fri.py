@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from fri_packets import FORMAT, TABLE, UPRIGHT, give, measurement
 
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.load import load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout
 from sero_mj.receive.kinds import make_source

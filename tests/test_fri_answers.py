@@ -21,7 +21,8 @@ from polling import until
 import sero_mj
 from sero_mj.decor.status import Status
 from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
+from sero_mj.load import load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import COMMAND, no_command
 from sero_mj.receive.short_slices import ask_for_short_slices

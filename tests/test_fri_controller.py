@@ -18,8 +18,9 @@ from polling import until
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.cli import main
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import SourceError, UsageError
+from sero_mj.load import load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout, no_command
 from sero_mj.send.fri_answers import AnswerStatistics

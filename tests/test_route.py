@@ -16,10 +16,11 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.drive.route import wire
 from sero_mj.drive.router import Router
 from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
 from sero_mj.plugins import SOURCES, plugins
 from sero_mj.receive.kinds import make_source
 from sero_mj.receive.source import Packet

@@ -7,7 +7,7 @@ from collections.abc import Set
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from .arguments import Commands, add_command, read_scene_or_model
+from .arguments import Commands, add_command, read_scene
 
 if TYPE_CHECKING:
     from ..receive.source import Source
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from ..drive.route import wire
     from ..show.camera import list_cameras
 
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     world = World(scene)
     print(f"{scene.name}: {scene.file or 'robot'} is right")
     if scene.description:

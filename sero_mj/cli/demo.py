@@ -31,7 +31,7 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
     from .. import paths
-    from ..drive.mirror import load_scene
+    from ..load import load_scene
     from ..show.headless.capture import render_picture
     from .render import film_with_progress
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import UsageError
 from . import send_fri, send_play
-from .arguments import Commands, add_command, not_negative, port, positive, read_scene_or_model
+from .arguments import Commands, add_command, not_negative, port, positive, read_scene
 from .sink import make_sink
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("--shm and --host or --port: packets go to one of the two; choose")
     if options.structure is not None:
         Structure(options.structure)  # its own error is clearer than what would follow from it
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     if not scene.sources and len(scene.robots) == 1:
         _declare_source(scene, options)
     if options.play is not None:

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
-from .arguments import Commands, add_command, positive, read_scene_or_model
+from .arguments import Commands, add_command, positive, read_scene
 from .ending import until_ended
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     from ..receive.receiver import Receiver
     from ..receive.report import report
 
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     wiring = wire(scene)
     if wiring.problems:
         raise DeclarationError(scene.located(wiring.problems))

@@ -9,7 +9,7 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from ..errors import StructureError, UsageError
-from .arguments import Commands, add_command, port, positive, read_scene_or_model
+from .arguments import Commands, add_command, port, positive, read_scene
 from .layout_table import as_json, make_console, print_layout
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _read(options: argparse.Namespace) -> Structure:
 def _print_scene(options: argparse.Namespace) -> int:
     from ..drive.route import wire
 
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     layouts = {
         name: source.layout
         for name, source in wire(scene).sources.items()
