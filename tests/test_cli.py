@@ -169,7 +169,7 @@ def test_all_problems_of_a_scene_are_printed_at_once(capsys, tmp_path) -> None:
     assert status == 2
     assert "3 things are wrong" in err or "2 things are wrong" in err
     assert f"{scene}:3: robots.lwr.show_arow: unknown key; did you mean 'show_arrows'?" in err
-    assert f"{scene}:6: sources.udp.kind: found 'upd'; expected 'fri' or" in err
+    assert f"{scene}:6: sources.udp.kind: no kind 'upd'; did you mean 'udp'?" in err
     assert "; did you mean 'udp'?" in err
 
 

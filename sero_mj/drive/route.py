@@ -19,8 +19,7 @@ from ..assemble.named_frames import WORLD
 from ..assemble.route_text import NOT, names_in
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
-from ..receive.kinds import make_source
-from ..receive.source import Source
+from ..receive.source import Source, make_source
 from .expression import Value, evaluate
 from .names import Names
 from .syntax import Expression, parse

@@ -13,6 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import DeclarationError, PluginError, Problem
+from ..kinds import kind_of
+from ..plugins import SOURCES, load_plugin, plugins
 from .timing import Timing
 
 Array = NDArray[np.float64]
@@ -241,3 +244,29 @@ def age(packet: Packet | None, now: float) -> float:
     Infinite without a packet, 0 when it came after `now`.
     """
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
+
+
+def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
+    """Builds a source from a scene's table; a source object is returned as it is.
+
+    Args:
+        name: the source's name in routes.
+        declared: its fields, with `kind`.
+
+    Raises:
+        DeclarationError: no such kind, one that cannot be loaded, or wrong fields.
+    """
+    if not isinstance(declared, Mapping):
+        if hasattr(declared, "events"):
+            return declared
+        message = f"found {declared!r}; expected a table with kind, or a source"
+        raise DeclarationError([Problem("", message)])
+    if "name" in declared:
+        raise DeclarationError([Problem("name", "is what stands in the header; leave it out")])
+    kind = kind_of(declared, plugins(SOURCES))
+    fields = {key: value for key, value in declared.items() if key != "kind"}
+    try:
+        source: Source = load_plugin(SOURCES, kind)(**fields, name=name)
+    except PluginError as error:
+        raise DeclarationError([Problem("kind", str(error))]) from error
+    return source

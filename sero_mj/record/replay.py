@@ -18,7 +18,6 @@ from ..errors import (
     RecordingError,
     SourceError,
     did_you_mean,
-    nearest,
 )
 from ..plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
@@ -339,9 +338,7 @@ def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Receiver:
     kind, of = recorded.kind, f"source '{recorded.name}'"
     kinds = [known for known in plugins(SOURCES) if known != "replay"]
     if kind not in kinds:
-        known = " or ".join(map(repr, kinds))
-        near = f"; did you mean '{found}'?" if (found := nearest(kind, kinds)) else ""
-        raise RecordingError(file, f"kind of {of}: found {kind!r}; expected {known}{near}")
+        raise RecordingError(file, f"{of}: no kind '{kind}'{did_you_mean(kind, kinds)}")
     try:
         receiver: Receiver = load_plugin(SOURCES, kind)(**{**recorded.declared, "name": name})
     except PluginError as error:
