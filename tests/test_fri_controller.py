@@ -23,9 +23,7 @@ from sero_mj.errors import SourceError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout, no_command
-from sero_mj.send.fri_answers import AnswerStatistics
-from sero_mj.send.fri_controller import Faults, FriController
-from sero_mj.send.fri_signals import FriSignals
+from sero_mj.send.fri_controller import AnswerStatistics, Faults, FriController, FriSignals
 from sero_mj.send.sender import UdpSink
 
 # A controller in a process of its own; it prints what it did when it has sent its packets.
