@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from sero_mj.cli import main
-from sero_mj.cli.arguments import overrides
+from sero_mj.cli._arguments import overrides
 from sero_mj.paths import find_scene
 
 COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep"]

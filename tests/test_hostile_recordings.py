@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError
-from sero_mj.record.mcap_chunk import MAX_CHUNK_BYTES
+from sero_mj.record._mcap_reader import MAX_CHUNK_BYTES
 from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 

@@ -7,7 +7,7 @@ from collections.abc import Set
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from .arguments import Commands, add_command, read_scene
+from ._arguments import Commands, add_command, read_scene
 
 if TYPE_CHECKING:
     from ..receive.source import Source

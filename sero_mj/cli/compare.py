@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..errors import RecordingError, UsageError
-from .arguments import Commands, add_command, not_negative, read_scene, size
+from ._arguments import Commands, add_command, not_negative, read_scene, size
 
 if TYPE_CHECKING:
     from ..runs.run_log import RunLog

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from .arguments import Commands, add_command, positive, size
+from ._arguments import Commands, add_command, positive, size
 
 _SCENE = "lwr_udp"
 _CAMERA = "150,-12,2.0"

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..show.display import has_display
 from ..show.headless.gl import BACKENDS, PACKAGES, osmesa_is_there
-from .arguments import Commands, add_command
+from ._arguments import Commands, add_command
 
 _EPILOG = """\
 Renders a small picture with every backend, each in a process of its own, because a backend is

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, read_scene
+from ._arguments import Commands, add_command, read_scene
 
 _EPILOG = """\
 example:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, numbers
+from ._arguments import Commands, add_command, numbers
 
 _EPILOG = """\
 examples:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import RecordingError, UsageError
-from .arguments import Commands, add_command, not_negative, positive, read_scene
+from ._arguments import Commands, add_command, not_negative, positive, read_scene
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene

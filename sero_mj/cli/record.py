@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
-from .arguments import Commands, add_command, not_negative, positive, read_scene
-from .ending import until_ended
+from ._arguments import Commands, add_command, not_negative, positive, read_scene, until_ended
 
 if TYPE_CHECKING:
     from ..record.recorder import Recorder

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from .arguments import (
+from ._arguments import (
     Commands,
     add_command,
     add_scene_options,

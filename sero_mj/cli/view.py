@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
-from .arguments import (
+from ._arguments import (
     Commands,
     add_command,
     add_scene_options,
@@ -18,8 +18,8 @@ from .arguments import (
     read_shown_scene,
     replay_instead,
     size,
+    until_ended,
 )
-from .ending import until_ended
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"

@@ -16,10 +16,10 @@ from ..assemble.world import World
 from ..assemble.world_view import WorldView
 from ..errors import DeclarationError
 from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
+from ._router import Router
+from ._source_states import SourceStates
 from .place import Placer, follow
 from .route import wire
-from .router import Router
-from .source_state import SourceStates
 from .wiring import Route
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.tor
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
 
-`syntax` has the grammar of expressions, `expression` their meaning.
+`_syntax` has the grammar of expressions, `_expression` their meaning.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from ..assemble.route_text import NOT, names_in
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
 from ..receive.source import Source, make_source
-from .expression import Value, evaluate
-from .names import Names
-from .syntax import Expression, parse
-from .units import Exponents, describe, dimension_of
+from ._expression import Value, evaluate
+from ._names import Names
+from ._syntax import Expression, parse
+from ._units import Exponents, describe, dimension_of
 from .wiring import FrameRoute, Route, Wiring, allow_blanks, levels_of_frames, routes_in_order
 
 

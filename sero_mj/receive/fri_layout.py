@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import are_frames
+from ._checks import are_frames
 from .structure import Rows, Structure
 
 Array = NDArray[np.float64]

@@ -8,12 +8,12 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import are_frames, blank_not_finite, find_not_finite, find_not_frame
-from .order import Place, SequenceTracker, StampTracker
-from .senders import MOST, Senders
+from ._checks import are_frames, blank_not_finite, find_not_finite, find_not_frame
+from ._senders import MOST, Senders
+from ._sequence import Position, SequenceTracker, StampTracker
+from ._timing import Timing
 from .source import Counters
 from .structure import Structure
-from .timing import Timing
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.uint8]
@@ -25,7 +25,7 @@ Places = NDArray[np.int8]
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
 _DUPLICATE, _LATE, _RESTARTED = (
-    place.value for place in (Place.DUPLICATE, Place.LATE, Place.RESTARTED)
+    position.value for position in (Position.DUPLICATE, Position.LATE, Position.RESTARTED)
 )
 
 _MOST_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
@@ -247,7 +247,7 @@ class Intake:
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Addresses | None
     ) -> Places:
-        """What the packets' numbers or time stamps say, as `Place`'s numbers, (n,)."""
+        """What the packets' numbers or time stamps say, as `Position`'s numbers, (n,)."""
         places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
             return places

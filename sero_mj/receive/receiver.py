@@ -18,10 +18,10 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 from ..declaration import Declaration
 from ..errors import StructureError, UnknownName, did_you_mean
 from ..plugins import SOURCES, plugin_name
+from ._timing import Timing
 from .intake import Intake, pad_packets
 from .source import QUIET_AFTER, Counters, Packet, Packets, Tap
 from .structure import Alignment, Structure
-from .timing import Timing
 
 log = logging.getLogger(__name__)
 

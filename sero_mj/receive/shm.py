@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from ..errors import SourceError
+from ._shm_packets import ShmPackets
 from .receiver import Receiver, log
 from .shm_block import Block, block_path
 from .source import Packet, Packets
-from .whole import WholePackets
 
 _LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
 _BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
@@ -62,7 +62,7 @@ class ShmReader(Receiver):
     _reading: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _wake: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _owes_call_back: bool = PrivateAttr(False)
-    _packets: WholePackets | None = PrivateAttr(None)
+    _packets: ShmPackets | None = PrivateAttr(None)
     _look_next: float = PrivateAttr(0.0)
     _tell_next: float = PrivateAttr(0.0)
     _trouble: str = PrivateAttr("")  # with the block itself
@@ -114,7 +114,7 @@ class ShmReader(Receiver):
         """
         self.close()
         self.reset()
-        self._packets = WholePackets(
+        self._packets = ShmPackets(
             self.layout,
             self.about,
             lock=self.lock,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..errors import DeclarationError, PluginError, Problem
 from ..kinds import kind_of
 from ..plugins import SOURCES, load_plugin, plugins
-from .timing import Timing
+from ._timing import Timing
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError, UnknownName
-from .recording_format import Clock
+from ._recording_format import RecordingClock
 from .recording_writer import RecordingWriter
 
 Decode = Callable[[bytes], Mapping[str, NDArray[np.float64]] | None]
@@ -218,7 +218,7 @@ class Recorder:
         return True
 
     @property
-    def clock(self) -> Clock:
+    def clock(self) -> RecordingClock:
         """When the recording began, on both clocks."""
         return self._writer.clock
 

@@ -1,7 +1,7 @@
 """`FriController`: sends what the controller of an LWR sends, as it sends it.
 
 `FriSignals` are the robot's values during a motion, `AnswerStatistics` is what the controller makes
-of a client's answers, `Faults` is a network that loses packets.
+of a client's answers, `NetworkFaults` is a network that loses packets.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..assemble.world import World
 from ..errors import UsageError, did_you_mean
 from ..receive.fri_layout import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
-from .motion import SineMotion
+from ._motion import SineMotion
 from .sender import SendReport, UdpSink, send
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ class FriController:
         commands: bool = False,
         counter: int = 0,
         amplitude: float = 1.0,
-        faults: Faults | None = None,
+        faults: NetworkFaults | None = None,
     ) -> None:
         if robot.n != 7:
             raise UsageError(f"FRI is for 7 joints; '{robot.name}' has {robot.n}")
@@ -92,7 +92,7 @@ class FriController:
         if quality is not None and quality not in _QUALITY_NUMBERS:
             raise UsageError(f"no quality '{quality}'{did_you_mean(quality, _QUALITY_NUMBERS)}")
         self.cycle = cycle
-        self.faults = Faults() if faults is None else faults
+        self.faults = NetworkFaults() if faults is None else faults
         self.sent = self.answers = self.wrong_answers = self.command_flags = 0
         self._quality = None if quality is None else _QUALITY_NUMBERS[quality]
         self._commands = commands
@@ -324,7 +324,7 @@ class AnswerStatistics:
 
 
 @dataclass
-class Faults:
+class NetworkFaults:
     """A network that loses, doubles and swaps packets, the same ones for one seed.
 
     Attributes:

@@ -18,8 +18,8 @@ from ..errors import DeclarationError, UsageError, did_you_mean
 from ..frames import frame, rotation_about
 from ..receive.receiver import Receiver
 from ..receive.structure import Structure
-from .backwards import Backwards
-from .motion import InverseDynamics, SineMotion
+from ._motion import InverseDynamics, SineMotion
+from ._route_inverse import RouteInverse
 
 Array = NDArray[np.float64]
 LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
@@ -102,7 +102,7 @@ class MotionPackets:
         # Of routes that ask for different things of one event the first ones get them.
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
-        self._backwards = None if all(r.value.whole for r in routes) else Backwards(routes)
+        self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
         self._plain: dict[str, str] = {}  # event to the input that gets all of it
         for route in routes:
             if route.value.whole is not None:
@@ -158,16 +158,16 @@ class MotionPackets:
         for item, negated in self._wanted:
             value = self._value(item, now, t)
             wanted[item.target] = 1.0 - value if negated else value
-        if self._backwards is None:
+        if self._inverse is None:
             values = {event: wanted[target] for event, target in self._plain.items()}
         else:
-            numbers = self._backwards.solve(
+            numbers = self._inverse.solve(
                 {target: np.ravel(value) for target, value in wanted.items()},
                 lambda origin: self._output(str(origin), now, t),
             )
             values = {
                 origin.key: numbers(origin, math.prod(self.structure.events[origin.key]))
-                for origin in self._backwards.origins
+                for origin in self._inverse.origins
                 if origin.name == self.source.name
             }
         shapes = self.structure.events

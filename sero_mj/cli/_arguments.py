@@ -1,12 +1,15 @@
-"""What several commands read from the command line."""
+"""What several commands have in common: options, the scene they name, and how they end."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import re
+import signal
+import threading
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -239,3 +242,18 @@ def check_span(recording: Recording, start: float | None, stop: float | None = N
             raise UsageError(f"--start: {error}") from None
     if start is not None and stop is not None and stop <= start:
         raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
+
+
+@contextlib.contextmanager
+def until_ended() -> Iterator[None]:
+    """Ends the context, and not the command, with Ctrl-C or SIGTERM (`kill`, `timeout`)."""
+    if threading.current_thread() is not threading.main_thread():
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RouteError
+from ._syntax import Expression, first_word, word_after
+from ._units import LENGTH, Exponents, describe
 from .affine import Affine, Origin, Term, make_affine
-from .syntax import Expression, first_word, word_after
-from .units import LENGTH, Exponents, describe
 
 Array = NDArray[np.float64]
 

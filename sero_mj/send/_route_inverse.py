@@ -12,7 +12,7 @@ from ..drive.wiring import Route
 _DEPENDENT = 1e-9  # share of a row that is new, below which it says nothing new
 
 
-class Backwards:
+class RouteInverse:
     """Solves routes for the numbers of the events that they take.
 
     What is left open is as small as possible. Where routes ask for things that cannot both be,
