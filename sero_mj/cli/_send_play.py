@@ -15,7 +15,7 @@ from ._sink import goes_to_shm
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..receive.receiver import Receiver
+    from ..receive.source import Source
     from ..receive.structure import Structure
     from ..send.playback import Playback
 
@@ -124,7 +124,7 @@ def _send_simulation(options: argparse.Namespace) -> int:
 
 
 def _open(
-    options: argparse.Namespace, source: Receiver, structure: Structure, to_shm: bool
+    options: argparse.Namespace, source: Source, structure: Structure, to_shm: bool
 ) -> Playback:
     from ..record.recording import Recording
     from ..send.playback import RecordedPackets, TablePackets

@@ -17,6 +17,7 @@ from ..errors import DeclarationError, PluginError, Problem
 from ..kinds import kind_of
 from ..plugins import SOURCES, load_plugin, plugins
 from ._timing import Timing
+from .structure import Structure
 
 Array = NDArray[np.float64]
 
@@ -157,8 +158,24 @@ class Source(Protocol):
         """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
 
     @property
+    def layout(self) -> Structure:
+        """The decoder."""
+
+    @property
     def size(self) -> int:
         """Bytes of a packet."""
+
+    @property
+    def sequence(self) -> str:
+        """Event that numbers the packets; empty for none."""
+
+    @property
+    def time(self) -> str:
+        """Event that says when a packet was sent; empty for none."""
+
+    @property
+    def time_scale(self) -> float:
+        """Seconds per unit of `time`."""
 
     @property
     def only_latest_packet(self) -> bool:

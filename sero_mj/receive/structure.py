@@ -37,6 +37,7 @@ class Structure:
 
     Attributes:
         text: the structure string.
+        is_double: see above.
         column_major: how matrices come.
         alignment: see above.
         scale: see above.
@@ -65,6 +66,7 @@ class Structure:
         if not 0.0 < scale < math.inf:
             raise ValueError(f"scale: found {scale}; expected a finite number above 0")
         self.text = text
+        self.is_double = is_double
         self.column_major = column_major
         self.alignment = alignment
         self.scale = scale

@@ -16,7 +16,7 @@ from ..drive.route import wire
 from ..drive.wiring import Route, Wiring
 from ..errors import DeclarationError, UsageError, did_you_mean
 from ..frames import frame, rotation_about
-from ..receive.receiver import Receiver
+from ..receive.source import Source
 from ..receive.structure import Structure
 from ._motion import InverseDynamics, SineMotion
 from ._route_inverse import RouteInverse
@@ -27,29 +27,31 @@ _SWITCHED_AFTER = 4.0  # s
 _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}
 
 
-def choose_source(wiring: Wiring, name: str | None = None) -> Receiver:
-    """The receiver of this name, or the only one.
+def choose_source(wiring: Wiring, name: str | None = None) -> Source:
+    """The source of this name, or the only one.
 
     Raises:
         UsageError: there is none, or several are there to choose from.
     """
-    receivers = {name: one for name, one in wiring.sources.items() if isinstance(one, Receiver)}
-    if name is None and len(receivers) == 1:
-        name = next(iter(receivers))
-    if name in receivers:
-        return receivers[name]
-    if name is not None or not receivers:
+    sources = wiring.sources
+    if name is None and len(sources) == 1:
+        name = next(iter(sources))
+    if name in sources:
+        return sources[name]
+    if name is not None or not sources:
         named = f" '{name}'" if name else ""
-        raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', receivers)}")
-    names = ", ".join(receivers)
+        raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', sources)}")
+    names = ", ".join(sources)
     raise UsageError(f"the scene has several sources; choose with --source: {names}")
 
 
-def structure_for(source: Receiver, text: str | None = None) -> Structure:
+def structure_for(source: Source, text: str | None = None) -> Structure:
     """The structure of packets for a source, or another one of the same types."""
     if text is None:
         return source.layout
-    return Structure(text, is_double=source.is_double, column_major=source.column_major)
+    return Structure(
+        text, is_double=source.layout.is_double, column_major=source.layout.column_major
+    )
 
 
 class Player(Protocol):
