@@ -27,7 +27,7 @@ SOURCE_FIELDS = (
     "lost",  # numbers that never came
     "late",  # came after a later one
     "duplicates",
-    "restarts",  # how often the sender began anew
+    "restarts",  # how often the sender restarted
     "dropped",  # by the kernel, where none may be lost
     "senders",  # at once
     "link_age",  # s since one of these counts rose, but for senders; -1 when none has

@@ -64,6 +64,11 @@ def source_of(scene: Scene, name: str | None) -> FriReceiver | None:
 def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
     """Sends as the controller of the robot that the source moves; returns 0.
 
+    Args:
+        options: of the command.
+        scene: with the robot.
+        source: that receives the packets.
+
     Raises:
         UsageError: the options do not suit FRI, or the source moves no robot.
     """

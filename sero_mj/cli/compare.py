@@ -121,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_names(options: argparse.Namespace) -> None:
-    """Refuses names that nothing can be written to before anything is computed."""
+    """Refuses unsuitable file names before anything is computed."""
     from ..study.figure import SUFFIXES
 
     if options.plot is not None and options.plot.suffix.lower() not in SUFFIXES:

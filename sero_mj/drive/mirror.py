@@ -225,6 +225,12 @@ class Mirror:
 
 
 def restore(world: World, data: mujoco.MjData, state: NDArray[np.float64]) -> None:
-    """Puts a state that `Mirror.state` returned into `data` and moves the frames."""
+    """Puts a state into `data` and moves the frames.
+
+    Args:
+        world: whose state it is.
+        data: gets it.
+        state: what `Mirror.state` returned.
+    """
     mujoco.mj_setState(world.model, data, state, _STATE)
     follow(world.model, data)

@@ -100,7 +100,7 @@ class Placer:
 
 
 def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Computes frames, cameras and lights from `qpos` and `mocap`; time does not pass."""
+    """Computes frames, cameras and lights from `qpos` and `mocap`, without a time step."""
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)  # MuJoCo's own visualisation needs subtree centres
     mujoco.mj_camlight(model, data)

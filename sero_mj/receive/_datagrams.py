@@ -1,4 +1,4 @@
-"""Reads datagrams from a socket by the batch, with the time at which the kernel got each.
+"""Reads datagrams from a socket in batches, with the time at which the kernel got each.
 
 On Linux one `recvmmsg` call takes up to 256 packets; a Python call for each would be too slow for
 a hundred thousand a second. Elsewhere they are read one by one.
@@ -107,7 +107,7 @@ class Batch:
 
 
 class Datagrams:
-    """Reads a socket by the batch.
+    """Reads a socket in batches.
 
     Args:
         sock: a bound datagram socket; it is made non-blocking.

@@ -53,7 +53,7 @@ class ShmPackets:
         self.forget()
 
     def forget(self) -> None:
-        """Takes what is read next for new."""
+        """Treats the next packet that is read as new."""
         self._done = b""  # the packet that was returned last
         self._standing = b""  # a new one that may not be whole
         self._unfinished = b""  # one that is not, as its lock says

@@ -12,7 +12,7 @@ MEANINGS = {
     "lost": "numbers that never came",
     "late": "after one with a higher number",
     "duplicates": "with a number that was there",
-    "restarts": "the sender began anew",
+    "restarts": "the sender restarted",
     "wrong_size": "not as long as the structure says",
     "wrong_constant": "another number where the structure demands one",
     "not_finite": "NaN or infinity where something would move",
@@ -25,7 +25,7 @@ MEANINGS = {
 
 
 def report(source: Source) -> dict[str, Any]:
-    """Everything that is known about what came in.
+    """Counters, rate and age of a source, by name.
 
     Returns:
         every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s

@@ -98,12 +98,12 @@ class ShmReader(Receiver):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words, for people."""
+        """Kind and address, as shown to the user."""
         return f"shared memory {block_path(self.block)}"
 
     @property
     def trouble(self) -> str:
-        """What keeps packets from coming, for people; empty when nothing is known to."""
+        """Why no packets arrive, as shown to the user; empty when unknown."""
         return self._trouble or (self._packets.trouble if self._packets is not None else "")
 
     def open(self) -> None:
@@ -139,7 +139,7 @@ class ShmReader(Receiver):
         self._thread.start()
 
     def close(self) -> None:
-        """Stops the thread and lets go of the block; harmless when it is not open."""
+        """Stops the thread and closes the block; harmless when it is not open."""
         if self._thread is not None:
             self._closing.set()
             self._wake.release()

@@ -141,7 +141,7 @@ class Block:
         return self._map
 
     def close(self) -> None:
-        """Lets go of it; it stays where it is. Harmless when that is done already."""
+        """Closes it; the block stays. Harmless when it is closed."""
         if self._map is not None:
             self._map.close()
             self._map = None

@@ -243,7 +243,7 @@ class Structure:
             bad |= _is_wrong(rows, item, constant).any(axis=1)
         return bad
 
-    def tell_wrong_constant(self, rows: Rows) -> str:
+    def describe_wrong_constant(self, rows: Rows) -> str:
         """Says what is wrong with the first packet's constants; empty when nothing is."""
         for item, constant in self._constants:
             if (wrong := _is_wrong(rows[:1], item, constant)[0]).any():

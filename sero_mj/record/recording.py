@@ -322,13 +322,13 @@ class Recording:
         try:
             found = unpack_messages(record.getvalue(), channel)
         except BROKEN as error:
-            self._tell_damaged(chunk, error)
+            self._report_damaged(chunk, error)
             return []
         with self._lock:
             self._cached = (chunk.offset, channel, found)
         return found
 
-    def _tell_damaged(self, chunk: ChunkPlace, error: BaseException) -> None:
+    def _report_damaged(self, chunk: ChunkPlace, error: BaseException) -> None:
         with self._lock:
             if chunk.offset in self._damaged:
                 return

@@ -55,7 +55,7 @@ def structure_for(source: Source, text: str | None = None) -> Structure:
 
 
 class Player(Protocol):
-    """Says what the sensors of one robot say."""
+    """Gives the measured signals of one robot."""
 
     def signals(self, t: float) -> Mapping[str, Array]:
         """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
@@ -273,7 +273,7 @@ def _importance(scene: Scene, item: Input) -> int:
 
 
 class _Player:
-    """What one robot's sensors say during a motion."""
+    """The measured signals of one robot during a motion."""
 
     def __init__(self, robot: SerialRobot, amplitude: float) -> None:
         self._robot = robot
