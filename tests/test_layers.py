@@ -295,7 +295,7 @@ def test_a_name_that_is_not_there_is_told() -> None:
 
 def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:
     text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
-    mapped = re.findall(r"^\| `(\w+)` \| ", text.partition("## For developers")[2], re.MULTILINE)
+    mapped = re.findall(r"^\| `(\w+)` \| ", text.partition("## The rooms")[2], re.MULTILINE)
     assert mapped == [folder for folder in ORDER if folder and folder != "__main__"]
     assert set(mapped) == {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
 
