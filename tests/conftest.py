@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from sero_mj.show.headless.gl import choose_backend
+from sero_mj.show.headless.backend import choose_backend
 
 choose_backend()
 

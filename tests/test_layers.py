@@ -209,7 +209,7 @@ def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> 
         ("drive.place", "from .. import paths, __version__"),
         ("drive.place", "from .. import SerialRobot"),
         ("cli.fk", "from .arguments import port"),
-        ("__main__", "import sero_mj.show.headless.gl"),
+        ("__main__", "import sero_mj.show.headless.backend"),
         ("errors", "import mujoco.viewer, decor"),  # somebody else's decor
     ],
 )
