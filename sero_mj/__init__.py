@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     from .assemble.scene import SceneToggles as SceneToggles
     from .assemble.world import World as World
     from .drive.mirror import Mirror as Mirror
-    from .drive.mirror import load_scene as load_scene
     from .drive.place import Placer as Placer
     from .drive.record_sources import record_sources as record_sources
     from .environment.make import make_environment as make_environment
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
     from .errors import SimulationError as SimulationError
+    from .load import load_scene as load_scene
     from .receive.fri import FriReceiver as FriReceiver
     from .receive.shm import ShmReader as ShmReader
     from .receive.structure import Structure as Structure
@@ -88,7 +88,7 @@ _HOME = {
     "SceneToggles": "assemble.scene",
     "World": "assemble.world",
     "Mirror": "drive.mirror",
-    "load_scene": "drive.mirror",
+    "load_scene": "load",
     "Placer": "drive.place",
     "record_sources": "drive.record_sources",
     "make_environment": "environment.make",

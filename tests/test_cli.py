@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from sero_mj.cli import main
-from sero_mj.cli.arguments import overrides
+from sero_mj.cli._arguments import overrides
 from sero_mj.paths import find_scene
 
 COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep"]
@@ -169,7 +169,7 @@ def test_all_problems_of_a_scene_are_printed_at_once(capsys, tmp_path) -> None:
     assert status == 2
     assert "3 things are wrong" in err or "2 things are wrong" in err
     assert f"{scene}:3: robots.lwr.show_arow: unknown key; did you mean 'show_arrows'?" in err
-    assert f"{scene}:6: sources.udp.kind: found 'upd'; expected 'fri' or" in err
+    assert f"{scene}:6: sources.udp.kind: no kind 'upd'; did you mean 'udp'?" in err
     assert "; did you mean 'udp'?" in err
 
 

@@ -17,9 +17,8 @@ from polling import until
 
 from sero_mj.errors import DeclarationError, UnknownName
 from sero_mj.frames import nearest_rotation, rotation_from_rpy
-from sero_mj.receive.checks import are_frames, find_not_frame
-from sero_mj.receive.kinds import make_source
-from sero_mj.receive.source import Counters, Packet
+from sero_mj.receive._checks import are_frames, find_not_frame
+from sero_mj.receive.source import Counters, Packet, make_source
 from sero_mj.receive.udp import UdpReceiver
 
 NAN, INF = math.nan, math.inf

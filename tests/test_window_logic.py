@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from sero_mj import Mirror, World
-from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.decor.toggles import Toggles
+from sero_mj.load import load_scene
 from sero_mj.show.clock import SPEEDS, Clock, time_text
 from sero_mj.show.input import LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
@@ -29,7 +29,7 @@ from sero_mj.show.window.timeline import TimeLine
 
 @pytest.fixture(scope="module")
 def simulated() -> Any:
-    with Mirror(read_scene_or_model("impedance_push")) as mirror:
+    with Mirror(load_scene("impedance_push")) as mirror:
         yield mirror
 
 
@@ -134,7 +134,7 @@ def test_speeds_have_ends(simulated: Mirror) -> None:
 
 
 def test_what_is_live_cannot_be_wound_back() -> None:
-    mirror = Mirror(read_scene_or_model("lwr_udp"))  # never opened: no port is taken
+    mirror = Mirror(load_scene("lwr_udp"))  # never opened: no port is taken
     clock = Clock(mirror)
     assert clock.is_live
     assert clock.end is None

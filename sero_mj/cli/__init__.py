@@ -29,7 +29,7 @@ from . import (
     sweep,
     view,
 )
-from .arguments import OneLineParser, join_negative_values
+from ._arguments import OneLineParser, join_negative_values
 
 _DESCRIPTION = """\
 sero-mj shows what a torque-controlled robot feels.

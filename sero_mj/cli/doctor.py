@@ -13,7 +13,7 @@ import sys
 from typing import Any
 
 from ..show.headless.backend import BACKENDS, PACKAGES, has_display, osmesa_is_there
-from .arguments import Commands, add_command
+from ._arguments import Commands, add_command
 
 _EPILOG = """\
 Renders a small picture with every backend, each in a process of its own, because a backend is

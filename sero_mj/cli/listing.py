@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from .. import paths
 from ..plugins import DECOR, SOURCES, is_own, plugins
-from .arguments import Commands, add_command
+from ._arguments import Commands, add_command
 
 if TYPE_CHECKING:
     from ..declaration import Declaration

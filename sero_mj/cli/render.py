@@ -9,8 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, not_negative, positive, replay_instead, size
-from .scene_options import add_scene_options, read_scene
+from ._arguments import (
+    Commands,
+    add_command,
+    add_scene_options,
+    not_negative,
+    positive,
+    read_shown_scene,
+    replay_instead,
+    size,
+)
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -107,7 +115,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
-    scene = read_scene(options)
+    scene = read_shown_scene(options)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
     elif options.start is not None:

@@ -65,13 +65,23 @@ class SimulatedSource(Receiver):
         """Packets come when they are wanted."""
         return False
 
+    @property
+    def end(self) -> float | None:
+        """How long it is simulated, s."""
+        return float(self.simulation.scenario.run.duration)
+
+    @property
+    def step(self) -> float | None:
+        """The time step, s."""
+        return float(self.simulation.scenario.run.timestep)
+
     def now(self) -> float:
         """The simulated time, s."""
         return float(self.simulation.rows[max(self._shown, 0), 0])
 
     def open(self) -> None:
         """Goes to the start."""
-        self._start_afresh()
+        self.reset()
         self._shown = -1
         self.advance_to(0.0)
 
@@ -94,7 +104,7 @@ class SimulatedSource(Receiver):
                 self._warn(str(error))
         row = min(row, simulation.step)
         if row < self._shown:  # the clock went back: it is a new film, say
-            self._start_afresh()
+            self.reset()
             self._shown = -1
         if row > self._shown:
             rows = simulation.rows[self._shown + 1 : row + 1]

@@ -38,17 +38,20 @@ class JsonLines(Receiver):
 
     def open(self) -> None:
         """Connects, and reads lines on a thread."""
+        self.close()
         try:
             self._socket = socket.create_connection((self.host, self.port), timeout=5)
         except OSError as error:
             raise SourceError(self.name, f"{self.host}:{self.port}: {error.strerror}") from error
         self._socket.settimeout(None)
+        self.reset()
         self._thread = threading.Thread(target=self._read, args=(self._socket,), daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Ends the connection."""
         if self._socket is not None and self._thread is not None:
+            self.closing.set()
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
             self._thread.join()

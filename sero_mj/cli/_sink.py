@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from ..errors import UsageError
 
 if TYPE_CHECKING:
-    from ..receive.receiver import Receiver
+    from ..receive.source import Source
     from ..receive.structure import Structure
     from ..send.sender import UdpSink
     from ..send.shm_writer import ShmWriter
 
 
-def goes_to_shm(options: argparse.Namespace, source: Receiver) -> bool:
+def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
     """Whether packets go to shared memory: said so, or the source reads it and no port is given."""
     from ..receive.shm import ShmReader
 
@@ -22,7 +22,7 @@ def goes_to_shm(options: argparse.Namespace, source: Receiver) -> bool:
 
 
 def make_sink(
-    options: argparse.Namespace, source: Receiver, structure: Structure
+    options: argparse.Namespace, source: Source, structure: Structure
 ) -> UdpSink | ShmWriter:
     """Where the packets go: what the command line says, else where the source receives."""
     from ..receive.shm import ShmReader

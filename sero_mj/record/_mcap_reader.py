@@ -1,7 +1,9 @@
-"""Where in an MCAP file everything is: from its summary, or else by walking through it.
+"""Reads MCAP files of anybody: where everything is, and the messages of a chunk.
 
-A file whose process was killed has no summary. Walking through it skips what records contain, so
-it takes about as long as there are chunks; `mcap.stream_reader` would read and unpack them all.
+Where everything is says the file's summary, or else a walk through it. A file whose process was
+killed has no summary. Walking through it skips what records contain, so it takes about as long as
+there are chunks; `mcap.stream_reader` would read and unpack them all. Sizes are bounded before
+anything is read or decompressed.
 """
 
 from __future__ import annotations
@@ -14,15 +16,28 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE, SeekingReader
-from mcap.records import Channel, Metadata
+from mcap.records import Channel, Chunk, Metadata
 from mcap.stream_reader import MAGIC_SIZE
 
-from .mcap_chunk import BROKEN, reason_of
-
-_HEAD = struct.Struct("<BQ")
+MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
+_RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
+_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, but for text and data
+# What the mcap library and the decompressors raise where bytes are not what they should be.
+BROKEN = (
+    McapError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+)
 _ATTACHMENT_HEAD = 4096  # bytes that surely hold an attachment's name
 _CRC_BYTES = 4 + MAGIC_SIZE  # at the end of a file: the summary's check sum, and the magic number
 _NOT_CLOSED = "its process was killed, the disk was full, or it is still being written"
@@ -89,8 +104,8 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
     size = file.seek(0, os.SEEK_END)
     if not 0 <= offset <= offset + length <= size:
         raise ValueError(f"{length} bytes at byte {offset} are beyond the end of the file")
-    file.seek(offset + _HEAD.size)
-    return io.BytesIO(file.read(max(length - _HEAD.size, 0)))
+    file.seek(offset + _RECORD_HEAD.size)
+    return io.BytesIO(file.read(max(length - _RECORD_HEAD.size, 0)))
 
 
 def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
@@ -99,8 +114,8 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
     if size < MAGIC_SIZE + ending:
         return None
     file.seek(size - ending)
-    opcode, length, start = struct.unpack("<BQQ", file.read(_HEAD.size + 8))
-    if (opcode, length) != (Opcode.FOOTER, FOOTER_SIZE - _HEAD.size) or not start:
+    opcode, length, start = struct.unpack("<BQQ", file.read(_RECORD_HEAD.size + 8))
+    if (opcode, length) != (Opcode.FOOTER, FOOTER_SIZE - _RECORD_HEAD.size) or not start:
         return None
     if not MAGIC_SIZE <= start <= size - ending:
         raise ValueError("it is not where the end of the file says")
@@ -162,8 +177,8 @@ def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
     position, opcode = MAGIC_SIZE, 0
     while opcode != Opcode.DATA_END:
         file.seek(position)
-        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-        end = position + _HEAD.size + length
+        opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+        end = position + _RECORD_HEAD.size + length
         if opcode == 0 or end > size:
             return
         yield opcode, position, end - position
@@ -222,3 +237,69 @@ def _note(
 def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
     found: Metadata = Metadata.read(ReadDataStream(read_record(file, offset, length)))
     return found
+
+
+def reason_of(error: BaseException) -> str:
+    """What one of BROKEN says; those of the mcap library often say nothing."""
+    return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
+
+
+def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
+    """Returns a chunk's messages of one channel: log time in ns, and data.
+
+    `mcap.stream_reader.breakup_chunk` would take five times as long, and decompresses without
+    bounds.
+
+    Args:
+        record: the chunk's record, without its head.
+        channel: the channel's number.
+
+    Raises:
+        BROKEN: one of these, where the chunk is damaged, or larger than can be meant.
+    """
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
+    if len(chunk.data) + _CHUNK_FIELDS + len(chunk.compression) != len(record):
+        raise ValueError("it ends early")
+    data = _decompressed(chunk)
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("its check sum differs")
+    found = []
+    position, size = 0, len(data)
+    while position < size:
+        opcode, length = _RECORD_HEAD.unpack_from(data, position)
+        end = position + _RECORD_HEAD.size + length
+        if opcode == 0 or end > size:
+            what = "found opcode 0" if opcode == 0 else f"{length} bytes do not fit"
+            raise ValueError(f"record at byte {position} of it: {what}")
+        if opcode == Opcode.MESSAGE:
+            _, _, number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(data, position)
+            if number == channel:
+                found.append((log_time, data[position + _MESSAGE_HEAD.size : end]))
+        position = end
+    return found
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """What a chunk contains; never takes more memory than the chunk says, and that is bounded."""
+    size = chunk.uncompressed_size
+    if size > MAX_CHUNK_BYTES:
+        most = f"expected at most {MAX_CHUNK_BYTES}"
+        raise ValueError(f"{size} bytes when it is decompressed; {most}")
+    if chunk.compression == "zstd":
+        stated = zstandard.get_frame_parameters(chunk.data).content_size
+        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+            raise ValueError(f"its data are {stated} bytes when decompressed; it says {size}")
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = bytes(reader.read(size + 1))
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression:
+        raise ValueError(f"compression '{chunk.compression}'; expected zstd, lz4 or none")
+    else:
+        data = chunk.data
+    if len(data) != size:
+        found = f"more than {size}" if len(data) > size else str(len(data))
+        raise ValueError(f"its data are {found} bytes when decompressed; it says {size}")
+    return data

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import mujoco
 
 from ..assemble.world_view import WorldView
-from ..receive.fri_layout import FriLayout
 from ..receive.source import Counters, Packet, Source, age
 
 
@@ -44,7 +43,7 @@ class SourceStates:
                 max(now - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
                 counters.not_frames,
                 counters.wrong_constant,
-                *_state_and_quality(source, packet),
+                *((-1.0, -1.0) if packet is None else source.link_state(packet.values)),
                 counters.lost,
                 counters.late,
                 counters.duplicates,
@@ -78,11 +77,4 @@ class SourceStates:
 
 def _dropped(source: Source) -> int:
     """What the kernel threw away, where that harms anything: the newest packet always comes."""
-    return 0 if getattr(source, "only_latest_packet", True) else source.counters.dropped
-
-
-def _state_and_quality(source: Source, packet: Packet | None) -> tuple[float, float]:
-    """What a robot's controller says of itself and of the link; -1 for what has none."""
-    if packet is None or not isinstance(getattr(source, "layout", None), FriLayout):
-        return -1.0, -1.0
-    return float(packet.values["state"][0]), float(packet.values["quality"][0])
+    return 0 if source.only_latest_packet else source.counters.dropped

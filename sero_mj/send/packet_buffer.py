@@ -18,7 +18,7 @@ _COMPUTED = 1000.0  # packets/s; between them floating-point numbers go along st
 _AHEAD = 0.25  # s
 
 
-class Ahead:
+class PacketBuffer:
     """Packets of a motion at a high rate, made in the time that is left between two of them.
 
     Up to 1 kHz every packet is computed; above, as many as that are, and those in between are

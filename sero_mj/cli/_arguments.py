@@ -1,12 +1,15 @@
-"""What several commands read from the command line."""
+"""What several commands have in common: options, the scene they name, and how they end."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import re
+import signal
+import threading
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 
 # Subparsers have no public type.
 Commands = Any
+LOOKS = ("light", "dark")
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -106,7 +110,25 @@ def numbers(text: str, what: str) -> NDArray[np.float64]:
     return values
 
 
-def overrides(settings: list[str]) -> dict[str, Any]:
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """Adds `--camera`, `--look` and `--set`."""
+    parser.add_argument(
+        "--camera",
+        metavar="CAM",
+        help="name of a camera, or azimuth,elevation,distance in degrees and m",
+    )
+    parser.add_argument("--look", choices=LOOKS, help="over the scene's; default light")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="settings",
+        metavar="ROBOT.FIELD=VALUE",
+        help="set a field over the scene's; may be repeated",
+    )
+
+
+def overrides(settings: Sequence[str]) -> dict[str, Any]:
     """Reads `--set robot.field=value` options; the value is TOML, or numbers with commas.
 
     Raises:
@@ -134,18 +156,22 @@ def _value(text: str) -> Any:
         return text
 
 
-def read_scene_or_model(name: str, settings: list[str] | None = None) -> Scene:
-    """Returns the scene that `name` means; a robot's name stands for a scene with it alone.
+def read_scene(name: str, settings: Sequence[str] = ()) -> Scene:
+    """Returns the scene that `name` means; see `load.load_scene`.
+
+    Args:
+        name: a file, or the name of a shipped scene, scenario or robot.
+        settings: `--set` options, `robot.field=value`.
 
     Raises:
         UnknownName: neither a scene nor a robot.
         SeroError: what is wrong in the file, or in what is set.
     """
-    from ..simulate.named_scene import read_named_scene
+    from ..load import load_scene
 
-    given = overrides(settings or [])
+    given = overrides(settings)
     try:
-        return read_named_scene(name, given)
+        return load_scene(name, given)
     except DeclarationError as error:
         raise DeclarationError([_as_set(problem, given) for problem in error.problems]) from None
 
@@ -159,6 +185,18 @@ def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
             if found := re.fullmatch(rf"{key}(\..+)?", problem.key):
                 return Problem(f"--set {target}{found[1] or ''}", problem.message)
     return problem
+
+
+def read_shown_scene(options: argparse.Namespace) -> Scene:
+    """The scene that a command with `add_scene_options` names, with what these set.
+
+    Raises:
+        SeroError: see `read_scene`.
+    """
+    scene = read_scene(options.scene, options.settings)
+    if options.look is not None:
+        scene.view.look = options.look
+    return scene
 
 
 def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
@@ -204,3 +242,18 @@ def check_span(recording: Recording, start: float | None, stop: float | None = N
             raise UsageError(f"--start: {error}") from None
     if start is not None and stop is not None and stop <= start:
         raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
+
+
+@contextlib.contextmanager
+def until_ended() -> Iterator[None]:
+    """Ends the context, and not the command, with Ctrl-C or SIGTERM (`kill`, `timeout`)."""
+    if threading.current_thread() is not threading.main_thread():
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .order import PAUSE
+from ._sequence import PAUSE
 
 Array = NDArray[np.float64]
 Addresses = NDArray[np.uint8]

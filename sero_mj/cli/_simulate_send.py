@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Self
 
 from ..errors import SimulationError
-from .arguments import port, read_scene_or_model
+from ._arguments import port, read_scene
 
 if TYPE_CHECKING:
     from ..simulate.simulation import Simulation
@@ -58,9 +58,9 @@ class Sender:
     def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
         from ..send.play import MotionPackets
         from ..simulate.log_signals import LogSignals
-        from .sink import make_sink
+        from ._sink import make_sink
 
-        scene = read_scene_or_model(options.send)
+        scene = read_scene(options.send)
         players = {name: LogSignals(simulation, name) for name in simulation.scenario.scene.robots}
         self._packets = MotionPackets(scene, options.source, options.structure, players=players)
         self._sink: Any = make_sink(options, self._packets.source, self._packets.structure)

@@ -8,9 +8,9 @@ from ..assemble.inputs import Input
 from ..assemble.scene import Scene
 from ..errors import Problem, did_you_mean, nearest
 from ..receive.source import SIGNALS, Source
+from ._expression import Value, constant, numbers_of
+from ._units import UNITS, dimension_of
 from .affine import Origin
-from .expression import Value, constant, numbers_of
-from .units import UNITS, dimension_of
 
 FWD_KIN = "fwd_kin_base_to_flange"
 # What can be read of robots, doubles and arrows: what can be set, but for switches and poses.
@@ -72,7 +72,7 @@ class Names:
 
     def _frame(self, name: str) -> Problem | None:
         if name in self._frames or self.is_fwd_kin(name):
-            return Problem("", f"{name} is a 4 x 4 frame, which only goes whole")
+            return Problem("", f"{name} is a 4 x 4 frame, which cannot be indexed or combined")
         if self._scene.is_broken(name.partition("/")[0]):
             return None
         return Problem("", f"no frame '{name}'{self.frame_hint(name)}")

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
-from .arguments import not_negative, positive
+from ._arguments import not_negative, positive
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -67,7 +67,7 @@ def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
     Raises:
         UsageError: the options do not suit FRI, or the source moves no robot.
     """
-    from ..send.fri_controller import Faults, FriController
+    from ..send.fri_controller import FriController, NetworkFaults
     from ..send.sender import UdpSink
 
     if options.shm is not None:
@@ -86,7 +86,7 @@ def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
         cycle=cycle if options.cycle is None else options.cycle / 1e3,
         quality=options.quality or (None if source.answer else "ok"),
         amplitude=1.0 if options.amplitude is None else options.amplitude,
-        faults=Faults(loss=options.loss or 0.0, seed=options.seed or 0),
+        faults=NetworkFaults(loss=options.loss or 0.0, seed=options.seed or 0),
     )
     to_port = options.port or source.udpport
     if not to_port:

@@ -15,7 +15,7 @@ MOST_LOST = 3000  # numbers; who skips more over the wrap to 0 began anew (RFC 3
 _WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # a bit for the newest number and each that may be late
 
 
-class Place(Enum):
+class Position(Enum):
     """Where a packet stands among those before it."""
 
     NEXT = 0
@@ -57,10 +57,9 @@ class SequenceTracker(Track):
         return (
             self._last is not None
             and first == self._last + 1
+            and (not self._modulus or last < self._modulus)
             and last - first == len(numbers) - 1
             and list(numbers) == list(range(first, last + 1))  # one twice may hide one lost
-            and (not self._modulus or last < self._modulus)
-            and list(numbers) == list(range(first, last + 1))
         )
 
     def skip_to(self, number: int, arrival: float) -> None:
@@ -70,7 +69,7 @@ class SequenceTracker(Track):
         self._missing = _shifted(self._missing, steps)
         self._last, self._last_arrival, self._run = number, arrival, 0
 
-    def place(self, number: int, arrival: float) -> Place:
+    def place(self, number: int, arrival: float) -> Position:
         """Where this number stands; `arrival` (s) tells pauses.
 
         The sender has begun anew when the number is more than 64 back, not ahead after a pause
@@ -80,7 +79,7 @@ class SequenceTracker(Track):
         self._last_arrival = arrival
         if last is None:
             self._begin(number)
-            return Place.NEXT
+            return Position.NEXT
         step = number - last
         if self._modulus:
             half = self._modulus // 2
@@ -90,9 +89,9 @@ class SequenceTracker(Track):
             return self._restart(number)
         if step > 0:
             self._advance(number, step)
-            return Place.NEXT
+            return Position.NEXT
         if step == 0:
-            return Place.DUPLICATE
+            return Position.DUPLICATE
         self._run = self._run + 1 if number == self._run_last + 1 else 1
         self._run_last = number
         if self._run >= RUN:
@@ -110,18 +109,18 @@ class SequenceTracker(Track):
         self._came = _shifted(self._came, step) | 1
         self._missing = _shifted(self._missing, step) | skipped
 
-    def _old(self, bit: int) -> Place:
+    def _old(self, bit: int) -> Position:
         if self._came & bit:
-            return Place.DUPLICATE
+            return Position.DUPLICATE
         self._came |= bit
         if self._missing & bit:  # else it is from before the first one that was seen
             self._missing &= ~bit
             self.lost -= 1
-        return Place.LATE
+        return Position.LATE
 
-    def _restart(self, number: int) -> Place:
+    def _restart(self, number: int) -> Position:
         self._begin(number)
-        return Place.RESTARTED
+        return Position.RESTARTED
 
 
 def _shifted(bits: int, steps: int) -> int:
@@ -137,16 +136,16 @@ class StampTracker(Track):
         self._last_arrival = 0.0
         self._run, self._run_last = 0, 0.0
 
-    def place(self, stamp: float, arrival: float) -> Place:
+    def place(self, stamp: float, arrival: float) -> Position:
         """Where this time (s) stands; `arrival` (s) tells pauses."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None or stamp >= last:
             self._last, self._run = stamp, 0
-            return Place.NEXT
+            return Position.NEXT
         self._run = self._run + 1 if self._run and stamp >= self._run_last else 1
         self._run_last = stamp
         if paused or last - stamp > LATE_SECONDS or self._run >= RUN:
             self._last, self._run = stamp, 0
-            return Place.RESTARTED
-        return Place.LATE
+            return Position.RESTARTED
+        return Position.LATE

@@ -16,7 +16,7 @@ from .wiring import Route
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
-Packets = Mapping[str, Mapping[str, Array]]
+LatestValues = Mapping[str, Mapping[str, Array]]
 
 
 class Router:
@@ -33,12 +33,12 @@ class Router:
         self._to_qpos: list[tuple[str, Ints]] = []
         self._to_userdata: list[tuple[str, slice]] = []
         self._poses: list[tuple[str, str]] = []
-        self._computed: list[tuple[Route, _Place]] = []
+        self._computed: list[tuple[Route, _InputWriter]] = []
         flags = []
         for route in routes:
             item, whole = route.to, route.value.whole
             if whole is None or route.negated:
-                self._computed.append((route, _Place(world, route)))
+                self._computed.append((route, _InputWriter(world, route)))
                 continue
             flags.append(world.flags[item.target])
             if item.kind == "pose":
@@ -75,9 +75,9 @@ class LateRouter:
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
-        self._routes = [(route, _Place(world, route)) for route in routes]
+        self._routes = [(route, _InputWriter(world, route)) for route in routes]
 
-    def apply(self, data: mujoco.MjData, packets: Packets) -> None:
+    def apply(self, data: mujoco.MjData, packets: LatestValues) -> None:
         """Writes what can be computed.
 
         Where an origin has no data yet, the input is left as it is.
@@ -94,14 +94,14 @@ class LateRouter:
                     values = route.value.evaluate(lambda o: self._numbers(data, packets, o))
                     place.put(data, values)
 
-    def _has(self, data: mujoco.MjData, packets: Packets, origin: Origin) -> bool:
+    def _has(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> bool:
         if origin.is_event:
             return origin.key in packets.get(origin.name, ())
         if origin.key == "joint_angles" and origin.name in self._world.robots:
             return True  # a robot always stands somewhere
         return bool(data.userdata[self._world.flags[str(origin)]] > 0)
 
-    def _numbers(self, data: mujoco.MjData, packets: Packets, origin: Origin) -> Array:
+    def _numbers(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> Array:
         if origin.is_event:
             return packets[origin.name][origin.key].ravel()
         if origin.key == "joint_angles" and origin.name in self._world.robots:
@@ -109,7 +109,7 @@ class LateRouter:
         return np.asarray(data.userdata[self._world.slots[str(origin)]])
 
 
-class _Place:
+class _InputWriter:
     """Where a route writes to."""
 
     def __init__(self, world: WorldView, route: Route) -> None:

@@ -46,7 +46,7 @@ def signals_topic(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Clock:
+class RecordingClock:
     """When a recording began, on both clocks.
 
     Attributes:
@@ -94,7 +94,7 @@ class Clock:
         }
 
     @classmethod
-    def from_metadata(cls, metadata: Mapping[str, str]) -> Clock:
+    def from_metadata(cls, metadata: Mapping[str, str]) -> RecordingClock:
         """Reads it from the metadata record; raises KeyError or ValueError."""
         return cls(int(metadata["start_epoch_ns"]), int(metadata["start_monotonic_ns"]))
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
 from ..paths import list_scenarios
-from .arguments import positive
-from .sink import goes_to_shm
+from ._arguments import positive
+from ._sink import goes_to_shm
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..receive.receiver import Receiver
+    from ..receive.source import Source
     from ..receive.structure import Structure
     from ..send.playback import Playback
 
@@ -110,7 +110,7 @@ def _send_simulation(options: argparse.Namespace) -> int:
     """Simulates a scenario and sends it while it runs; returns 0."""
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
-    from .simulate_send import Sender
+    from ._simulate_send import Sender
 
     for name in ("amplitude", "rate", "speed", "loop", "recorded"):
         if getattr(options, name) is not None:
@@ -124,7 +124,7 @@ def _send_simulation(options: argparse.Namespace) -> int:
 
 
 def _open(
-    options: argparse.Namespace, source: Receiver, structure: Structure, to_shm: bool
+    options: argparse.Namespace, source: Source, structure: Structure, to_shm: bool
 ) -> Playback:
     from ..record.recording import Recording
     from ..send.playback import RecordedPackets, TablePackets

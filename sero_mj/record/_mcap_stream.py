@@ -1,4 +1,4 @@
-"""`WholeFile`: what the `mcap` library writes to, so that the file is whole at every moment.
+"""`McapStream`: what the `mcap` library writes to, so that the file is whole at every moment.
 
 Behind the last record there always stands a short ending without an index, which the next records
 are written over and bring along. So a process may be killed at any time, and readers find a whole
@@ -36,7 +36,7 @@ def pack_record(record: McapRecord) -> bytes:
 SHORT_ENDING = pack_record(DataEnd(0)) + pack_record(Footer(0, 0, 0)) + MCAP0_MAGIC
 
 
-class WholeFile:
+class McapStream:
     """A stream for `mcap.writer.Writer`: records wait until `flush` writes them with an ending.
 
     Args:

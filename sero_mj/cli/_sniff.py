@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .layout_table import make_console
+from ._layout_table import make_console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

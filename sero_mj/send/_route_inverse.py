@@ -12,7 +12,7 @@ from ..drive.wiring import Route
 _DEPENDENT = 1e-9  # share of a row that is new, below which it says nothing new
 
 
-class Backwards:
+class RouteInverse:
     """Solves routes for the numbers of the events that they take.
 
     What is left open is as small as possible. Where routes ask for things that cannot both be,
@@ -52,9 +52,8 @@ class Backwards:
         rows = np.zeros((len(route.value.offset), width))
         for term in route.value.terms:
             if term.origin.is_event:
-                places = np.arange(len(rows))[term.at]
                 columns = [self._columns[term.origin][number] for number in term.take.tolist()]
-                rows[places, columns] += 1.0 if term.times is None else term.times
+                rows[term.at, columns] += term.times
         return rows
 
     def solve(

@@ -1,4 +1,4 @@
-"""`WholePackets`: finds packets in a block of shared memory that are new and not torn."""
+"""`ShmPackets`: finds packets in a block of shared memory that are new and not torn."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LONGEST_SPIN = 2e-4  # s; a packet that has to stand still for longer is looked
 _WRITING_FOR = 0.1  # s; a packet takes no longer to be written by a writer that lives
 
 
-class WholePackets:
+class ShmPackets:
     """Reads the packets of one structure from a block that another process writes.
 
     A plain class: its attributes are looked up many times for a packet, thousands of times a
