@@ -2,12 +2,13 @@
 # make test   the tests
 # make quick  those of logic: without windows, browsers, films and what else is slow
 # make lint   style and types
+# make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
 # make wheel  dist/*.whl, with models and scenes inside
 
 BIN := .venv/bin
 
-.PHONY: demo test quick lint bench wheel clean
+.PHONY: demo test quick lint docs bench wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -25,6 +26,9 @@ lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: .venv/.test
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs out/docs
 
 bench: .venv/.test
 	$(BIN)/python benchmarks/run.py

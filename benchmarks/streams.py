@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sero_mj.show.headless.gl import choose_backend
+from sero_mj.show.headless.backend import choose_backend
 
 choose_backend()
 

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from sero_mj.show.headless.gl import choose_backend
+from sero_mj.show.headless.backend import choose_backend
 
 choose_backend()
 
@@ -28,7 +28,7 @@ settings.load_profile("quarter")
 # Screens, browsers and films take both cores: with several workers these run on one of them.
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
 _MAY_BE_SKIPPED = ("dm-control is not installed", "by hand", "Linux")
-_ON_ONE_WORKER = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_readme")
+_ON_ONE_WORKER = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_docs")
 
 ROOT = Path(__file__).resolve().parent.parent
 

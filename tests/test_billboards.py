@@ -12,17 +12,17 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.picture_view import PictureView
 from sero_mj.decor.quantities import joint_values
 from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.decor.toggles import Toggles
-from sero_mj.decor.view import View
 from sero_mj.drive.place import Placer, follow
 from sero_mj.errors import UnknownName
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
 
 
-def text_boxes(view: View, rows) -> list[tuple[np.ndarray, np.ndarray]]:
+def text_boxes(view: PictureView, rows) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pixel rectangle of every label, from its position and the font's widths."""
     boxes = []
     for row in of_kind(rows, GEOM.mjGEOM_LABEL):
@@ -155,7 +155,9 @@ def test_a_leader_runs_from_its_panel_to_its_joint(billboard_world) -> None:
 
 def test_a_joint_out_of_the_picture_has_no_billboard(billboard_world) -> None:
     behind = view_at()
-    turned = View(behind.position, -behind.right, behind.up, -behind.forward, 0.4, 0.02, 1280, 800)
+    turned = PictureView(
+        behind.position, -behind.right, behind.up, -behind.forward, 0.4, 0.02, 1280, 800
+    )
     assert len(drawn(billboard_world, turned)) == 0
 
 

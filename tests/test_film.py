@@ -15,8 +15,8 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene, View
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import RenderError
-from sero_mj.show.headless.capture import _states, render_film, render_picture
 from sero_mj.show.headless.film import FilmWriter, default_fps, save_picture
+from sero_mj.show.headless.render import _states, render_film, render_picture
 
 # The default view depends on where the scene declares the robot.
 VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])

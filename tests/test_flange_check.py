@@ -19,8 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.scene_toggles import SceneToggles
+from sero_mj.assemble.scene import Scene, SceneToggles
 from sero_mj.assemble.world import World
 from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor

@@ -10,7 +10,7 @@ from sero_mj import World
 from sero_mj.load import load_scene
 from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, runs
 from sero_mj.show.web.plots import thin_out
-from sero_mj.show.window.plot import TorquePlot, y_range
+from sero_mj.show.window.torque_plot import TorquePlot, y_range
 
 
 @pytest.fixture(scope="module")

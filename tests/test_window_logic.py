@@ -14,15 +14,14 @@ from sero_mj import Mirror, World
 from sero_mj.decor.toggles import Toggles
 from sero_mj.load import load_scene
 from sero_mj.show.clock import SPEEDS, Clock, time_text
-from sero_mj.show.events import LEFT, MIDDLE, RIGHT, Event
+from sero_mj.show.input import LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
 from sero_mj.show.keys import Keys
-from sero_mj.show.mouse import Clicked, Mouse, Moved
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
-from sero_mj.show.window.film import due_frames, free_name
+from sero_mj.show.window.arrange import arrange
+from sero_mj.show.window.capture import due_frames, free_name
 from sero_mj.show.window.help import help_columns, pages
-from sero_mj.show.window.layout import arrange
 from sero_mj.show.window.timeline import TimeLine
 
 # ---- clock

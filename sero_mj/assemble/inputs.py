@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from .robot_parts import VALUE_INPUTS
-from .scene import Scene
-from .scene_toggles import SceneToggles
+from .scene import Scene, SceneToggles
 
 # What a source's slot holds.
 SOURCE_FIELDS = (

@@ -17,8 +17,7 @@ from .looks import Camera, Light, View
 from .objects import Object, set_directory
 from .robot import SerialRobot, build_robot
 from .route_text import origin_text
-from .scene import Scene
-from .scene_toggles import SceneToggles
+from .scene import Scene, SceneToggles
 
 T = TypeVar("T")
 

@@ -9,7 +9,7 @@ import sys
 
 from .. import __version__
 from ..errors import DeclarationError, SeroError
-from ..show.headless.gl import choose_backend
+from ..show.headless.backend import choose_backend
 from . import (
     check,
     compare,

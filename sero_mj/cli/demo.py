@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
     from .. import paths
     from ..load import load_scene
-    from ..show.headless.capture import render_picture
+    from ..show.headless.render import render_picture
     from .render import film_with_progress
 
     shown = {"lwr.show_billboards": True}

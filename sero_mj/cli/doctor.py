@@ -12,8 +12,7 @@ import subprocess
 import sys
 from typing import Any
 
-from ..show.display import has_display
-from ..show.headless.gl import BACKENDS, PACKAGES, osmesa_is_there
+from ..show.headless.backend import BACKENDS, PACKAGES, has_display, osmesa_is_there
 from ._arguments import Commands, add_command
 
 _EPILOG = """\

@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
     if not is_film and (options.duration or options.fps):
         raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
     if options.clicks:  # what was hit is worth a line
-        logging.getLogger("sero_mj.show.headless.capture").setLevel(logging.INFO)
+        logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
     scene = read_shown_scene(options)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
@@ -133,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
             clicks=options.clicks,
         )
     else:
-        from ..show.headless.capture import render_picture
+        from ..show.headless.render import render_picture
 
         silent = render_picture(
             scene,
@@ -186,7 +186,7 @@ def film_with_progress(
     from rich import progress as bars
     from rich.console import Console
 
-    from ..show.headless.capture import render_film
+    from ..show.headless.render import render_film
 
     columns = (
         bars.TextColumn("{task.description}"),

@@ -188,7 +188,7 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
 
 
 def _render(simulation: Simulation, options: argparse.Namespace) -> None:
-    from ..show.headless.capture import render_picture
+    from ..show.headless.render import render_picture
     from ..simulate.simulated_source import staged
 
     scene = staged(simulation)

@@ -103,7 +103,7 @@ def wants_page(options: argparse.Namespace) -> bool:
         raise UsageError(f"--{of_window[0]} is for the window; a page is as large as its browser's")
     if options.web or of_page:
         return True
-    from ..show.display import has_display
+    from ..show.headless.backend import has_display
 
     if has_display():
         return False

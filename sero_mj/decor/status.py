@@ -15,9 +15,9 @@ from ..receive import fri_layout as fri
 from .cards import below
 from .feature import Feature, Frame
 from .panels import Panels, panel_sizes
+from .picture_view import PictureView
 from .quantities import implausible_torques
 from .toggles import Toggles
-from .view import View
 
 FAULT_RGBA = (0.32, 0.03, 0.03, 0.88)
 _MARGIN = 0.5  # of a line's height
@@ -121,7 +121,7 @@ class Status(Feature):
             frame.corners.append(panel)
 
     def panels(
-        self, data: mujoco.MjData, toggles: Toggles, view: View, more: Sequence[str] = ()
+        self, data: mujoco.MjData, toggles: Toggles, view: PictureView, more: Sequence[str] = ()
     ) -> Panels | None:
         """Returns the panel in the upper left corner, or None when there is nothing to say.
 

@@ -18,10 +18,10 @@ from ..drive.mirror import LiveWorld, Mirror
 from ..drive.watch import Watch
 from ..errors import UsageError, did_you_mean
 from ..load import load_scene
-from .clicks import OnClick
-from .display import has_display
-from .headless.picture import Picture
+from .headless.backend import has_display
+from .headless.film import Picture
 from .headless.renderer import DEFAULT_SIZE
+from .interaction import OnClick
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
 

@@ -75,7 +75,7 @@ class Paneled(Protocol):
     notice: Notice
 
 
-class Panels(plugin.ViewerPlugin):
+class PageWindows(plugin.ViewerPlugin):
     """What the page has beside Studio's own menus.
 
     Args:

@@ -41,7 +41,7 @@ def due_frames(seconds: float, sent: int, fps: float = FPS) -> int:
     return max(int(seconds * fps) + 1 - sent, 0)
 
 
-class Camera:
+class Capture:
     """Takes pictures and films.
 
     Args:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ...assemble.world_view import WorldView
 from ...decor.font import Font
 from ...decor.pen import CAPACITY
+from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
-from ...decor.view import View
 from ..picking import Picked
 from ..scene_decor import SceneDecor
 
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 _MORE = 1000  # geoms that MuJoCo adds to those of the model
 
 
-class Frame:
+class Viewport:
     """The picture of a world in a part of a window.
 
     Args:
@@ -57,7 +57,7 @@ class Frame:
             self._model, data, self._option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene
         )
         self.rect = rect
-        view = View.of_scene(scene, rect.width, rect.height, font)
+        view = PictureView.of_scene(scene, rect.width, rect.height, font)
         self.decor.draw(data, view, scene)
 
     def draw(self, context: mujoco.MjrContext) -> None:

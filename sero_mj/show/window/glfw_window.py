@@ -11,11 +11,10 @@ import glfw
 import mujoco
 
 from ...assemble.world_view import WorldView
-from ...decor.font import Font, nearest_font_scale
+from ...decor.font import Font, font_scale, nearest_font_scale
 from ...errors import RenderError
-from ..events import LEFT, MIDDLE, RIGHT, Event
-from ..font_scale import font_scale
 from ..headless.offscreen import check_size, offscreen_size
+from ..input import LEFT, MIDDLE, RIGHT, Event
 
 _SAMPLES = 4  # per pixel, against jagged edges
 _HUD_TEXT = 18.0  # pixels, of the window's own text at content scale 1

@@ -12,8 +12,6 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from ..display import has_display
-
 BACKENDS = ("egl", "osmesa", "glfw")
 # What a Debian or Ubuntu machine needs for software rendering with each backend.
 PACKAGES = {
@@ -50,6 +48,13 @@ def adopt_backend() -> None:
 
     # MuJoCo 4.0.0 has no public way to change it; `Renderer` reads this name for every context.
     gl_context.GLContext = GLContext
+
+
+def has_display() -> bool:
+    """Whether there is a screen to open a window on."""
+    if sys.platform != "linux":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _headless_backend() -> str:

@@ -1,4 +1,4 @@
-"""`View`: from where, and into how many pixels, a frame is drawn."""
+"""`PictureView`: from where, and into how many pixels, a frame is drawn."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Depth = TypeVar("Depth", float, Array)
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PictureView:
     """A perspective camera and its picture.
 
     Pixels are counted from the lower left corner, x to the right, y up.
@@ -58,7 +58,7 @@ class View:
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
         least_alpha: float = 0.0,
-    ) -> View:
+    ) -> PictureView:
         """Returns the view of an `MjvScene` that `mjv_updateScene` has filled."""
         left, right = scene.camera[0], scene.camera[1]
         position = (np.array(left.pos, np.float64) + right.pos) / 2
