@@ -197,7 +197,7 @@ class Mirror:
                     listener(name, packets)
             packet = self._latest.get(name)
             if packet is not None and (packets is not None or name in self._again):
-                self._routers[name].apply(packet, data)
+                self._routers[name].apply(data, {name: packet.values})
                 fresh.add(name)
         self._states.write(data, self.sources, self._latest)
         self._again.clear()

@@ -13,7 +13,7 @@ from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
 from ..errors import DeclarationError
 from ..frames import frame, rotation_from_quat
-from ._router import LateRouter, LatestValues
+from ._router import LatestValues, Router
 from .route import wire
 from .wiring import FrameRoute, Wiring
 
@@ -36,7 +36,7 @@ class Placer:
         if wiring.problems:
             raise DeclarationError(world.scene.located(wiring.problems))
         self._world = world
-        self._late = LateRouter(world, wiring.later)
+        self._late = Router(world, wiring.later)
         self._levels = wiring.levels
         placing = [route for route in wiring.frame_routes if route.to.key != "flange_check"]
         self._routes = {route.to.name: route for route in placing}
