@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import DeclarationError, UsageError
+from ..errors import UsageError
 from ..paths import list_scenarios
 from ._arguments import positive
 from ._sink import goes_to_shm
@@ -73,9 +73,7 @@ def send_file(
         return _send_simulation(options)
     if options.amplitude is not None:
         raise UsageError("--amplitude is for a motion; it does nothing with --play")
-    wiring = wire(scene)
-    if wiring.problems:
-        raise DeclarationError(scene.located(wiring.problems))
+    wiring = wire(scene).check(scene)
     source = choose_source(wiring, options.source)
     structure = structure_for(source, options.structure)
     playback = _open(options, source, structure, goes_to_shm(options, source))

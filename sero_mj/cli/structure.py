@@ -119,11 +119,7 @@ def _print_scene(options: argparse.Namespace) -> int:
     from ..drive.route import wire
 
     scene = read_scene(options.scene)
-    layouts = {
-        name: source.layout
-        for name, source in wire(scene).sources.items()
-        if hasattr(source, "layout")
-    }
+    layouts = {name: source.layout for name, source in wire(scene).sources.items()}
     if options.json:
         print(json.dumps({name: as_json(layout) for name, layout in layouts.items()}, indent=2))
         return 0

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..assemble.world_view import WorldView
-from ..errors import DeclarationError
 from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
 from ._router import Router
 from ._source_states import SourceStates
@@ -88,9 +87,7 @@ class Mirror:
     """
 
     def __init__(self, scene: Scene) -> None:
-        wiring = wire(scene)
-        if wiring.problems:
-            raise DeclarationError(scene.located(wiring.problems))
+        wiring = wire(scene).check(scene)
         self.world = World(scene)
         self.data = self.world.make_data()
         self.routes: list[Route] = wiring.routes

@@ -11,7 +11,6 @@ from ..assemble.mjcf_double import OUT_OF_SIGHT
 from ..assemble.named_frames import WORLD
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
-from ..errors import DeclarationError
 from ..frames import frame, rotation_from_quat
 from ._router import LatestValues, Router
 from .route import wire
@@ -32,9 +31,7 @@ class Placer:
     """
 
     def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
-        wiring = wire(world.scene) if wiring is None else wiring
-        if wiring.problems:
-            raise DeclarationError(world.scene.located(wiring.problems))
+        wiring = (wiring or wire(world.scene)).check(world.scene)
         self._world = world
         self._late = Router(world, wiring.later)
         self._levels = wiring.levels

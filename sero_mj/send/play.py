@@ -14,7 +14,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..drive.route import wire
 from ..drive.wiring import Route, Wiring
-from ..errors import DeclarationError, UsageError, did_you_mean
+from ..errors import UsageError, did_you_mean
 from ..frames import frame, rotation_about
 from ..receive.source import Source
 from ..receive.structure import Structure
@@ -88,9 +88,7 @@ class MotionPackets:
         amplitude: float = 1.0,
         players: Mapping[str, Player] | None = None,
     ) -> None:
-        wiring = wire(scene)
-        if wiring.problems:
-            raise DeclarationError(scene.located(wiring.problems))
+        wiring = wire(scene).check(scene)
         self.source = choose_source(wiring, source)
         self.structure = structure_for(self.source, structure)
         routes = _connected(wiring.routes, self.source.name, self.structure.events)
