@@ -117,11 +117,11 @@ def test_drives_that_are_broken_twice_end_one_by_one() -> None:
     simulation = Simulation(
         scenario(faults={"a": during(0.1, 0.3, **weak), "b": during(0.2, 0.4, **weaker)})
     )
-    gains = simulation._happenings.gains
+    gains = simulation._schedule.gains
     for step, expected in ((150, [0.9, 1.0]), (250, [0.8, 0.8]), (350, [0.8, 0.8]), (450, [1, 1])):
         simulation.advance(step)
         assert gains[[A2, A3]].tolist() == expected
-    assert not simulation._happenings.is_tampered
+    assert (gains == 1.0).all()
 
 
 def test_a_plot_shows_until_when() -> None:
