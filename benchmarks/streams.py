@@ -29,8 +29,13 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, ShmReader, UdpReceiver
+from sero_mj.drive.mirror import load_scene
+from sero_mj.receive.fri import FriReceiver
+from sero_mj.receive.fri_layout import FriLayout, no_command
 from sero_mj.receive.receiver import Receiver
 from sero_mj.receive.structure import Structure
+from sero_mj.record.recording import Recording
+from sero_mj.record.recording_writer import RecordingWriter
 
 Row = tuple[str, str, str, str, str]
 HERE = Path(__file__).parent
@@ -224,6 +229,99 @@ def _to_pixels(mirror: Mirror, applied: list[float], command: list[str]) -> list
     return ages
 
 
+def answers(programs: dict[str, str], seconds: float) -> list[Row]:
+    """FRI at 1 kHz beside a film: what a controller gets of its answers; and checks, alone."""
+    goal = "99.9 % answered, 99 % within 2 ms"
+    scene = load_scene("lwr_fri")
+    scene.sources["fri"] |= {"port": 0, "answer": True}
+    rows: list[Row] = []
+    with Mirror(scene) as mirror, render_loop(mirror):
+        source = mirror.sources["fri"]
+        assert isinstance(source, FriReceiver)
+        rows.append(("FRI at 1 kHz, rendering", *_answered(programs, source.port, seconds), goal))
+        with bare_answers() as port:
+            row = "bare recvfrom and sendto, rendering", *_answered(programs, port, seconds), ""
+        rows.append(row)
+    packets = {
+        "FRI": (FriReceiver(udpport=0), FriLayout().encode({})),
+        "7F7F": (UdpReceiver(structure="7F7F"), bytes(PACKET_BYTES)),
+    }
+    for name, (receiver, packet) in packets.items():
+        row, length = np.frombuffer(packet, np.uint8)[None], np.array([len(packet)])
+        count = [0]
+
+        def check(row=row, length=length, receiver=receiver, count=count) -> None:  # type: ignore
+            count[0] += 1
+            receiver._accept(row, length, np.array([1e-3 * count[0]]))
+
+        one = min(timeit.repeat(check, number=1000, repeat=7)) / 1000
+        limit = "at most 80 us" if name == "FRI" else ""
+        rows.append((f"check {name}, one packet", f"{one * 1e6:.0f} us", "", "", limit))
+    return rows
+
+
+def _answered(programs: dict[str, str], port: int, seconds: float) -> tuple[str, str, str]:
+    command = [programs["fri_master"], str(port), "1000", str(int(1000 * seconds))]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    _, answered, within, p50, p99, longest = done.stdout.split()
+    return f"{answered} %, {within} % in 2 ms", f"p50 {p50}, p99 {p99}, max {longest} us", ""
+
+
+@contextmanager
+def bare_answers() -> Iterator[int]:
+    """The simplest loop that answers, on a thread of this process."""
+    stop = threading.Event()
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(0.2)
+
+        def run() -> None:
+            count = 0
+            while not stop.is_set():
+                try:
+                    packet, sender = sock.recvfrom(2048)
+                except TimeoutError:
+                    continue
+                count += 1
+                sock.sendto(no_command(count, int.from_bytes(packet[:2], "little")), sender)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        yield sock.getsockname()[1]
+        stop.set()
+        thread.join()
+
+
+def recording(folder: Path) -> list[Row]:
+    """What an hour of 76 bytes at 1 kHz takes on the disk, and a packet of time."""
+    structure, count = Structure("19F", is_double=False), 20_000
+    times = np.arange(count) / 1000
+    values = np.sin(times[:, None] * np.arange(1, 20)) + np.random.default_rng(0).normal(
+        scale=0.01, size=(count, 19)
+    )
+    packets = [structure.encode({"values0": row}) for row in values]
+    path, events = folder / "run.mcap", dict(structure.events)
+    with RecordingWriter(path, about={}) as writer:
+        writer.add_source("udp", kind="udp", declared={}, events=events, size=76)
+        begin, work = time.monotonic(), time.process_time()
+        for k, packet in enumerate(packets):
+            writer.write_raw("udp", packet, begin + k / 1000)
+            writer.write_signals("udp", structure.decode(packet), begin + k / 1000)
+            if k % 400 == 399:  # as a recorder does at 1 kHz
+                writer.flush()
+        work = time.process_time() - work
+    hour = path.stat().st_size / count * 3.6e6
+    begin = time.perf_counter()
+    with Recording(path) as found:
+        assert sum(1 for _ in found.packets("udp")) == count
+    read = time.perf_counter() - begin
+    return [
+        ("record 76 bytes at 1 kHz", f"{hour / 1e9:.2f} GB/h",
+         f"{work / count * 1e6:.0f} us to write, {read / count * 1e6:.1f} us to read", "",
+         "at most 0.8 GB/h"),
+    ]  # fmt: skip
+
+
 def decoding() -> list[Row]:
     """A packet to arrays, against `numpy.frombuffer` for the same arrays."""
     structure = Structure("7F7F")
@@ -256,7 +354,13 @@ def main() -> None:
     table = Table("what", "result", "against", "ratio", "goal", title="sero-mj streams")
     with tempfile.TemporaryDirectory() as folder:
         programs = compile_c(Path(folder))
-        for row in [*decoding(), *latency(programs, seconds), *throughput(programs, seconds)]:
+        for row in [
+            *decoding(),
+            *recording(Path(folder)),
+            *answers(programs, seconds),
+            *latency(programs, seconds),
+            *throughput(programs, seconds),
+        ]:
             table.add_row(*row)
     console.print(table)
 

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from .drive.mirror import Mirror as Mirror
     from .drive.mirror import load_scene as load_scene
     from .drive.place import Placer as Placer
+    from .drive.record_sources import record_sources as record_sources
     from .environment.make import make_environment as make_environment
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
     from .receive.shm import ShmReader as ShmReader
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
-    from .record.record_sources import record_sources as record_sources
     from .record.recording import Recording as Recording
     from .record.replay import Replay as Replay
     from .show.headless.capture import render_film as render_film
@@ -90,7 +90,7 @@ _HOME = {
     "Mirror": "drive.mirror",
     "load_scene": "drive.mirror",
     "Placer": "drive.place",
-    "record_sources": "record.record_sources",
+    "record_sources": "drive.record_sources",
     "make_environment": "environment.make",
     "DeclarationError": "errors",
     "SeroError": "errors",

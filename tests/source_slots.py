@@ -7,7 +7,14 @@ import mujoco
 from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.assemble.world import World
 
-NOTHING_YET = {"age": -1, "fault_age": -1, "state": -1, "quality": -1, "link_age": -1}
+NOTHING_YET = {
+    "age": -1,
+    "fault_age": -1,
+    "state": -1,
+    "quality": -1,
+    "link_age": -1,
+    "foreign_age": -1,
+}
 
 
 def set_source(data: mujoco.MjData, world: World, name: str, **counts: float) -> None:

@@ -185,7 +185,7 @@ def test_huge_values_are_written_with_an_exponent() -> None:
     data = world.make_data()
     data.userdata[world.slots["lwr.torques"]][:2] = (-1.5e300, 123456.0)
     pen = Decor(world).draw(data, Toggles(world), view_at())
-    assert labels(pen.rows[: pen.count])[:2] == ["A1 -1.500e+300 Nm", "A2 123456.0 Nm"]
+    assert {"A1 -1.500e+300 Nm", "A2 123456.0 Nm"} < {*labels(pen.rows[: pen.count])}
 
 
 def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width() -> None:

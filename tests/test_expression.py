@@ -303,3 +303,23 @@ def test_units_are_multiplied(text: str, dimension: tuple[int, ...]) -> None:
 def test_every_entry_has_its_own_unit() -> None:
     value = value_of("[udp.values0[0] * deg, 3 * mm, 1] * [1, N, 2]")
     assert value.dimensions.tolist() == [[0, 0, 0, 1], [2, 1, -2, 0], [0, 0, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("udp.values0 * 2", "[-0.0, 0.0, 2.0, -2.0]"),
+        ("udp.values0 * deg", None),
+        ("-udp.values0", "[0.0, -0.0, -1.0, 1.0]"),
+        ("[udp.values0[0] * 2, 0, udp.values0[1], udp.values0[0] + 0]", "[-0.0, 0.0, 0.0, -0.0]"),
+        ("udp.values0 - udp.values0", "[0.0, 0.0, 0.0, 0.0]"),
+        ("udp.values0 + 1", "[1.0, 1.0, 2.0, 0.0]"),
+    ],
+)
+def test_a_zero_keeps_its_sign(text: str, expected: str | None) -> None:
+    numbers = np.array([-0.0, 0.0, 1.0, -1.0])
+    found = value_of(text).compile(4).evaluate(lambda _: numbers)
+    if expected is None:
+        assert np.signbit(found).tolist() == [True, False, False, True]
+    else:
+        assert str(found.tolist()) == expected

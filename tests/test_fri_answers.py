@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import errno
 import math
+import os
+import platform
 import socket
 import struct
+import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from decor_tools import view_at
 from fri_packets import give, measurement
+from polling import until
 
 import sero_mj
 from sero_mj.decor.status import Status
@@ -20,7 +24,9 @@ from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import COMMAND, no_command
+from sero_mj.receive.short_slices import ask_for_short_slices
 from sero_mj.receive.structure import Structure
+from sero_mj.receive.udp import UdpReceiver
 from sero_mj.record.recording_writer import RecordingWriter
 
 
@@ -44,8 +50,13 @@ def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> 
 
 def test_nothing_but_the_answer_sends() -> None:
     folder = Path(sero_mj.__file__).parent / "receive"
-    sending = {path.name for path in folder.glob("*.py") if ".sendto(" in path.read_text()}
-    assert sending == {"fri.py"}
+    texts = {path.name: path.read_text() for path in folder.glob("*.py")}
+    assert {name for name, text in texts.items() if "sendto" in text} == {"datagrams.py"}
+    assert {name for name, text in texts.items() if "datagrams.send" in text} == {"udp.py"}
+    handing_on = {name for name, text in texts.items() if "def _on_arrival(" in text}
+    assert handing_on == {"udp.py", "fri.py"}
+    assert UdpReceiver(structure="7F")._on_arrival(lambda *_: None) is None
+    assert FriReceiver()._on_arrival(lambda *_: None) is None
 
 
 def test_an_answer_is_a_header_and_zeros(controller: socket.socket) -> None:
@@ -69,35 +80,86 @@ def test_the_counter_of_answers_wraps() -> None:
     assert no_command(65_536, 5)[:4] == struct.pack("<HH", 0, 5)
 
 
-def test_only_measurements_are_answered_and_only_the_newest_of_a_batch() -> None:
+def test_every_measurement_is_answered_and_nothing_else() -> None:
     receiver, sent = FriReceiver(udpport=0, answer=True), []
 
-    class Socket:
-        def sendto(self, packet: bytes, address: object) -> None:
-            sent.append((struct.unpack_from("<2H", packet), address))
-            if len(sent) == 2:
-                raise OSError(errno.ENETUNREACH, "Network is unreachable")
+    def send(packet: bytes, to: bytes) -> None:
+        sent.append((struct.unpack_from("<2H", packet), to))
+        if len(sent) == 3:
+            raise OSError(errno.ENETUNREACH, "Network is unreachable")
 
-    def accept(*packets: bytes, sender: bytes) -> None:
-        rows = np.zeros((len(packets), 917), np.uint8)
-        for row, packet in zip(rows, packets, strict=True):
-            row[: len(packet)] = np.frombuffer(packet, np.uint8)
-        lengths = np.array([len(packet) for packet in packets])
-        senders = np.tile(np.frombuffer(sender, np.uint8), (len(packets), 1))
-        receiver._accept(rows, lengths, np.zeros(len(packets)), senders)
+    def come(*packets: bytes, sender: bytes) -> None:
+        for packet in packets:
+            answer(memoryview(packet.ljust(2048, b"\0")), len(packet), sender)
 
-    receiver._socket = Socket()  # type: ignore[assignment]
+    answer = receiver._on_arrival(send)
+    assert answer is not None
     v4 = struct.pack("=H2s4s20x", 2, (4711).to_bytes(2, "big"), bytes([10, 0, 0, 7]))
     v6 = struct.pack("=H2s4x16sI", 10, (5).to_bytes(2, "big"), b"\xfe\x80" + bytes(13) + b"\1", 3)
     # NaN makes a packet unusable here, but it is a measurement that the controller sent.
-    accept(measurement(1), measurement(2, torques=math.nan), bytes(916), bytes(376), sender=v4)
-    accept(measurement(3), sender=v4)  # the network is away
-    accept(measurement(4), sender=v6)
-    accept(bytes(916), bytes(376), sender=v4)
-    to = ("10.0.0.7", 4711)
-    assert sent == [((1, 2), to), ((2, 3), to), ((2, 4), ("fe80::1", 5, 0, 3))]
-    assert receiver.answers == 2
-    receiver._socket = None
+    come(measurement(1), measurement(2, torques=math.nan), bytes(916), bytes(376), sender=v4)
+    come(measurement(3), sender=v4)  # the network is away
+    come(measurement(4), sender=v6)
+    come(measurement(5)[:-1], measurement(5) + b"\0", b"", sender=v4)
+    come(measurement(5, packet_size=915), measurement(5, datagram_id=0x1005), sender=v4)
+    assert sent == [((1, 1), v4), ((2, 2), v4), ((3, 3), v4), ((3, 4), v6)]
+    assert receiver.answers == 3
+
+
+def test_what_came_while_others_computed_is_answered_as_well(controller: socket.socket) -> None:
+    with FriReceiver(udpport=0, answer=True) as receiver:
+        held = threading.Event()
+        receiver.on_receive(lambda: held.wait(5.0) and None)  # the thread stands still
+        for counter in range(40):
+            controller.sendto(measurement(counter), ("127.0.0.1", receiver.port))
+        held.set()
+        answers = [controller.recv(2000) for _ in range(40)]
+        assert [struct.unpack_from("<2H", each)[1] for each in answers] == list(range(40))
+        assert until(lambda: receiver.answers == 40)
+
+
+def test_an_answer_goes_before_the_packet_is_looked_at(controller: socket.socket) -> None:
+    with FriReceiver(udpport=0, answer=True) as receiver:
+        looked, go_on = threading.Event(), threading.Event()
+
+        def look(*_: object) -> None:
+            looked.set()
+            go_on.wait(5.0)
+
+        receiver.record_to(look)  # which is before all checks
+        controller.sendto(measurement(7), ("127.0.0.1", receiver.port))
+        assert looked.wait(5.0)
+        assert struct.unpack_from("<2H", controller.recv(2000)) == (1, 7)
+        assert receiver.counters.received == 0
+        go_on.set()
+
+
+def test_threads_take_short_turns_only_while_somebody_answers() -> None:
+    usual = sys.getswitchinterval()
+    with FriReceiver(udpport=0):
+        assert sys.getswitchinterval() == usual
+        with FriReceiver(udpport=0, answer=True) as one, FriReceiver(udpport=0, answer=True):
+            assert sys.getswitchinterval() == pytest.approx(5e-4)
+            one.close()
+            assert sys.getswitchinterval() == pytest.approx(5e-4)
+        assert sys.getswitchinterval() == usual
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
+def test_a_thread_that_answers_asks_for_short_slices_and_changes_nothing_else() -> None:
+    found: dict[str, object] = {}
+
+    def run() -> None:
+        before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+        found["granted"] = ask_for_short_slices()
+        found["same"] = before == (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert found["same"]
+    if not found["granted"]:
+        pytest.skip(f"Linux {platform.release()} knows no slices")
 
 
 def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:

@@ -22,8 +22,8 @@ from sero_mj.drive.syntax import parse
 from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
 from sero_mj.files import open_file, read_file
 from sero_mj.receive.shm import ShmReader
-from sero_mj.record.open_recording import open_recording
 from sero_mj.record.read_csv import read_csv
+from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 from sero_mj.runs.run_recording import read_run
 from sero_mj.toml_file import key_lines, read_toml
@@ -85,8 +85,8 @@ def test_only_files_of_a_bounded_length_are_opened(tmp_path: Path, pipe: Path) -
 
 
 def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    expected = f"{pipe}: is a pipe; expected a file"
-    for opened in (open_recording, read_run):
+    expected = f"{pipe}: cannot be read: is a pipe; expected a file"
+    for opened in (Recording, read_run):
         with pytest.raises(RecordingError) as found:
             opened(pipe)
         assert str(found.value) == expected

@@ -351,3 +351,44 @@ def test_memory_does_not_grow(sender: Send) -> None:
             tracemalloc.stop()
         # Were one packet, or one float, kept for each advance, this would be more.
         assert after - before < 20_000
+
+
+def test_nan_in_what_nobody_routes_rejects_nothing(sender: Send) -> None:
+    """The same as FRI has it: a robot may send much that a scene does not show."""
+    source = {"kind": "udp", "port": 0, "structure": "3F3F2F1f1M"}
+    routes = {"arm.joint_angles": "udp.values0"}
+    scene = Scene(robots=[arm()], sources={"udp": source}, routes=routes)
+    nans, frame = (math.nan,) * 6, np.eye(4).ravel()
+
+    def packet(angle: float, *, matrix: NDArray[np.float64] = frame) -> bytes:
+        return struct.pack("<8d1f16d", angle, 0.0, 0.0, *nans[:5], math.inf, *matrix)
+
+    with Mirror(scene) as mirror:
+        sender(mirror, packet(0.25))
+        assert until(mirror.advance)
+        assert mirror.data.qpos.tolist() == [0.25, 0.0, 0.0]
+        sender(mirror, packet(0.5, matrix=np.full(16, math.nan)))
+        assert until(mirror.advance)
+        assert mirror.data.qpos.tolist() == [0.5, 0.0, 0.0]
+        counters = mirror.sources["udp"].counters
+        assert (counters.blanked, counters.malformed) == (2, 0)
+        sender(mirror, packet(math.nan))  # what moves a robot is another matter
+        assert until(lambda: counters.not_finite == 1)
+        assert not mirror.advance()
+
+
+def test_packets_of_strangers_are_in_the_slot(sender: Send) -> None:
+    source = {"kind": "udp", "port": 0, "structure": "3F3F", "sender": "192.0.2.1"}
+    routes = {"arm.joint_angles": "udp.values0"}
+    scene = Scene(robots=[arm()], sources={"udp": source}, routes=routes)
+    with Mirror(scene) as mirror:
+        mirror.advance()
+        assert "foreign" not in counted(mirror)
+        for count in (1, 2):
+            sender(mirror, six((1.0, 1.0, 1.0)))
+            assert until(lambda c=count: mirror.sources["udp"].counters.foreign == c)
+            mirror.advance()
+            found = counted(mirror)
+            assert (found["foreign"], found["foreign_age"]) == (count, 0.0)
+        mirror.advance()
+        assert 0.0 < counted(mirror)["foreign_age"] < 5.0

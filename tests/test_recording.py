@@ -15,9 +15,12 @@ from mcap.reader import make_reader
 from recordings import DECLARED, EVENTS, begin, record
 
 from sero_mj.errors import UnknownName
+from sero_mj.receive.structure import Structure
+from sero_mj.record.mcap_file import SHORT_ENDING
 from sero_mj.record.recording import Recording
 from sero_mj.record.recording_format import Clock
 from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.record.replay import Replay
 
 
 def test_what_goes_in_comes_out(tmp_path: Path) -> None:
@@ -178,8 +181,8 @@ def test_starting_late_in_a_long_recording_reads_little_of_it(tmp_path: Path) ->
         file = recording._file
 
         class Counting:
-            def seek(self, at: int) -> int:
-                return file.seek(at)
+            def seek(self, at: int, whence: int = 0) -> int:
+                return file.seek(at, whence)
 
             def read(self, count: int) -> bytes:
                 read.append(count)
@@ -217,3 +220,53 @@ def test_rows_at_once_are_packets_one_by_one(tmp_path: Path) -> None:
     assert [packet for _, packet in found[0]] == [packet for _, packet in found[1]]
     times = np.array([[time for time, _ in each] for each in found])
     assert times[0] == pytest.approx(times[1], abs=2e-9)
+
+
+def test_a_recording_of_the_first_writer_is_read_as_ever(tmp_path: Path) -> None:
+    """Written by sero-mj before it wrote by the mcap library; its signals have no names."""
+    path = Path(__file__).with_name("recording_format1.mcap")
+    killed = tmp_path / "killed.mcap"  # as that writer left it: a short ending in place of an index
+    with open(path, "rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        last = summary.chunk_indexes[-1]
+        end = last.chunk_start_offset + last.chunk_length + last.message_index_length
+        file.seek(0)
+        killed.write_bytes(file.read(end) + SHORT_ENDING)
+    for each in (path, killed):
+        with Recording(each) as recording:
+            assert [fault for fault in recording.faults if "was not closed" not in fault] == []
+            assert recording.about == {"scene": "two arms"}
+            assert recording.read_attachment("scene.toml") == b"[robots.arm]\n"
+            arm, hand = recording.sources["arm"], recording.sources["hand"]
+            assert (arm.count, arm.first, arm.last) == pytest.approx((40, 0.0, 3.9), abs=1e-6)
+            assert (hand.count, hand.declared) == (1, DECLARED)
+            packets = [data for _, data in recording.packets("arm")]
+        replay = Replay(file=each, source="arm")
+        decoded = [replay.decode(packet) for packet in packets]
+        assert [values["values0"].tolist() for values in decoded if values] == [
+            [k / 10, 0.0] for k in range(40)
+        ]
+        with open(each, "rb") as file:
+            found = [m.data for _, _, m in make_reader(file).iter_messages(topics="/arm/signals")]
+        assert json.loads(found[3])["values0"] == [0.3, 0.0]
+
+
+def test_an_hour_of_76_bytes_at_1_khz_is_less_than_a_gigabyte(tmp_path: Path) -> None:
+    """With the decoded values, noise in every number, and a chunk every 0.4 s; it was 1.65 GB."""
+    structure, count = Structure("19F", is_double=False), 4000
+    random, times = np.random.default_rng(0), np.arange(count) / 1000
+    clean = np.sin(times[:, None] * np.arange(1, 20) / 3) * np.linspace(1, 40, 19)
+    values = clean + random.normal(scale=0.05, size=clean.shape)
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, about={}) as writer:
+        events = dict(structure.events)
+        writer.add_source("udp", kind="udp", declared={}, events=events, size=76)
+        arrivals = writer.clock.monotonic_ns / 1e9 + times + random.uniform(0, 5e-5, count)
+        for k, (row, arrival) in enumerate(zip(values, arrivals.tolist(), strict=True)):
+            packet = structure.encode({"values0": row})
+            writer.write_raw("udp", packet, arrival)
+            writer.write_signals("udp", structure.decode(packet), arrival)
+            if k % 400 == 399:
+                writer.flush()
+    assert path.stat().st_size / count * 3.6e6 < 0.85e9

@@ -18,8 +18,8 @@ from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
 from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
 from sero_mj.drive.mirror import load_scene
+from sero_mj.drive.record_sources import record_sources
 from sero_mj.errors import DeclarationError, SourceError
-from sero_mj.record.record_sources import record_sources
 from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 

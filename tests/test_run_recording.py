@@ -13,8 +13,8 @@ from runs import HOME, record_packets, record_run, simulated
 from sero_mj.assemble.scene_file import read_scene
 from sero_mj.drive.mirror import Mirror, load_scene
 from sero_mj.errors import RecordingError, UsageError
-from sero_mj.record.mcap_file import FLUSH_AFTER
 from sero_mj.record.recording import Recording
+from sero_mj.record.recording_writer import FLUSH_AFTER
 from sero_mj.runs.run_log import event_of
 from sero_mj.runs.run_recording import read_run
 from sero_mj.simulate.run_recorder import RunRecorder
@@ -268,4 +268,7 @@ def test_values_as_json_belong_to_their_rows(tmp_path: Path) -> None:
     assert list(found) == list(range(0, 101, 10))
     angles = simulation.layout.columns[event_of("lwr", "angles")]
     for k, values in found.items():
-        assert values["lwr_angles"] == simulation.rows[k, angles].tolist()
+        joints = simulation.scenario.scene.robots["lwr"].names
+        found_angles = [values[f"lwr.{joint}.angle [rad]"] for joint in joints]
+        expected = simulation.rows[k, angles].tolist()
+        assert found_angles == pytest.approx(expected, rel=1e-6, abs=1e-300)

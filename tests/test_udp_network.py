@@ -197,3 +197,113 @@ def test_a_group_can_be_sniffed_on_an_interface(capsys: pytest.CaptureFixture[st
     with pytest.raises(SystemExit) as caught:
         main(["structure", "7F", "--interface", "lo"])
     assert "--interface is for --sniff PORT" in capsys.readouterr().err
+
+
+@pytest.fixture
+def six() -> Iterator[socket.socket]:
+    """A sender on the loopback of IPv6."""
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.bind(("::1", 0))
+        except OSError as error:
+            pytest.skip(f"no IPv6 here: {error}")
+        yield sock
+
+
+@pytest.mark.parametrize(
+    ("sender", "foreign"),
+    [
+        (["127.0.0.1", "::1"], []),
+        (["127.0.0.1"], ["::1"]),
+        (["::1"], ["127.0.0.1"]),
+        (["::ffff:127.0.0.1"], ["::1"]),
+        (["192.0.2.1"], ["127.0.0.1", "::1"]),
+        ([], []),
+    ],
+)
+def test_a_socket_for_both_families_knows_senders_of_both(
+    two: tuple[socket.socket, socket.socket],
+    six: socket.socket,
+    sender: list[str],
+    foreign: list[str],
+) -> None:
+    with UdpReceiver(structure="1F", host="::", sender=sender) as receiver:
+        for _ in range(3):
+            two[0].sendto(packet(4.0), ("127.0.0.1", receiver.port))
+            six.sendto(packet(6.0), ("::1", receiver.port))
+        assert until(lambda: receiver.counters.received == 6)
+        assert receiver.counters.foreign == 3 * len(foreign)
+        assert receiver.receive_trigger == 6 - 3 * len(foreign)
+
+
+def test_a_sender_with_its_port_is_known_on_a_socket_for_both_families(
+    two: tuple[socket.socket, socket.socket], six: socket.socket
+) -> None:
+    sender = f"127.0.0.1:{two[0].getsockname()[1]}"
+    with UdpReceiver(structure="1F", host="::", sender=sender) as receiver:
+        for sock in two:
+            sock.sendto(packet(4.0), ("127.0.0.1", receiver.port))
+        assert until(lambda: receiver.counters.received == 2)
+        assert receiver.counters.foreign == 1
+
+
+@pytest.mark.parametrize("sender", ["0.0.0.0", "0.0.0.0:4711", "::", "239.0.0.1", "[ff02::1]:5"])
+def test_a_sender_that_nobody_can_be_is_told(sender: str) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        UdpReceiver(structure="1F", sender=sender)
+    expected = f"found {sender!r}, from which nobody sends; leave it out for anybody"
+    assert str(caught.value) == f"sender: {expected}"
+
+
+@pytest.mark.parametrize("host", ["ff02::1", "ff01::1", "fe80::1"])
+def test_an_address_of_every_network_asks_for_the_interface(host: str) -> None:
+    with pytest.raises(SourceError) as caught:
+        UdpReceiver(structure="1F", host=host, udpport=32_124).open()
+    names = ", ".join(name for _, name in socket.if_nameindex())
+    assert str(caught.value) == (
+        f"source 'udp': UDP port 32124 on {host}: such an address is one on every network; name "
+        f"yours with interface = ...; available: {names}"
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the loopback interface is called lo")
+def test_an_address_of_every_network_is_this_machines_on_the_interface_or_is_told() -> None:
+    for fields in ({"host": "fe80::1234", "interface": "lo"}, {"host": "fe80::1234%lo"}):
+        with pytest.raises(SourceError, match="not an address of this machine"):
+            UdpReceiver(structure="1F", **fields).open()  # type: ignore[arg-type]
+    with pytest.raises(SourceError, match="no network interface 'eth77'; available: "):
+        UdpReceiver(structure="1F", host="fe80::1234", interface="eth77").open()
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "::"])
+def test_what_is_sent_back_reaches_its_sender(
+    monkeypatch: pytest.MonkeyPatch, host: str, at_once: bool
+) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.bind((host, 0))
+        except OSError as error:
+            pytest.skip(f"no IPv6 here: {error}")
+        reader = Datagrams(sock, 8)
+        if not at_once:
+            monkeypatch.setattr(reader, "_recvmmsg", None)
+            monkeypatch.setattr(reader, "_sendto", None)
+        seen: list[tuple[bytes, int]] = []
+
+        def answer(data: memoryview, length: int, sender: bytes) -> None:
+            seen.append((bytes(data[:length]), length))
+            reader.send(b"answer to " + data[:length], sender)
+
+        reader.on_arrival = answer
+        to = "127.0.0.1" if host == "::" else host  # a socket for both hears IPv4
+        with socket.socket(socket.AF_INET6 if ":" in to else socket.AF_INET, sock.type) as other:
+            other.settimeout(5.0)
+            for data in (b"one", b"two"):
+                other.sendto(data, (to, sock.getsockname()[1]))
+            assert until(lambda: (reader.receive(), len(seen) == 2)[1])
+            assert [other.recv(99) for _ in range(2)] == [b"answer to one", b"answer to two"]
+        assert seen == [(b"one", 3), (b"two", 3)]
+        with pytest.raises(OSError, match="Invalid argument"):
+            reader.send(b"x", pack_address("127.0.0.1" if ":" not in host else "::1", 0))

@@ -69,13 +69,13 @@ def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(
 def test_a_click_on_an_arrow_shows_its_precise_numbers(served: Served, page: Visitor) -> None:
     place = (
         "(lambda pen: (w.decor.view.project(pen.rows['pos'][:pen.count][(pen.kinds[:pen.count]"
-        " == 1) & (pen.items[:pen.count] == 1)].astype(float))[0]))(w.decor._decor.pen).tolist()"
+        " == 1) & (pen.items[:pen.count] == 1)].astype(float))[0]))(w.decor.pen).tolist()"
     )
     height = served.ask("w.decor.view.height")
     seen = [
         (x, height - y)
         for x, y in served.ask(place)
-        if served.ask(f"getattr(w.decor.pick(w.data, {x}, {y}), 'kind', '')") == "arrow"
+        if served.ask(f"getattr(w.decor.pick(w.data, ({x}, {y})), 'kind', '')") == "arrow"
     ]
     served.ask("setattr(w.clock, 'is_paused', True)")  # an arrow that turns moves away
     page.click(*seen[len(seen) // 2])
@@ -124,8 +124,8 @@ def test_billboards_stay_clear_of_the_panel(served: Served, page: Visitor) -> No
     assert left > 300
     edges = served.ask(
         "(lambda pen, rows: (w.decor.view.project((rows['pos'] - rows['size'][:, :1] *"
-        " rows['mat'][:, :, 0]).astype(float))[0][:, 0]))(w.decor._decor.pen,"
-        " w.decor._decor.pen.rows[:w.decor.count][w.decor._decor.pen.kinds[:w.decor.count] == 2])"
+        " rows['mat'][:, :, 0]).astype(float))[0][:, 0]))(w.decor.pen,"
+        " w.decor.pen.rows[:w.decor.count][w.decor._decor.pen.kinds[:w.decor.count] == 2])"
         ".tolist()"
     )
     assert len(edges) == 7

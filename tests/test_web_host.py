@@ -180,7 +180,7 @@ def test_what_a_browser_has_no_room_for_is_said(caplog: pytest.LogCaptureFixture
             page.frame()
     said = [record.getMessage() for record in caplog.records if "no room" in record.getMessage()]
     assert len(said) == 1
-    assert said[0].endswith("decor geoms found no room and are not shown: a browser takes 1024")
+    assert said[0].endswith("decor geoms found no room and are not shown: has room for 1024")
 
 
 def test_doubles_that_are_off_are_out_of_sight_in_browsers_only(page: WebHost) -> None:

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sero_mj import Mirror
+from sero_mj import Mirror, World
 from sero_mj.cli.arguments import read_scene_or_model
+from sero_mj.decor.toggles import Toggles
 from sero_mj.show.clock import SPEEDS, Clock, time_text
 from sero_mj.show.events import LEFT, MIDDLE, RIGHT, Event
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
+from sero_mj.show.keys import Keys
 from sero_mj.show.mouse import Clicked, Mouse, Moved
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
 from sero_mj.show.window.film import due_frames, free_name
 from sero_mj.show.window.help import help_columns, pages
-from sero_mj.show.window.keys import WindowKeys
 from sero_mj.show.window.layout import arrange
 from sero_mj.show.window.timeline import TimeLine
 
@@ -268,9 +270,41 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 def test_no_key_means_two_things_and_each_is_done() -> None:
     assert not set(KEYS) & {*HOST_KEYS, *MORE_KEYS}
     assert not set(HOST_KEYS) & set(MORE_KEYS)
-    names = {name for name, _ in HOST_KEYS.values()} | set(MORE_KEYS.values())
-    for name in names - {"camera"}:
-        assert callable(getattr(WindowKeys, f"_{name}")), name
+    assert {*MORE_KEYS.values()} - {"last_joint"} <= {name for name, _ in HOST_KEYS.values()}
+
+
+class FakeClock:
+    """Notes what it is asked for."""
+
+    def __init__(self) -> None:
+        self.time, self.asked = 5.0, []
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *arguments: self.asked.append((name, *arguments))
+
+
+def test_keys_do_what_the_tables_say_in_every_host(lwr_world: World) -> None:
+    clock, said, own = FakeClock(), [], []
+    host = SimpleNamespace(
+        world=lwr_world, data=lwr_world.make_data(), toggles=Toggles(lwr_world), clock=clock,
+        joint=0, say=said.append, choose_camera=lambda number: f"camera {number}",
+    )  # fmt: skip
+    keys = Keys(host, {"follow": lambda: "follows", "help": lambda: own.append("help")})
+    for key in (" ", ".", ",", "-", "+", "backspace", "left", "right", "home", "_"):
+        keys.press(key)
+    assert clock.asked == [
+        ("pause",), ("step",), ("step", -1), ("faster", -1), ("faster", 1), ("reset",),
+        ("seek", 4.0), ("seek", 6.0), ("reset",), ("faster", -1),
+    ]  # fmt: skip
+    for key in ("3", "f", "h", "[", "]", "]", "l", "p", "y", "escape"):
+        keys.press(key)  # p is not of this host, y of none
+    assert said == ["camera 3", "follows", "selected: lwr/A6", "selected: lwr/A1", "selected: lwr/A2",
+                    "legend: off"]  # fmt: skip
+    assert (host.joint, own, host.toggles.legend) == (1, ["help"], False)
+    clock.asked.clear()
+    for key in (".", " ", "l"):
+        keys.press(key, is_repeat=True)  # held down: only what goes on in steps does
+    assert clock.asked == [("step",)] and host.toggles.legend is False
 
 
 def test_the_help_says_everything_that_the_tables_hold() -> None:

@@ -31,6 +31,8 @@ SOURCE_FIELDS = (
     "dropped",  # by the kernel, where none may be lost
     "senders",  # at once
     "link_age",  # s since one of these counts rose, but for senders; -1 when none has
+    "foreign",  # packets of others than the `sender` that is named
+    "foreign_age",  # s since the last of these, -1 when there was none
 )
 # What a packet may switch; any value above 0.5 is on. `arrow_quantity` is an index.
 OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")

@@ -173,9 +173,9 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..record.open_recording import open_recording
+    from ..record.recording import Recording
 
-    with open_recording(file) as recording:
+    with Recording(file) as recording:
         recorded = list(recording.sources)
         check_span(recording, start)
     both = [name for name in scene.sources if name in recorded]

@@ -33,12 +33,12 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Writes; returns 0, or 1 where the recording is damaged and nothing could be read."""
     from ..record.export_csv import export_csv
-    from ..record.open_recording import open_recording
+    from ..record.recording import Recording
     from ..record.replay import Replay
 
     if options.output.exists() and not options.overwrite:
         raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")
-    with open_recording(options.recording) as recording:
+    with Recording(options.recording) as recording:
         names = list(recording.sources)
         if options.source is None and len(names) != 1:
             found = f"has several sources: {', '.join(names)}; choose with --source"

@@ -24,9 +24,9 @@ examples:
   sero-mj export-csv run.mcap run.csv
 
 The file holds every packet as it came, malformed ones too, with the time at which the kernel got
-it, and decoded values as JSON, which Foxglove and PlotJuggler plot. What was written up to half a
-second before a crash can be read. When the disk is full the recording ends with an error and what
-was written is kept.
+it, and decoded values as JSON, which Foxglove and PlotJuggler plot; what is routed to a joint has
+its name and unit, lwr.A1.torque [Nm]. What was written up to half a second before a crash can be
+read. When the disk is full the recording ends with an error and what was written is kept.
 """
 
 _EVERY = 0.25  # s
@@ -52,8 +52,8 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Records; returns 0, or 1 when nothing came."""
+    from ..drive.record_sources import record_sources
     from ..drive.route import wire
-    from ..record.record_sources import record_sources
 
     if options.output.suffix.lower() != ".mcap":
         raise UsageError(f"{options.output}: expected a name that ends in .mcap")

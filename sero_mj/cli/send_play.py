@@ -126,7 +126,7 @@ def _send_simulation(options: argparse.Namespace) -> int:
 def _open(
     options: argparse.Namespace, source: Receiver, structure: Structure, to_shm: bool
 ) -> Playback:
-    from ..record.open_recording import open_recording
+    from ..record.recording import Recording
     from ..send.playback import RecordedPackets, TablePackets
 
     file: Path = options.play
@@ -138,6 +138,6 @@ def _open(
         raise UsageError("--rate: a recording has its own times; --speed changes them")
     name = options.recorded or ""
     if not name:
-        with open_recording(file) as recording:
+        with Recording(file) as recording:
             name = source.name if source.name in recording.sources else ""
     return RecordedPackets(file, name, structure, only_whole=to_shm)

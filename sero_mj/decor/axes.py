@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from .feature import Feature, Frame
 from .pen import GREY, Kind, Pen
 
 Array = NDArray[np.float64]
@@ -35,6 +36,17 @@ _ONTO_AXIS = np.array(
     ],
     np.float64,
 )
+
+
+class SmartAxes(Feature):
+    """The coordinate axes of one world."""
+
+    order = 80
+
+    def draw(self, frame: Frame) -> None:
+        """Draws the axes that are shown."""
+        stale = frame.is_stale(self.world.frames.names)
+        draw_axes(frame.pen, self.world, frame.data, frame.shown.axes, stale)
 
 
 def ranks(positions: Array) -> Array:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
 from .cards import Cards, heights_in_order
+from .feature import Feature, Frame
 from .lines import Line, billboard_lines, declared_lines, detail_lines
 from .panels import PANEL_RGBA, panel_sizes
 from .pen import Kind
-from .toggles import Shown, Toggles
 from .view import View
 
 Array = NDArray[np.float64]
@@ -21,11 +20,13 @@ _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
 _TINT = 0.30  # how much of a double's colour its panels have
 
 
-class Billboards:
+class Billboards(Feature):
     """The billboards of one world; holds what their lines look like."""
 
+    order = 10
+
     def __init__(self, world: WorldView) -> None:
-        self._world = world
+        super().__init__(world)
         joints = world.joints
         parts = list(world.owners.values())
         self._lines: list[list[Line]] = []
@@ -45,27 +46,17 @@ class Billboards:
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
 
-    def cards(
-        self,
-        data: mujoco.MjData,
-        toggles: Toggles,
-        shown: Shown,
-        view: View,
-        values: dict[str, Array],
-        stale: NDArray[np.bool_],
-    ) -> Cards | None:
-        """Returns the billboards of all joints in the picture that are to show one.
+    def lay_out(self, frame: Frame) -> None:
+        """Adds the billboards of all joints in the picture that are to show one."""
+        cards = self._cards(frame)
+        if cards is not None:
+            frame.cards.append(cards)
 
-        Args:
-            data: the world's state.
-            toggles: which of them have an arrow's precise numbers.
-            shown: what is to be drawn.
-            view: of the picture.
-            values: what `joint_values` returned.
-            stale: which joints have no fresh data, (N,): their billboards are grey.
-        """
-        joints = self._world.joints
-        index = shown.billboards.nonzero()[0]
+    def _cards(self, frame: Frame) -> Cards | None:
+        data, view, toggles, values = frame.data, frame.view, frame.toggles, frame.values
+        stale = frame.stale_joints
+        joints = self.world.joints
+        index = frame.shown.billboards.nonzero()[0]
         if not len(index):
             return None
         anchors, depth = view.project(data.site_xpos[joints.centre_site[index]])

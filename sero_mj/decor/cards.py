@@ -98,10 +98,8 @@ def lay_out(
     return panels
 
 
-def below(right: Panels | None, left: Panels | None) -> Panels | None:
+def below(right: Panels, left: Panels) -> Panels:
     """The panels of the upper left corner, moved below those of the right one if they meet."""
-    if right is None or left is None:
-        return left
     low, _ = _bounds(right)
     _, high = _bounds(left)
     down = high[1] - low[1]

@@ -16,6 +16,7 @@ from ..assemble.world_view import WorldView
 from ..frames import rotation_angle
 from .axes import AXIS_RGB, draw_bars
 from .cards import Cards
+from .feature import Feature, Frame
 from .layout import RIGHT
 from .panels import Panels, panel_sizes
 from .pen import Kind, Pen
@@ -65,32 +66,34 @@ def _received(world: WorldView, data: mujoco.MjData, robot: str) -> Array | None
     return T if np.isfinite(T).all() else None
 
 
-class FlangeCheck:
+class FlangeCheck(Feature):
     """Draws the comparison for every robot that one has been received for."""
 
+    order = 30
+
     def __init__(self, world: WorldView) -> None:
-        self._world = world
+        super().__init__(world)
         self._flags = np.array([world.flags[f"{name}.flange_check"] for name in world.robots], int)
 
-    def draw(self, pen: Pen, data: mujoco.MjData, view: View) -> tuple[Cards | None, Panels | None]:
-        """Draws the received flange frames.
+    def lay_out(self, frame: Frame) -> None:
+        """Draws the received flange frames, and adds what is said of them.
 
-        Returns:
-            the cards of flanges that are off, and the panel with those that are not, or are off
-            and out of the picture.
+        Flanges that are off get a card; those that are not, or are out of the picture, stand in
+        the upper right corner.
         """
-        if not (data.userdata[self._flags] > 0).any():
-            return None, None
+        data, view = frame.data, frame.view
+        if not frame.toggles.flange_checks or not (data.userdata[self._flags] > 0).any():
+            return
         items, anchors, texts, right = [], [], [], []
         clear, unseen = 0.0, False
-        for i, (name, part) in enumerate(self._world.robots.items()):
-            difference = flange_difference(self._world, data, name)
+        for i, (name, part) in enumerate(self.world.robots.items()):
+            difference = flange_difference(self.world, data, name)
             if difference is None:
                 continue
             distance, angle = difference[0], float(np.rad2deg(difference[1]))
             robot = part.robot
             off = distance > robot.flange_tolerance or angle > robot.flange_tolerance_deg
-            point = self._draw_frame(pen, data, name, off)
+            point = self._draw_frame(frame.pen, data, name, off)
             numbers = f"{1e3 * distance:7.2f} mm  {angle:6.2f} deg"
             if not off:
                 right.append(f"{name} flange check{numbers}".encode("ascii", "replace"))
@@ -105,17 +108,16 @@ class FlangeCheck:
             anchors.append(pixel)
             head = f"{name} flange is off"
             texts.append([head.encode("ascii", "replace"), numbers.encode()])
-        return self._cards(view, items, np.array(anchors), texts, clear), _corner(
-            view, right, unseen
-        )
+        if items:
+            frame.cards.append(self._cards(view, items, np.array(anchors), texts, clear))
+        if right:
+            frame.corners.append(_corner(view, right, unseen))
 
     def _cards(
         self, view: View, items: list[int], anchors: Array, texts: list[list[bytes]], clear: float
-    ) -> Cards | None:
-        if not items:
-            return None
+    ) -> Cards:
         widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
-        top = len(self._world.joints.names)  # above all billboards
+        top = len(self.world.joints.names)  # above all billboards
         return Cards(
             kind=Kind.CHECK,
             items=np.array(items, np.intp),
@@ -130,7 +132,7 @@ class FlangeCheck:
 
     def _draw_frame(self, pen: Pen, data: mujoco.MjData, name: str, off: bool) -> Array:
         """Draws the received frame and the line to it; returns where it is in the world."""
-        world = self._world
+        world = self.world
         part: RobotPart = world.robots[name]
         received = _received(world, data, name)
         assert received is not None
@@ -152,10 +154,8 @@ class FlangeCheck:
         return np.asarray(T[:3, 3])
 
 
-def _corner(view: View, lines: list[bytes], off: bool) -> Panels | None:
-    """A panel in the upper right corner, red where one is off, or None for nothing to say."""
-    if not lines:
-        return None
+def _corner(view: View, lines: list[bytes], off: bool) -> Panels:
+    """A panel in the upper right corner, red where one is off."""
     widest = np.array([max(view.font.width(line) for line in lines)])
     size = panel_sizes(widest, len(lines), view)
     margin = _MARGIN * view.font.height

@@ -7,12 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from .feature import Feature, Frame
 from .panels import Panels, labels_at
 from .pen import Kind
 from .toggles import Bools
 from .view import View
 
 _SPACED = 1.05  # distance of two names that stand under each other, over their height
+
+
+class FrameNames(Feature):
+    """The names of the frames that were clicked on."""
+
+    order = 60
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds a panel under the origin of every frame whose name is shown."""
+        panels = name_panels(self.world, frame.data, frame.shown.frame_names, frame.view)
+        if panels is not None:
+            frame.panels.append(panels)
 
 
 def name_panels(world: WorldView, data: mujoco.MjData, named: Bools, view: View) -> Panels | None:

@@ -14,8 +14,8 @@ _CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
 _RGBA = (0.20, 0.20, 0.16, 0.90)
 
 
-def hover_panel(toggles: Toggles, view: View, others: list[Panels]) -> Panels | None:
-    """Returns the panel beside the pointer, or None when nothing is under it.
+def hover_panel(toggles: Toggles, view: View, others: list[Panels]) -> list[Panels]:
+    """Returns the panel beside the pointer; none when nothing is under it.
 
     Args:
         toggles: have what is under the pointer.
@@ -23,7 +23,7 @@ def hover_panel(toggles: Toggles, view: View, others: list[Panels]) -> Panels | 
         others: all panels of the frame; it stands where it covers least of them.
     """
     if toggles.hover is None:
-        return None
+        return []
     text, pixel = toggles.hover
     lines = [[text.encode("ascii", "replace")[:99]]]
     width = np.array([view.font.width(lines[0][0])])
@@ -35,4 +35,4 @@ def hover_panel(toggles: Toggles, view: View, others: list[Panels]) -> Panels | 
         overlap = (sizes[0] + panels.sizes) / 2 - np.abs(centres[:, None] - panels.centres)
         covered += np.maximum(overlap, 0.0).prod(axis=2).sum(axis=1)
     best = covered.argmin()  # the first of equals
-    return Panels(centres[best : best + 1], sizes[:1], lines, _RGBA, in_front=True)
+    return [Panels(centres[best : best + 1], sizes[:1], lines, _RGBA, in_front=True)]

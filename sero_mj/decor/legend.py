@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
+from .feature import Feature, Frame
 from .panels import Panels, panel_sizes
 from .toggles import Toggles
 from .view import View
@@ -30,22 +31,23 @@ _TORQUES = 2  # the first two quantities are torques, and forces of sliding join
 _UNLIMITED = "width grows with the value"
 
 
-class Legend:
+class Legend(Feature):
     """One panel for every quantity that arrows show, in the lower left corner."""
 
+    order = 40
+
     def __init__(self, world: WorldView) -> None:
-        self._world = world
+        super().__init__(world)
         self._key: object = None
         self._panels: Panels | None = None
 
-    def panels(self, toggles: Toggles, view: View, limit: Array) -> Panels | None:
-        """Returns the panels, or None when no arrow is on or no legend is wanted.
+    def lay_out(self, frame: Frame) -> None:
+        """Adds the legend where an arrow is on and it is wanted."""
+        panels = self._shown(frame.toggles, frame.view, frame.arrow_limit)
+        if panels is not None:
+            frame.corners.append(panels)
 
-        Args:
-            toggles: what is shown.
-            view: of the picture.
-            limit: at which value an arrow is at full width, (N,).
-        """
+    def _shown(self, toggles: Toggles, view: View, limit: Array) -> Panels | None:
         if not toggles.legend or not (toggles.arrows.any() or toggles.vectors.any()):
             return None
         key = (
@@ -75,7 +77,7 @@ class Legend:
             what, width = _WORDS[ARROW_QUANTITIES[code]]
             if not np.isfinite(limit[shown]).any():
                 width = _UNLIMITED
-            if not self._world.joints.revolute[shown].all() and code < _TORQUES:
+            if not self.world.joints.revolute[shown].all() and code < _TORQUES:
                 what += ", or force"
             lines = [f"arrows: {what}".encode(), _SIGNS, width.encode()]
             texts.append(lines)
@@ -94,9 +96,9 @@ class Legend:
 
     def _scales(self, toggles: Toggles) -> list[bytes]:
         """A line for every kind of smart arrow and every scale: what a length or width means."""
-        scene = self._world.scene
+        scene = self.world.scene
         lines: dict[str, list[str]] = {}
-        for name, on in zip(self._world.arrows.names, toggles.vectors, strict=True):
+        for name, on in zip(self.world.arrows.names, toggles.vectors, strict=True):
             arrow = scene.arrows[name]
             if on:
                 value = nice(_STATED_LENGTH / arrow.metres_per_unit)

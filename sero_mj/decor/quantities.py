@@ -19,7 +19,7 @@ QUANTITY_NAMES = {
     "singularity": "towards singularity",
 }
 # Beyond this many times its limit a value is a fault of its source, not a measurement.
-ABSURD = 1e3
+IMPLAUSIBLE_FACTOR = 1e3
 
 
 def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
@@ -40,18 +40,20 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
     return values
 
 
-def beyond_belief(world: WorldView, values: dict[str, Array]) -> list[str]:
-    """Joints whose measured torque is `ABSURD` times its limit, which no arrow shows, in words.
+def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
+    """Joints whose measured torque is over `IMPLAUSIBLE_FACTOR` times its limit, in words.
 
     Args:
         world: the compiled scene.
         values: what `joint_values` returned.
     """
     joints, torques = world.joints, values["torques"]
-    found = (np.abs(torques) > ABSURD * joints.torque_limit).nonzero()[0]  # false for NaN
+    found = (np.abs(torques) > IMPLAUSIBLE_FACTOR * joints.torque_limit).nonzero()[
+        0
+    ]  # false for NaN
     return [
-        f"{joints.names[i]}: {torques[i]:.3g} {'Nm' if joints.revolute[i] else 'N'} cannot be, "
-        "no arrow"
+        f"{joints.names[i]}: {torques[i]:.3g} {'Nm' if joints.revolute[i] else 'N'} is over "
+        f"{IMPLAUSIBLE_FACTOR:.0f} times the limit; not drawn"
         for i in found
     ]
 
@@ -89,5 +91,5 @@ def arrow_values(
             limit[at] = joints.acceleration_limit[at]
     bounded = np.isfinite(limit)
     with np.errstate(invalid="ignore"):
-        shown[bounded & (np.abs(shown) > ABSURD * limit)] = np.nan
+        shown[bounded & (np.abs(shown) > IMPLAUSIBLE_FACTOR * limit)] = np.nan
     return shown, limit

@@ -15,10 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world_view import WorldView
+from .feature import Feature, Frame
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
-from .toggles import Shown
 
 Array = NDArray[np.float64]
 
@@ -62,40 +61,16 @@ def arrow_widths(
     return np.minimum(np.where(limited, of_limit, size * width_scale), WIDEST * radius)
 
 
-class RoundArrows:
-    """Draws the arrows of one world's joints.
+class RoundArrows(Feature):
+    """Draws the arrows of one world's joints."""
 
-    Args:
-        world: the compiled scene.
-        max_segments: how many boxes a ribbon has at most.
-    """
+    order = 90  # what finds no room are boxes of arrows
 
-    def __init__(self, world: WorldView, max_segments: int = MAX_SEGMENTS) -> None:
-        self._world = world
-        self._finest = max_segments
-
-    def draw(
-        self,
-        pen: Pen,
-        data: mujoco.MjData,
-        shown: Shown,
-        values: Array,
-        limit: Array,
-        others: int,
-        stale: NDArray[np.bool_],
-    ) -> None:
-        """Draws an arrow for every joint that has a value and whose arrow is shown.
-
-        Args:
-            pen: where to.
-            data: the world's state.
-            shown: what is to be drawn.
-            values: what the arrows show, (N,), NaN for no data.
-            limit: at which value an arrow is at full width, (N,).
-            others: how many geoms axes and cards need.
-            stale: which joints have no fresh data, (N,): their arrows are grey.
-        """
-        joints = self._world.joints
+    def draw(self, frame: Frame) -> None:
+        """Draws an arrow for every joint that has a value and whose arrow is shown."""
+        pen, data, shown = frame.pen, frame.data, frame.shown
+        values, limit, stale = frame.arrow_values, frame.arrow_limit, frame.stale_joints
+        joints = self.world.joints
         by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
         scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
         widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
@@ -123,7 +98,7 @@ class RoundArrows:
                 rgba=rgba[turning],
                 striped=over[turning],
             )
-            draw_ribbons(pen, Kind.ARROW, ribbons, _segments(shown, others, self._finest))
+            draw_ribbons(pen, Kind.ARROW, ribbons, _segments(frame))
         if len(sliding):
             self._draw_straight(pen, data, sliding, (values, widths, over, rgba))
 
@@ -139,7 +114,7 @@ class RoundArrows:
         It is one geom and cannot be striped; beyond the limit it is dark.
         """
         forces, widths, over, rgba = (of_all[index] for of_all in look)
-        joints = self._world.joints
+        joints = self.world.joints
         rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
         if not len(rows):
             return
@@ -156,11 +131,13 @@ class RoundArrows:
         rows["rgba"] = rgba
 
 
-def _segments(shown: Shown, others: int, max_segments: int) -> int:
+def _segments(frame: Frame) -> int:
     """How finely ribbons are drawn, so that everything that is shown finds room in every host.
 
     It depends on what is switched on and not on the values, which would make them flicker.
     """
+    of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
+    others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
     room = MAX_GEOMS - _GEOMS_FOR_THE_REST - others
-    budget = room // max(int(np.count_nonzero(shown.arrows)), 1)
-    return min(max(budget, _FEWEST_SEGMENTS), max_segments)
+    budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
+    return min(max(budget, _FEWEST_SEGMENTS), frame.max_segments)

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from .feature import Feature, Frame
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
-from .quantities import ABSURD
+from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
 from .round_arrows import DARKER
+from .vector_cards import VectorCards
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -30,17 +32,45 @@ _HALF_WIDTH_OF_LENGTH = 0.045
 _HALF_WIDTHS = (0.004, 0.012)  # m
 
 
+class SmartArrows(Feature):
+    """The smart arrows of one world, and the cards with their numbers."""
+
+    order = 20
+
+    def __init__(self, world: WorldView) -> None:
+        super().__init__(world)
+        self._cards = VectorCards(world)
+
+    def lay_out(self, frame: Frame) -> None:
+        """Draws the arrows, and adds the cards of those that were clicked on."""
+        if not frame.shown.vectors.any():
+            return
+        world, names = self.world, self.world.arrows.names
+        components, vectors = arrow_vectors(world, frame.data)
+        stale = frame.is_stale(names)
+        draw_smart_arrows(frame.pen, world, frame.data, frame.shown.vectors, vectors, stale)
+        ages = [frame.stale.get(name, "") for name in names]
+        reach = drawn_sizes(world, vectors)
+        cards = self._cards.cards(
+            frame.data, frame.shown.cards, frame.view, components, reach, ages
+        )
+        if cards is not None:
+            frame.cards.append(cards)
+
+
 def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
     """What every smart arrow shows.
 
     Returns:
         components as received (K, 3), and the same in the world's directions (K, 3); NaN where
-        there is no data, or a value `ABSURD` times what the longest arrow shows.
+        there is no data, or a value `IMPLAUSIBLE_FACTOR` times what the longest arrow shows.
     """
     table = world.arrows
     components = data.userdata[table.slots]
     with np.errstate(invalid="ignore"):  # as with joints: a fault of its source, no measurement
-        believable = np.abs(components) <= ABSURD * (table.longest / table.scale)[:, None]
+        believable = (
+            np.abs(components) <= IMPLAUSIBLE_FACTOR * (table.longest / table.scale)[:, None]
+        )
     known = (data.userdata[table.has] > 0) & believable.all(axis=1)
     components[~known] = np.nan
     rotation = data.site_xmat[table.components_site].reshape(-1, 3, 3).copy()

@@ -106,8 +106,8 @@ class Staleness:
 
     def panels(
         self, pen: Pen, data: mujoco.MjData, view: View, stale: dict[str, str]
-    ) -> Panels | None:
-        """Greys stale robots and doubles and returns their labels, or None when all are fresh.
+    ) -> list[Panels]:
+        """Greys stale robots and doubles and returns their labels.
 
         Args:
             pen: gets the geoms to be grey.
@@ -123,15 +123,15 @@ class Staleness:
                 text = f"{fed.name}: {stale[fed.name]}".encode("ascii", "replace")[:99]
                 texts.setdefault(fed.base, []).append(text)
         if not texts:
-            return None
+            return []
         anchors, depth = view.project(data.xpos[list(texts)])
         inside = depth > view.near
         if not inside.any():
-            return None
+            return []
         lines = [lines for lines, here in zip(texts.values(), inside, strict=True) if here]
         below = anchors[inside] - [0.0, 2.0 * view.font.height]
         centres, sizes = labels_at(view, below, lines)
-        return Panels(centres, sizes, lines, _RGBA, in_front=True)
+        return [Panels(centres, sizes, lines, _RGBA, in_front=True)]
 
 
 def among(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:

@@ -12,7 +12,10 @@ import numpy as np
 from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.world_view import WorldView
 from ..receive import fri_layout as fri
+from .cards import below
+from .feature import Feature, Frame
 from .panels import Panels, panel_sizes
+from .quantities import implausible_torques
 from .toggles import Toggles
 from .view import View
 
@@ -59,6 +62,8 @@ def _link_complaints(name: str, state: Any) -> list[str]:
         if state.restarts:
             times = f" {state.restarts:.0f} times" if state.restarts > 1 else ""
             lines.append(f"{name}: the sender began anew{times}")
+    if state.foreign and 0 <= state.foreign_age < SHOWN_FOR:
+        lines.append(f"{name}: {_packets(state.foreign)} of others than its sender")
     if state.senders > 1:
         lines.append(f"{name}: {state.senders:.0f} senders at once; sender = ... chooses one")
     return lines
@@ -88,15 +93,30 @@ def _answers(source: Any) -> bool:
     return bool(getattr(source, "answer", False))
 
 
-class Status:
+class Status(Feature):
     """What is wrong with sources that send what cannot be used."""
 
+    order = 50
+
     def __init__(self, world: WorldView) -> None:
+        super().__init__(world)
         self._slots = [
             (name, world.slots[f"sources.{name}"], _answers(world.scene.sources[name]))
             for name in world.scene.sources
             if name in world.scene.sources_of()
         ]
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds what is wrong to the upper left corner, below the right one where they meet."""
+        wrong = implausible_torques(self.world, frame.values)
+        panel = self.panels(frame.data, frame.toggles, frame.view, wrong)
+        if panel is not None:
+            low, high = frame.view.free
+            middle = (low[1] + high[1]) / 2
+            for other in frame.corners:
+                if other.centres[:, 1].max() > middle:
+                    panel = below(other, panel)
+            frame.corners.append(panel)
 
     def panels(
         self, data: mujoco.MjData, toggles: Toggles, view: View, more: Sequence[str] = ()

@@ -114,6 +114,11 @@ def make_affine(
         else:
             joined.append((origin, take.copy(), times.copy()))
     terms = tuple(_term(*part) for part in joined)
+    covered = np.zeros(len(offset), bool)
+    for term in terms:
+        covered[term.at] = True
+    # -0.0 is what leaves every number as it is that is added to it: 0.0 takes the sign off -0.0.
+    offset = np.where(covered & (offset == 0.0), -0.0, offset)
     only = _only_picks(offset, terms)
     whole = None
     if only is not None and np.array_equal(only.take, np.arange(sizes[only.origin])):

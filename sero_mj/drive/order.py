@@ -8,7 +8,6 @@ from graphlib import CycleError, TopologicalSorter
 from ..assemble.inputs import BLANKABLE
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem
-from ..receive.fri_layout import FriLayout
 from .wiring import FrameRoute, Route, Wiring
 
 
@@ -69,7 +68,7 @@ def _circle(what: str, error: CycleError) -> DeclarationError:
 
 
 def allow_blanks(wiring: Wiring) -> None:
-    """Lets NaN through where it blanks one number and moves nothing, not even in the end."""
+    """Lets NaN through where it moves nothing, not even in the end: it blanks, or is not routed."""
     readers: dict[str, list[Route]] = {}
     for route in wiring.routes:
         for output in route.outputs:
@@ -94,6 +93,5 @@ def allow_blanks(wiring: Wiring) -> None:
                 if origin.is_event and origin.name == name:
                     good[origin.key] = good.get(origin.key, True) and blankable(route)
         blank = {e for e, blanks in good.items() if blanks and e in source.events}
-        if isinstance(getattr(source, "layout", None), FriLayout):
-            blank |= source.events.keys() - good.keys()  # the user has not chosen what it sends
-        source.allow_nan(blank)
+        # What nobody looks at harms nobody, and its sender may send much that is not routed.
+        source.allow_nan(blank | (source.events.keys() - good.keys()))

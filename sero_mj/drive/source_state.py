@@ -21,10 +21,12 @@ class SourceStates:
     def __init__(self, world: WorldView) -> None:
         self._slots = world.slots
         self._link: dict[str, tuple[tuple[int, ...], float]] = {}
+        self._foreign: dict[str, tuple[int, float]] = {}
 
     def forget(self) -> None:
         """Begins anew, as the sources do when they are opened."""
         self._link.clear()
+        self._foreign.clear()
 
     def write(
         self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
@@ -51,6 +53,8 @@ class SourceStates:
                 # One is as it should be, and a recording knows of none.
                 counters.senders if counters.senders > 1 else 0,
                 self._link_age(name, counters, _dropped(source), now),
+                counters.foreign,
+                self._foreign_age(name, counters.foreign, now),
             )
 
     def _link_age(self, name: str, counters: Counters, dropped: int, now: float) -> float:
@@ -61,6 +65,14 @@ class SourceStates:
             # Less than before after a restart: the numbers that were missed have come after all.
             since = now if any(map(int.__gt__, counts, before)) else since
             self._link[name] = counts, since
+        return max(now - since, 0.0) if since >= 0 else -1.0
+
+    def _foreign_age(self, name: str, foreign: int, now: float) -> float:
+        """How long ago (s) a packet of somebody else came; -1 when none has."""
+        before, since = self._foreign.get(name, (0, -1.0))
+        if foreign != before:
+            self._foreign[name] = foreign, now
+            return 0.0
         return max(now - since, 0.0) if since >= 0 else -1.0
 
 

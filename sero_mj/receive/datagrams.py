@@ -12,6 +12,7 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BATCH = 256  # packets
-_ADDRESS_BYTES = 28  # of sockaddr_in6; sockaddr_in is shorter
+_ADDRESS_BYTES, _V4_BYTES = 28, 16  # of sockaddr_in6, and of sockaddr_in
 _CONTROL_BYTES = 64  # a time stamp (32) and a count of dropped packets (24)
+_MAPPED = bytes(10) + b"\xff\xff"  # before an IPv4 address in one of IPv6
 # Linux's numbers; not in Python's socket module.
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
@@ -79,6 +81,9 @@ _STAMP = np.dtype(
 )
 
 
+OnArrival = Callable[[memoryview, int, bytes], None]
+
+
 @dataclass(frozen=True, eq=False)
 class Batch:
     """Datagrams that came one after the other; valid until the next are read.
@@ -107,20 +112,31 @@ class Datagrams:
     Args:
         sock: a bound datagram socket; it is made non-blocking.
         most: bytes of a packet that are kept.
+
+    Attributes:
+        on_arrival: called before anything else is done with each packet, with its bytes, as many
+            as are kept; how long it is; and its sender as in `Batch.senders`. None for nothing.
     """
 
     def __init__(self, sock: socket.socket, most: int) -> None:
         sock.setblocking(False)
+        self.on_arrival: OnArrival | None = None
         self._socket = sock
         self._rows = np.zeros((BATCH, most), np.uint8)
         self._senders = np.zeros((BATCH, _ADDRESS_BYTES), np.uint8)
-        self._lengths = np.zeros(BATCH, np.intp)
+        self._lengths, self._came = np.zeros(BATCH, np.intp), np.zeros(BATCH)
+        self.waiting = 0
         self._recvmmsg: Any = None
+        self._sendto: Any = None
         self._dropped: int | None = None
         if sys.platform == "linux":
             for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
-            self._recvmmsg = getattr(ctypes.CDLL(None, use_errno=True), "recvmmsg", None)
+            # They do not wait, so they need not let other threads run: to come back behind one that
+            # renders takes up to the interpreter's switch interval.
+            library = ctypes.PyDLL(None, use_errno=True)
+            self._recvmmsg = getattr(library, "recvmmsg", None)
+            self._sendto = getattr(library, "sendto", None)
             self._dropped = 0
         if self._recvmmsg is not None:
             self._prepare()
@@ -140,14 +156,15 @@ class Datagrams:
         self._state = np.frombuffer(memoryview(self._headers), _headers_dtype())
         self._state["namelen"] = _ADDRESS_BYTES
         self._state["controllen"] = _CONTROL_BYTES
+        self._row_views = [memoryview(row) for row in self._rows]  # type: ignore[arg-type]
+        self._sender_view = memoryview(self._senders.reshape(-1))  # type: ignore[arg-type]
         self._stamps = self._controls.view(_STAMP)[:, 0]
-        self._arguments = (
-            ctypes.c_int(self._socket.fileno()),
-            ctypes.byref(self._headers),
-            ctypes.c_uint(BATCH),
-            ctypes.c_int(socket.MSG_DONTWAIT | socket.MSG_TRUNC),
-            None,
-        )
+        size, flags = ctypes.sizeof(_Mmsghdr), socket.MSG_DONTWAIT | socket.MSG_TRUNC
+        fileno = ctypes.c_int(self._socket.fileno())
+        self._arguments = [
+            (fileno, ctypes.byref(self._headers, first * size), BATCH - first, flags, None)
+            for first in range(BATCH)
+        ]
 
     def receive(self) -> Batch | None:
         """Returns what is there, up to 256 packets, or None when there is nothing.
@@ -155,23 +172,70 @@ class Datagrams:
         Raises:
             OSError: the system says what is wrong with the socket.
         """
-        return self._one_by_one() if self._recvmmsg is None else self._at_once()
+        self.read()
+        return self.take()
 
-    def _at_once(self) -> Batch | None:
-        count = self._recvmmsg(*self._arguments)
-        if count <= 0:
-            error = ctypes.get_errno()
-            if count == 0 or error in (11, 4):  # EAGAIN, EINTR
-                return None
-            raise OSError(error, os.strerror(error))
+    def read(self) -> int:
+        """Reads what is there behind what is `waiting`; returns how many packets that were.
+
+        Raises:
+            OSError: the system says what is wrong with the socket.
+        """
+        if self.waiting == BATCH:
+            return 0
+        count = self._one_by_one() if self._recvmmsg is None else self._at_once()
+        self.waiting += count
+        return count
+
+    def take(self) -> Batch | None:
+        """Returns what was read since the last one, or None when there is nothing."""
+        count, self.waiting = self.waiting, 0
+        if not count:
+            return None
+        rows, senders = self._rows[:count], self._senders[:count].copy()
+        if self._recvmmsg is None:
+            lengths, arrivals = self._lengths[:count].copy(), self._came[:count].copy()
+            return Batch(rows, lengths, arrivals, senders, self._dropped)
         state = self._state[:count]
         lengths = state["length"].astype(np.intp)
         arrivals = self._arrivals(count)
         if (state["controllen"] > 32).any():
             self._dropped = self._read_dropped(count)
-        senders = self._senders[:count].copy()
         state["namelen"], state["controllen"] = _ADDRESS_BYTES, _CONTROL_BYTES
-        return Batch(self._rows[:count], lengths, arrivals, senders, self._dropped)
+        return Batch(rows, lengths, arrivals, senders, self._dropped)
+
+    def send(self, data: bytes, to: bytes) -> None:
+        """Sends a packet to an address as in `Batch.senders`; raises OSError where it cannot."""
+        if self._sendto is None:
+            self._socket.sendto(data, _as_tuple(to))
+            return
+        length = _V4_BYTES if to[0] == socket.AF_INET else _ADDRESS_BYTES
+        sent = self._sendto(
+            ctypes.c_int(self._socket.fileno()),
+            data,
+            ctypes.c_size_t(len(data)),
+            ctypes.c_int(socket.MSG_DONTWAIT),
+            to,
+            ctypes.c_uint(length),
+        )
+        if sent < 0:
+            error = ctypes.get_errno()
+            raise OSError(error, os.strerror(error))
+
+    def _at_once(self) -> int:
+        first = self.waiting
+        count = int(self._recvmmsg(*self._arguments[first]))
+        if count <= 0:
+            error = ctypes.get_errno()
+            if count == 0 or error in (11, 4):  # EAGAIN, EINTR
+                return 0
+            raise OSError(error, os.strerror(error))
+        if (on_arrival := self.on_arrival) is not None:
+            # Without numpy: beside a renderer its code has to come from memory first.
+            for i in range(first, first + count):
+                sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
+                on_arrival(self._row_views[i], self._headers[i].length, bytes(sender))
+        return count
 
     def _arrivals(self, count: int) -> Array:
         """When the kernel got the packets, on the monotonic clock."""
@@ -191,21 +255,20 @@ class Datagrams:
                 return int(struct.unpack_from("=I", control, 48)[0])
         return self._dropped
 
-    def _one_by_one(self) -> Batch | None:
-        arrivals, count, most = [], 0, self._rows.shape[1]
-        while count < BATCH:
+    def _one_by_one(self) -> int:
+        first, most = self.waiting, self._rows.shape[1]
+        for i in range(first, BATCH):
             try:
-                length, _, flags, sender = self._socket.recvmsg_into([self._rows[count].data])
+                length, _, flags, sender = self._socket.recvmsg_into([self._rows[i].data])
             except BlockingIOError:
-                break
-            arrivals.append(time.monotonic())
-            self._lengths[count] = most + 1 if flags & socket.MSG_TRUNC else length
-            self._senders[count] = np.frombuffer(pack_address(*sender[:2]), np.uint8)
-            count += 1
-        if not count:
-            return None
-        lengths, senders = self._lengths[:count].copy(), self._senders[:count].copy()
-        return Batch(self._rows[:count], lengths, np.array(arrivals), senders, self._dropped)
+                return i - first
+            self._came[i] = time.monotonic()
+            self._lengths[i] = most + 1 if flags & socket.MSG_TRUNC else length
+            packed = pack_address(*sender[:2])
+            if self.on_arrival is not None:
+                self.on_arrival(self._rows[i].data, int(self._lengths[i]), packed)
+            self._senders[i] = np.frombuffer(packed, np.uint8)
+        return BATCH - first
 
 
 def pack_address(host: str, port: int) -> bytes:
@@ -223,3 +286,21 @@ def unpack_address(packed: bytes) -> tuple[str, int]:
     if packed[0] == 2:
         return socket.inet_ntop(socket.AF_INET, packed[4:8]), port
     return socket.inet_ntop(socket.AF_INET6, packed[8:24]), port
+
+
+def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
+    """One of `Batch.senders` as Python's sockets take it."""
+    host, port = unpack_address(packed)
+    if ":" not in host:
+        return host, port
+    (scope,) = struct.unpack_from("=I", packed, 24)  # link-local addresses need their interface
+    return host, port, 0, scope
+
+
+def canonical_address(packed: bytes) -> tuple[bytes, int]:
+    """Address, 16 bytes, and port of one of `Batch.senders`.
+
+    IPv4 as IPv6 has it (`::ffff:192.168.0.7`), which is how a socket on `::` sees it.
+    """
+    port = int.from_bytes(packed[2:4], "big")
+    return (_MAPPED + packed[4:8] if packed[0] == 2 else packed[8:24]), port

@@ -7,22 +7,19 @@ measurements all the same, with the quality `unacceptable`.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Collection
+import sys
+import threading
+from collections.abc import Callable, Collection
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from .datagrams import unpack_address
-from .fri_layout import FRAMES, MEASUREMENT, PORT, FriLayout, no_command
-from .structure import Rows
+from .datagrams import OnArrival
+from .fri_layout import FRAMES, MEASUREMENT, PORT, FriLayout, counter_of, no_command
 from .udp import UdpReceiver
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
+_TURN = 5e-4  # s
 
 
 class FriReceiver(UdpReceiver):
@@ -38,6 +35,7 @@ class FriReceiver(UdpReceiver):
             in it: its flags, and all but its header, are 0. Without answers the controller calls
             the quality unacceptable. With them an interface that its program has put into command
             mode stays there, and holds the robot where that program has it.
+            Answers go first: what is in a packet is looked at up to 4 ms later.
     """
 
     name: str = "fri"
@@ -89,42 +87,65 @@ class FriReceiver(UdpReceiver):
         super().allow_nan(events)
         self.layout.missing = FRAMES & self._nan_allowed
 
+    def open(self) -> None:
+        """Binds the socket and starts the thread; raises SourceError as `UdpReceiver.open` does."""
+        super().open()
+        if self.answer:
+            _short_turns.begin(self)
+
+    def close(self) -> None:
+        """Stops the thread and closes the socket; harmless when it is not open."""
+        _short_turns.end(self)
+        super().close()
+
     def _start_afresh(self) -> None:
         super()._start_afresh()
         self._answers = 0
 
-    def _accept(
-        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
-    ) -> None:
-        if self.answer and senders is not None:  # first, for the controller measures the latency
-            self._answer(rows, lengths, senders)
-        super()._accept(rows, lengths, arrivals, senders)
+    def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
+        """Answers before anything else is done, for the controller measures the latency."""
+        if not self.answer:
+            return None
 
-    def _answer(self, rows: Rows, lengths: Ints, senders: Rows) -> None:
-        """Answers the last of these packets that is one of FRI; the only thing that is ever sent.
+        def answer(packet: memoryview, length: int, sender: bytes) -> None:
+            reflected = counter_of(packet, length)
+            if reflected is None or not self._is_known(sender):
+                return
+            try:
+                send(no_command(self._answers + 1, reflected), sender)
+            except OSError as error:
+                self._warn(f"no answer could be sent: {error.strerror}")
+                return
+            self._answers += 1
 
-        Those before it are late already: it reflects the newest counter only.
-        """
-        measurements = np.flatnonzero(lengths == self.size)
-        wrong = self.layout.find_wrong_constants(rows[measurements, : self.size])
-        measurements = measurements[~wrong]
-        if self._socket is None or not len(measurements):
-            return
-        last = measurements[-1]
-        reflected = int(self.layout.event_rows(rows[last : last + 1], "send_counter")[0, 0])
-        packet = no_command(self._answers + 1, reflected)
-        try:
-            self._socket.sendto(packet, _reply_address(senders[last].tobytes()))
-        except OSError as error:
-            self._warn(f"no answer could be sent: {error.strerror}")
-            return
-        self._answers += 1
+        return answer
 
 
-def _reply_address(sender: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
-    """A sender of `Batch.senders` as a socket takes it."""
-    host, port = unpack_address(sender)
-    if ":" not in host:
-        return host, port
-    (scope,) = struct.unpack_from("=I", sender, 24)  # link-local addresses need their interface
-    return host, port, 0, scope
+class _ShortTurns:
+    """Lets threads that compute in Python run for less at a time, as long as somebody answers.
+
+    Who answers has to wait until the interpreter switches to it: up to 5 ms by default, of which
+    a controller's cycle of 1 ms knows nothing.
+    """
+
+    def __init__(self) -> None:
+        self._answering: set[int] = set()
+        self._usual = 0.0
+        self._lock = threading.Lock()
+
+    def begin(self, receiver: FriReceiver) -> None:
+        with self._lock:
+            if not self._answering:
+                self._usual = sys.getswitchinterval()
+                sys.setswitchinterval(min(self._usual, _TURN))
+            self._answering.add(id(receiver))
+
+    def end(self, receiver: FriReceiver) -> None:
+        with self._lock:
+            was_answering = id(receiver) in self._answering
+            self._answering.discard(id(receiver))
+            if was_answering and not self._answering:
+                sys.setswitchinterval(self._usual)
+
+
+_short_turns = _ShortTurns()

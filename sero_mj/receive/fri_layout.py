@@ -25,12 +25,13 @@ INVALID = 65535  # -1, for state and quality are unsigned
 STATES = {0: "off", 1: "monitor", 2: "command", INVALID: "invalid"}
 QUALITIES = {0: "unacceptable", 1: "bad", 2: "ok", 3: "perfect", INVALID: "invalid"}
 
+_ID = 0x2006  # of measurements
 _HEADER = "send_counter:1H reflected_counter:1H packet_size:1H=size datagram_id:1H={}"
 _KRL = "krl_real:16f krl_int:16i krl_bool:1H 2x"
 # From the controller, 916 bytes.
 MEASUREMENT = " ".join(
     (
-        _HEADER.format("0x2006"),
+        _HEADER.format(hex(_ID)),
         _KRL,
         "timestamp:1f state:1H quality:1H measurement_cycle:1f command_cycle:1f safety_limits:1f",
         "answer_rate:1f latency:1f jitter:1f miss_rate:1f miss_counter:1I",
@@ -80,9 +81,16 @@ class FriLayout(Structure):
         derived = self._derive({event: array[None] for event, array in values.items()})
         return {event: array[0] for event, array in derived.items()}
 
-    def decode_rows(self, rows: Rows) -> dict[str, Array]:
+    def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
         """Decodes many packets at once; see `Structure.decode_rows`."""
-        return self._derive(super().decode_rows(rows))
+        if events is not None and "commanded_angles" in events:
+            events = {*events, *_COMMANDED}
+        return self._derive(super().decode_rows(rows, events))
+
+    @property
+    def required_frames(self) -> tuple[str, ...]:
+        """Matrices that make a packet malformed where they are neither frames nor NaN."""
+        return tuple(event for event in self.matrices if event not in self.missing)
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
         """Which packets have NaN or infinity outside the events `but`, (n,)."""
@@ -91,11 +99,12 @@ class FriLayout(Structure):
         return super().find_not_finite(rows, but)
 
     def _derive(self, values: dict[str, Array]) -> dict[str, Array]:
-        before, offset = (values[event] for event in _COMMANDED)
-        with np.errstate(invalid="ignore"):  # infinity - infinity
-            values["commanded_angles"] = before + offset
+        if all(event in values for event in _COMMANDED):
+            before, offset = (values[event] for event in _COMMANDED)
+            with np.errstate(invalid="ignore"):  # infinity - infinity
+                values["commanded_angles"] = before + offset
         _turn_round(values)
-        for event in self.missing:
+        for event in self.missing & values.keys():
             frames = values[event]
             with np.errstate(invalid="ignore", over="ignore"):
                 good = are_frames(frames.reshape(-1, 4, 4)).reshape(-1, 1, 1, 1)
@@ -129,7 +138,24 @@ def _turn_round(values: dict[str, Any]) -> None:
         values["jacobian"] = turned.reshape(rows.shape)
 
 
-_NO_COMMAND = Structure(COMMAND).encode({})
+_HEAD = struct.Struct("<4H")  # as _HEADER has it
+_SIZE = Structure(MEASUREMENT, is_double=False).size
+_NO_COMMAND = Structure(COMMAND).encode({})[4:]
+
+
+def counter_of(packet: memoryview, length: int) -> int | None:
+    """Returns the `send_counter` of a measurement, and None of any other packet.
+
+    The same as `FriLayout.find_wrong_constants`, but for one packet, that is ten times as fast.
+
+    Args:
+        packet: its bytes, at least eight.
+        length: how many of them it has.
+    """
+    if length != _SIZE:
+        return None
+    counter, _, size, datagram_id = _HEAD.unpack_from(packet)
+    return int(counter) if (size, datagram_id) == (_SIZE, _ID) else None
 
 
 def no_command(counter: int, reflected: int) -> bytes:
@@ -139,7 +165,7 @@ def no_command(counter: int, reflected: int) -> bytes:
         counter: of the packets sent so far, this one included; its lower 16 bits are sent.
         reflected: `send_counter` of the last measurement.
     """
-    return struct.pack("<HH", counter & 0xFFFF, reflected) + _NO_COMMAND[4:]
+    return struct.pack("<HH", counter & 0xFFFF, reflected) + _NO_COMMAND
 
 
 def is_good(state: float, quality: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,28 +111,36 @@ class Intake:
         begins = None if senders is None else self._who(senders, arrivals)
         stamps = self._stamps(rows) if self._time else None
         places = self._follow(rows, arrivals, stamps, senders)
-        good = ~layout.find_not_finite(rows, self.nan_allowed)
-        if not good.all():
-            counters.not_finite += int((~good).sum())
-            last = int(np.flatnonzero(~good)[-1])
-            values = layout.decode_rows(rows[last : last + 1])
-            single = {event: array[0] for event, array in values.items()}
-            fault = find_not_finite(single, but=self.nan_allowed) or "a number is out of range"
-            self._fault(fault, arrivals[last])
-        if layout.matrices:
-            good &= self._are_frames(rows, arrivals, good)
+        blank = layout.find_not_finite(rows)
+        if is_finite := not blank.any():  # as nearly always
+            good = ~blank
+        else:
+            good = ~layout.find_not_finite(rows, self.nan_allowed)
+            self._tell_not_finite(rows, arrivals, good)
+        if required := layout.required_frames:
+            good &= self._are_frames(rows, arrivals, good, required)
         self._time_good(good, arrivals, stamps, places, begins)
         # What is malformed has been counted, and is not counted again as late, say.
-        duplicate, late = good & (places == _DUPLICATE), good & (places == _LATE)
-        counters.duplicates += int(duplicate.sum())
-        counters.late += int(late.sum())
-        good &= ~duplicate if self._lossless else ~(duplicate | late)
+        if places.any():
+            duplicate, late = good & (places == _DUPLICATE), good & (places == _LATE)
+            counters.duplicates += int(duplicate.sum())
+            counters.late += int(late.sum())
+            good &= ~duplicate if self._lossless else ~(duplicate | late)
+        if not is_finite:
+            counters.blanked += int((good & blank).sum())
         if not good.all():
             rows, arrivals = rows[good], arrivals[good]
-        if len(rows) and self.nan_allowed:
-            blanked = layout.find_not_finite(rows)
-            counters.blanked += int(blanked.sum())
         return rows, arrivals
+
+    def _tell_not_finite(self, rows: Rows, arrivals: Array, good: NDArray[np.bool_]) -> None:
+        if good.all():
+            return
+        self._tally.not_finite += int((~good).sum())
+        last = int(np.flatnonzero(~good)[-1])
+        values = self.layout.decode_rows(rows[last : last + 1])
+        single = {event: array[0] for event, array in values.items()}
+        fault = find_not_finite(single, but=self.nan_allowed) or "a number is out of range"
+        self._fault(fault, arrivals[last])
 
     def decode(self, rows: Rows) -> dict[str, Array]:
         """Decodes rows that `take` returned; infinity and NaN in what may be blank are NaN."""
@@ -195,24 +203,25 @@ class Intake:
             self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
 
     def _are_frames(
-        self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_]
+        self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_], events: Collection[str]
     ) -> NDArray[np.bool_]:
-        """Which packets have nothing but frames in their matrices; NaN is judged elsewhere."""
+        """Which packets have nothing but frames in these events; NaN is judged elsewhere."""
         layout = self.layout
-        values = layout.decode_rows(rows)
-        blank_not_finite(values, layout.matrices, layout.matrices)
-        good = np.ones(len(rows), bool)
-        for event in layout.matrices:
-            matrices = values[event]
-            frames = are_frames(matrices.reshape(-1, 4, 4)) | np.isnan(matrices[..., 3, 3]).ravel()
-            good &= frames.reshape(len(rows), -1).all(axis=1)
+        values = layout.decode_rows(rows, events)
+        matrices = np.concatenate([values[event] for event in events], axis=1)
+        frames = are_frames(matrices.reshape(-1, 4, 4)).reshape(len(rows), -1)
+        if frames.all():
+            return np.ones(len(rows), bool)
+        frames |= ~np.isfinite(matrices).all(axis=(2, 3))
+        good = np.asarray(frames.all(axis=1))
         bad = finite & ~good
         if bad.any():
             self._tally.not_frames += int(bad.sum())
             last = int(np.flatnonzero(bad)[-1])
-            single = {event: values[event][last] for event in layout.matrices}
+            single = {event: values[event][last] for event in events}
+            blank_not_finite(single, events, events)
             column_major = layout.column_major
-            fault = find_not_frame(single, layout.matrices, column_major=column_major)
+            fault = find_not_frame(single, events, column_major=column_major)
             self._fault(fault, arrivals[last])
         return good
 

@@ -6,6 +6,7 @@ import math
 import re
 import sys
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,37 +68,37 @@ class Item:
     is_size: bool = False
     at: int = 0
 
-    @property
+    @cached_property
     def wire_shape(self) -> tuple[int, ...]:
         """How its numbers stand in the packet; of matrices row by row."""
         return (self.count, *(KINDS[self.kind][1] if self.kind in KINDS else ()))
 
-    @property
+    @cached_property
     def shape(self) -> tuple[int, ...]:
         """Of its event's array; 3 x 4 matrices get their last row."""
         return (self.count, 4, 4) if self.kind == "T" else self.wire_shape
 
-    @property
+    @cached_property
     def numbers(self) -> int:
         """How many numbers it has in the packet."""
         return math.prod(self.wire_shape)
 
-    @property
+    @cached_property
     def item_bytes(self) -> int:
         """Bytes of one of its numbers."""
         return int(self.type[-1])
 
-    @property
+    @cached_property
     def dtype(self) -> np.dtype[Any]:
         """Of one of its numbers in the packet."""
         return np.dtype(self.type)
 
-    @property
+    @cached_property
     def end(self) -> int:
         """The byte after its last."""
         return self.offset + self.numbers * self.item_bytes
 
-    @property
+    @cached_property
     def is_float(self) -> bool:
         """Whether NaN can stand there."""
         return self.type[-2] == "f"

@@ -310,9 +310,9 @@ class Receiver(Declaration):
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> None:
         """Takes in packets as they came; only for the source's own thread."""
-        if self._tap is not None:
-            self._tap(rows, lengths, arrivals)
-        intake = self.intake
+        if (tap := self._tap) is not None:
+            tap(rows, lengths, arrivals)
+        intake = self._intake or self.intake
         before = (intake.counters.restarts, intake.counters.lost)
         rows, arrivals = intake.take(rows, lengths, arrivals, senders)
         if len(rows):
@@ -331,8 +331,8 @@ class Receiver(Declaration):
         """Keeps good packets until they are taken."""
         last = rows[-1:].copy()
         if self.only_latest_packet:
-            self._number += len(rows)
-            self._last = (last, arrivals[-1:].copy(), self._number)
+            self._number = number = self._number + len(rows)
+            self._last = (last, arrivals[-1:].copy(), number)
         else:
             with self._room:
                 while self._queued_bytes > QUEUE_BYTES and not self._closing.is_set():

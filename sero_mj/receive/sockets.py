@@ -28,6 +28,20 @@ def is_multicast(host: str) -> bool:
         return False
 
 
+def _needs_interface(host: str) -> bool:
+    """Whether an address means something only together with a network: `ff02::1`, `fe80::1`."""
+    try:
+        address = ipaddress.IPv6Address(host)
+    except ValueError:
+        return False
+    # Of a group the scope is in its second byte: 1 is this machine, 2 this network.
+    return address.is_link_local or (address.is_multicast and address.packed[1] & 15 in (1, 2))
+
+
+def _interfaces() -> str:
+    return ", ".join(name for _, name in socket.if_nameindex())
+
+
 def open_socket(source: str, host: str, port: int, interface: str, buffer: int) -> socket.socket:
     """Returns a bound UDP socket.
 
@@ -43,6 +57,10 @@ def open_socket(source: str, host: str, port: int, interface: str, buffer: int) 
         SourceError: the port is in use, or the address is not one of this machine.
     """
     place = f"UDP port {port} on {host}"
+    address, _, zone = host.partition("%")
+    if _needs_interface(host) and not interface and not zone:
+        why = "such an address is one on every network; name yours with interface = ..."
+        raise SourceError(source, f"{place}: {why}; available: {_interfaces()}")
     sock = None
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -50,13 +68,15 @@ def open_socket(source: str, host: str, port: int, interface: str, buffer: int) 
         _set_buffer(sock, buffer)
         if is_multicast(host):
             _join(sock, host, port, interface)
+        elif _needs_interface(host):
+            sock.bind((address, port, 0, socket.if_nametoindex(interface or zone)))
         else:
             sock.bind((host, port))
     # A name that cannot be one makes other errors than a name that is not known.
     except (OSError, TypeError, UnicodeError) as error:
         if sock is not None:
             sock.close()
-        raise SourceError(source, f"{place}{_why(error, interface)}") from error
+        raise SourceError(source, f"{place}{_why(error, interface or zone)}") from error
     return sock
 
 
@@ -102,9 +122,10 @@ def _why(error: Exception, interface: str) -> str:
     if not isinstance(error, OSError):
         return f": not an address: {error}"
     # Python's own error for an interface that is not there has no number.
-    if interface and error.errno in (None, errno.ENODEV, errno.EADDRNOTAVAIL, errno.ENXIO):
-        names = ", ".join(name for _, name in socket.if_nameindex())
-        return f": no network interface '{interface}'; available: {names}"
+    unknown = (None, errno.ENODEV, errno.EADDRNOTAVAIL, errno.ENXIO)
+    names = [name for _, name in socket.if_nameindex()]
+    if interface and interface not in names and error.errno in unknown:
+        return f": no network interface '{interface}'; available: {_interfaces()}"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
         return ": not an address of this machine; expected 127.0.0.1 or 0.0.0.0, say"
     return _REASONS.get(error.errno or 0, f": {error.strerror or error}")

@@ -14,6 +14,8 @@ from .language import Item, limits, parse
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.uint8]
+# First and last byte, type, and which of the numbers between these; None for all of them.
+_Block = tuple[int, int, np.dtype[Any], NDArray[np.intp] | None]
 Alignment = Literal[1, 2, 4, 8]
 
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
@@ -90,7 +92,7 @@ class Structure:
             for name, item in self._by_event.items()
         ]
         self._is_plain = not any(item for *_, item in self._plan)
-        self._blocks: dict[frozenset[str], list[tuple[int, int, np.dtype[Any]]]] = {}
+        self._blocks: dict[frozenset[str], list[_Block]] = {}
 
     def _unless_plain(self, item: Item) -> Item | None:
         is_plain = np.dtype(item.type) == _DOUBLE and len(item.shape) == 1
@@ -122,19 +124,26 @@ class Structure:
                 values[name] = self._finished(item, numbers) if item else numbers
         return values
 
-    def decode_rows(self, rows: Rows) -> dict[str, Array]:
+    def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
         """Decodes many packets at once; every array has one more axis at the front.
 
         What `decode` does not copy is a view into `rows` here.
 
         Args:
             rows: (n, `size` or more), one packet a row.
+            events: those that are wanted; all of them when None.
         """
         with np.errstate(invalid="ignore", over="ignore"):
             return {
-                name: self._finished(item, _numbers(rows, item))
-                for name, item in self._by_event.items()
+                name: self._finished(item := self._by_event[name], _numbers(rows, item))
+                for name in (self._by_event if events is None else events)
+                if name in self._by_event
             }
+
+    @property
+    def required_frames(self) -> tuple[str, ...]:
+        """Matrices that make a packet malformed where they are neither frames nor NaN."""
+        return self.matrices
 
     def field(self, event: str) -> Item:
         """Where an event stands in the packet; raises UnknownName."""
@@ -182,28 +191,36 @@ class Structure:
         A number that `scale` makes infinite counts as well.
         """
         bad = np.zeros(len(rows), bool)
-        with np.errstate(invalid="ignore", over="ignore"):
-            for start, end, dtype in self._float_blocks(frozenset(but)):
-                numbers = rows[:, start:end].view(dtype)
-                if self.scale > 1.0:
+        scaled = self.scale > 1.0
+        for start, end, dtype, columns in self._float_blocks(frozenset(but)):
+            numbers = rows[:, start:end].view(dtype)
+            if columns is not None:
+                numbers = numbers[:, columns]
+            if scaled:
+                with np.errstate(invalid="ignore", over="ignore"):
                     numbers = numbers.astype(np.float64) * self.scale
-                bad |= ~np.isfinite(numbers).all(axis=1)
+            bad |= ~np.isfinite(numbers).all(axis=1)
         return bad
 
-    def _float_blocks(self, but: frozenset[str]) -> list[tuple[int, int, np.dtype[Any]]]:
-        """First and last byte of what one look can check: neighbours of one type together."""
+    def _float_blocks(self, but: frozenset[str]) -> list[_Block]:
+        """What one look can check: numbers of one type that are whole numbers of it apart."""
         known = self._blocks.get(but)
         if known is not None:
             return known
-        blocks: list[tuple[int, int, np.dtype[Any]]] = []
+        groups: dict[tuple[np.dtype[Any], int], list[Item]] = {}
         for name, item in self._by_event.items():
-            if not item.is_float or item.constant is not None or name in but:
-                continue
-            dtype = np.dtype(item.type)
-            if blocks and blocks[-1][1:] == (item.offset, dtype):
-                blocks[-1] = (blocks[-1][0], item.end, dtype)
-            else:
-                blocks.append((item.offset, item.end, dtype))
+            if item.is_float and item.constant is None and name not in but:
+                dtype = np.dtype(item.type)
+                groups.setdefault((dtype, item.offset % dtype.itemsize), []).append(item)
+        blocks: list[_Block] = []
+        for (dtype, _), items in groups.items():
+            start, end = items[0].offset, items[-1].end
+            columns = np.concatenate(
+                [np.arange(item.offset - start, item.end - start, dtype.itemsize) for item in items]
+            )
+            columns //= dtype.itemsize
+            is_all = len(columns) * dtype.itemsize == end - start
+            blocks.append((start, end, dtype, None if is_all else columns))
         if len(self._blocks) > 8:  # who allows NaN here and there again and again
             self._blocks = {}
         self._blocks[but] = blocks
@@ -293,7 +310,7 @@ class Structure:
 
 
 def _numbers(rows: Rows, item: Item) -> NDArray[Any]:
-    return rows[:, item.offset : item.end].view(item.type)
+    return rows[:, item.offset : item.end].view(item.dtype)
 
 
 def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:

@@ -6,13 +6,17 @@ import ipaddress
 import selectors
 import socket
 import threading
+import time
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 
-from .datagrams import BATCH, Batch, Datagrams, pack_address
+from .datagrams import BATCH, Batch, Datagrams, OnArrival, canonical_address, pack_address
 from .receiver import Receiver, log
+from .short_slices import ask_for_short_slices
 from .sockets import open_socket
 
 # At many packets per second it is cheaper to let some come together; the renderer shares the
@@ -20,6 +24,7 @@ from .sockets import open_socket
 _KEPT_BYTES = 2048
 _BUSY = 8  # packets in a batch
 _GATHER = 5e-4  # s
+_LATER = 4e-3  # s for which packets that are answered may wait until they are looked at
 
 
 def _as_list(value: Any) -> Any:
@@ -32,8 +37,10 @@ class UdpReceiver(Receiver):
     Attributes:
         udpport: port to listen on (`port` in files); 0 lets the system choose.
         host: address to listen on. Loopback by default; `0.0.0.0` for every interface; a
-            multicast group (`239.0.0.1`, `ff02::1`) is joined; IPv6 (`::1`, `::`) works as well.
-        interface: name or address of the network interface on which a group is joined.
+            multicast group (`239.0.0.1`, `ff02::1`) is joined; IPv6 (`::1`, `::`) works as well,
+            and `::` takes IPv4 too.
+        interface: name or address of the network interface on which a group is joined; needed by
+            addresses that mean another machine on every network (`ff02::1`, `fe80::1`).
         sender: whose packets are taken: addresses, with or without a port (`192.168.0.7:1234`,
             `[fe80::1]:1234`); anybody's when empty. Those of others are counted as `foreign`.
         buffer_size: bytes of the kernel's receive buffer; 0 for 4 MiB, or what the system grants.
@@ -49,7 +56,7 @@ class UdpReceiver(Receiver):
     _socket: socket.socket | None = PrivateAttr(None)
     _wake: tuple[socket.socket, socket.socket] | None = PrivateAttr(None)
     _thread: threading.Thread | None = PrivateAttr(None)
-    _allowed: list[tuple[slice, bytes]] = PrivateAttr(default_factory=list)
+    _allowed: frozenset[tuple[bytes, int]] = PrivateAttr(frozenset())
 
     @field_validator("host")
     @classmethod
@@ -91,7 +98,9 @@ class UdpReceiver(Receiver):
             self.name, self.host, self.udpport, self.interface, self.buffer_size
         )
         self._start_afresh()
-        self._allowed = [_pattern(sender) for sender in self.sender]
+        self._allowed = frozenset(
+            canonical_address(pack_address(*split_sender(sender))) for sender in self.sender
+        )
         self._wake = socket.socketpair()
         if self.debug_level >= 2:
             log.info("source '%s': listening on %s", self.name, self.about)
@@ -116,33 +125,57 @@ class UdpReceiver(Receiver):
         # One more byte than is right: where the system does not tell, it shows what was too long.
         # A recording keeps what is wrong whole, if it is not very long.
         datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
+        datagrams.on_arrival = self._on_arrival(datagrams.send)
+        answers, since = datagrams.on_arrival is not None, 0.0
+        if answers:
+            ask_for_short_slices()
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake[0], selectors.EVENT_READ)
             while not self._closing.is_set():
                 try:
-                    batch = datagrams.receive()
+                    count = datagrams.read()
                 except OSError as error:
                     # An ICMP answer to somebody else's packet may surface here; go on receiving.
                     self.counters.last_fault = f"socket: {error.strerror}"
                     self._closing.wait(0.01)  # an error that stays must not take a whole core
                     continue
+                if answers and datagrams.waiting < BATCH:
+                    # The next answer is more urgent than what is there to be looked at.
+                    if count and datagrams.waiting == count:
+                        since = time.monotonic()
+                    left = _LATER - (time.monotonic() - since) if datagrams.waiting else None
+                    if left is None or left > 0.0:
+                        selector.select(left)
+                        continue
+                batch = datagrams.take()
                 if batch is None:
                     selector.select()
                     continue
                 if batch.dropped is not None:
                     self.counters.dropped = batch.dropped
                 self._take_in(batch)
-                if _BUSY <= len(batch) < BATCH:
+                if _BUSY <= len(batch) < BATCH and not answers:
                     self._closing.wait(_GATHER)
+        if (batch := datagrams.take()) is not None:
+            self._take_in(batch)
+
+    def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
+        """What is done with each packet first of all, strangers' too; None for nothing."""
+        return None
+
+    def _is_known(self, sender: bytes) -> bool:
+        """Whether packets of a socket address, as in `Batch.senders`, are taken."""
+        return not self._allowed or _is_among(sender, self._allowed)
 
     def _take_in(self, batch: Batch) -> None:
         """Takes in a batch, without what strangers sent."""
         rows, lengths, arrivals, senders = batch.rows, batch.lengths, batch.arrivals, batch.senders
         if self._allowed:
-            known = np.zeros(len(batch), bool)
-            for part, address in self._allowed:
-                known |= (senders[:, part] == np.frombuffer(address, np.uint8)).all(axis=1)
+            if (senders == senders[0]).all():
+                known = np.full(len(batch), self._is_known(senders[0].tobytes()))
+            else:
+                known = np.array([self._is_known(sender.tobytes()) for sender in senders])
             if not known.all():
                 strangers = int((~known).sum())
                 self.counters.foreign += strangers
@@ -167,22 +200,20 @@ def split_sender(text: str) -> tuple[str, int]:
     elif text.count(":") == 1:
         host, _, port = text.partition(":")
     try:
-        ipaddress.ip_address(host)
+        address = ipaddress.ip_address(host)
         number = int(port or 0)
     except ValueError:
         number = -1
+    else:
+        if address.is_unspecified or address.is_multicast:
+            raise ValueError(f"found {text!r}, from which nobody sends; leave it out for anybody")
     if not 0 <= number <= 65535:
         message = "expected an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234"
         raise ValueError(f"found {text!r}; {message}")
     return host, number
 
 
-def _pattern(sender: str) -> tuple[slice, bytes]:
-    """Which bytes of a socket address must be what."""
-    host, port = split_sender(sender)
-    packed = pack_address(host, port)
-    if ":" in host:  # family, port, flow, address, scope
-        if not port:
-            return slice(8, 24), packed[8:24]
-        return slice(2, 24), packed[2:24]
-    return (slice(2, 8), packed[2:8]) if port else (slice(4, 8), packed[4:8])
+@lru_cache(maxsize=1024)
+def _is_among(sender: bytes, allowed: frozenset[tuple[bytes, int]]) -> bool:
+    address, port = canonical_address(sender)
+    return (address, port) in allowed or (address, 0) in allowed

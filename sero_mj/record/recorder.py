@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..errors import RecordingError, UnknownName
 from .recording_format import Clock
 from .recording_writer import RecordingWriter
+from .signals_json import Signals
 
 Decode = Callable[[bytes], Mapping[str, NDArray[np.float64]] | None]
 
@@ -150,6 +151,7 @@ class Recorder:
         events: Mapping[str, tuple[int, ...]],
         size: int,
         decode: Decode,
+        signals: Signals | None = None,
     ) -> None:
         """Makes room for a source; before its packets are taken.
 
@@ -159,8 +161,9 @@ class Recorder:
             declared: its fields in the scene, of JSON's types; a replay makes its decoder of them.
             events: event name to its shape, (n,), (n, 3) or (n, 4, 4).
             size: bytes of a packet.
-            decode: a packet to its events; None, or ValueError, for a malformed one, of which only
+            decode: a packet to its signals; None, or ValueError, for a malformed one, of which only
                 the bytes are kept. It is called on the recorder's thread.
+            signals: what `decode` returns; the events when None.
 
         Raises:
             RecordingError: it cannot be written.
@@ -168,7 +171,9 @@ class Recorder:
             ValueError: there is a source of this name already.
         """
         with self._writing:
-            self._writer.add_source(name, kind=kind, declared=declared, events=events, size=size)
+            self._writer.add_source(
+                name, kind=kind, declared=declared, events=events, size=size, signals=signals
+            )
         with self._changed:
             self._not_recorded[name] = 0
             self._decoders[name] = (decode, _Thinning(self._signals_rate))

@@ -17,6 +17,7 @@ from mcap.records import Attachment
 from mcap.writer import MCAP0_MAGIC
 
 from ..errors import RecordingError, UnknownName
+from ..files import open_file
 from .mcap_chunk import BROKEN, reason_of, unpack_messages
 from .recording_format import ABOUT, CLOCK, FORMAT, LOST, SOURCE_KEY, Clock, SourceDeclaration
 from .recording_index import ChunkPlace, FileIndex, read_index, read_record
@@ -74,7 +75,7 @@ class Recording:
         self._damaged: set[int] = set()
         self._cached: tuple[int, int, list[tuple[int, bytes]]] = (-1, -1, [])
         try:
-            self._file = open(self.path, "rb")  # noqa: SIM115
+            self._file = open_file(self.path)
         except (OSError, ValueError) as error:
             raise self._unreadable(error) from error
         try:

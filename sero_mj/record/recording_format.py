@@ -4,7 +4,8 @@
     metadata `about`      what the recording is of: scene, robot, ...
     metadata `lost`       source to the number of packets that could not be kept, where there are
     channel /NAME/raw     a source's packets, byte for byte; its metadata says how to decode them
-    channel /NAME/signals what the good ones of them mean, as JSON (see `signals_json`)
+    channel /NAME/signals what the good ones of them mean, as JSON (see `signals_json`); its
+                          metadata says of every name where its number comes from
     attachments           the scene file and its robots' files
 
 A message's log time is when the packet arrived, in ns since the epoch. That clock is the monotonic

@@ -1,6 +1,7 @@
-"""Where in an MCAP file everything is: from its summary, or else by looking through it.
+"""Where in an MCAP file everything is: from its summary, or else by walking through it.
 
-Looking through skips what chunks contain, so it takes about as long as there are chunks.
+A file whose process was killed has no summary. Walking through it skips what records contain, so
+it takes about as long as there are chunks; `mcap.stream_reader` would read and unpack them all.
 """
 
 from __future__ import annotations
@@ -8,30 +9,22 @@ from __future__ import annotations
 import io
 import os
 import struct
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE
-from mcap.records import (
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    Footer,
-    Metadata,
-    MetadataIndex,
-    Statistics,
-)
-from mcap.stream_reader import MAGIC_SIZE, StreamReader
-from mcap.writer import MCAP0_MAGIC
+from mcap.reader import FOOTER_SIZE, SeekingReader
+from mcap.records import Channel, Metadata
+from mcap.stream_reader import MAGIC_SIZE
 
 from .mcap_chunk import BROKEN, reason_of
-from .mcap_summary import summary_crc
 
 _HEAD = struct.Struct("<BQ")
 _ATTACHMENT_HEAD = 4096  # bytes that surely hold an attachment's name
+_CRC_BYTES = 4 + MAGIC_SIZE  # at the end of a file: the summary's check sum, and the magic number
 _NOT_CLOSED = "its process was killed, the disk was full, or it is still being written"
 
 
@@ -83,73 +76,98 @@ def read_index(file: BinaryIO) -> FileIndex:
     try:
         index = _from_summary(file, size)
     except BROKEN as error:
-        index = _look_through(file, size)
+        index = _walk_through(file, size)
         index.faults.append(
             f"its index is damaged ({reason_of(error)}), so all of it was looked through"
         )
         return index
-    return index or _look_through(file, size)
+    return index or _walk_through(file, size)
 
 
 def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
-    """Returns what a record says, without its head."""
+    """Returns what a record says, without its head; raises ValueError where it does not fit."""
+    size = file.seek(0, os.SEEK_END)
+    if not 0 <= offset <= offset + length <= size:
+        raise ValueError(f"{length} bytes at byte {offset} are beyond the end of the file")
     file.seek(offset + _HEAD.size)
-    return io.BytesIO(file.read(length - _HEAD.size))
-
-
-def _find_footer(file: BinaryIO, size: int) -> tuple[Footer, bytes] | None:
-    """Returns the footer and its bytes with all behind it; None where it names no summary."""
-    ending = FOOTER_SIZE + MAGIC_SIZE
-    if size < MAGIC_SIZE + ending:
-        return None
-    file.seek(size - ending)
-    tail = file.read(ending)
-    opcode, length = _HEAD.unpack_from(tail)
-    if not tail.endswith(MCAP0_MAGIC) or (opcode, length) != (Opcode.FOOTER, 20):
-        return None
-    footer = Footer.read(ReadDataStream(io.BytesIO(tail[_HEAD.size :])))
-    return (footer, tail) if footer.summary_start else None
+    return io.BytesIO(file.read(max(length - _HEAD.size, 0)))
 
 
 def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
     """Reads the summary; None where there is none; raises one of BROKEN when it is damaged."""
-    found = _find_footer(file, size)
-    if found is None:
+    ending = FOOTER_SIZE + MAGIC_SIZE
+    if size < MAGIC_SIZE + ending:
         return None
-    footer, tail = found
-    if not MAGIC_SIZE <= footer.summary_start <= size - len(tail):
+    file.seek(size - ending)
+    opcode, length, start = struct.unpack("<BQQ", file.read(_HEAD.size + 8))
+    if (opcode, length) != (Opcode.FOOTER, FOOTER_SIZE - _HEAD.size) or not start:
+        return None
+    if not MAGIC_SIZE <= start <= size - ending:
         raise ValueError("it is not where the end of the file says")
-    file.seek(footer.summary_start)
-    summary = file.read(size - len(tail) - footer.summary_start)
-    if footer.summary_crc and footer.summary_crc != summary_crc(summary, footer):
+    file.seek(start)
+    said = zlib.crc32(file.read(size - start - _CRC_BYTES))
+    (expected,) = struct.unpack("<I", file.read(4))
+    if expected and said != expected:
         raise ValueError("its check sum differs")
-    index, statistics = FileIndex(), None
-    for record in StreamReader(io.BytesIO(summary + tail), skip_magic=True).records:
-        if isinstance(record, Channel):
-            index.channels[record.id] = record
-        elif isinstance(record, ChunkIndex):
-            place = ChunkPlace(
-                record.chunk_start_offset,
-                record.chunk_length,
-                record.message_start_time,
-                record.message_end_time,
-                frozenset(record.message_index_offsets) or None,
+    file.seek(0)
+    summary = SeekingReader(file, record_size_limit=size).get_summary()
+    if summary is None:
+        return None
+    index = FileIndex(channels=dict(summary.channels))
+    for each in summary.chunk_indexes:
+        index.chunks.append(
+            ChunkPlace(
+                each.chunk_start_offset,
+                each.chunk_length,
+                each.message_start_time,
+                each.message_end_time,
+                frozenset(each.message_index_offsets) or None,
             )
-            index.chunks.append(place)
-        elif isinstance(record, AttachmentIndex):
-            index.attachments[record.name] = (record.offset, record.length)
-        elif isinstance(record, Statistics):
-            statistics = record
-        elif isinstance(record, MetadataIndex):
-            metadata = Metadata.read(
-                ReadDataStream(read_record(file, record.offset, record.length))
-            )
-            index.metadata[metadata.name] = metadata.metadata
-    if statistics is None:
+        )
+    for attachment in summary.attachment_indexes:
+        index.attachments[attachment.name] = (attachment.offset, attachment.length)
+    for place in summary.metadata_indexes:
+        metadata = _metadata(file, place.offset, place.length)
+        index.metadata[metadata.name] = metadata.metadata
+    if summary.statistics is None:
         index.uncounted = list(index.chunks)
     else:
-        index.counts = dict(statistics.channel_message_counts)
+        index.counts = dict(summary.statistics.channel_message_counts)
     return index
+
+
+def _walk_through(file: BinaryIO, size: int) -> FileIndex:
+    """Goes from record to record, up to the end of the data or to where that is not possible."""
+    index, chunks = FileIndex(), _Chunks()
+    position, is_whole = MAGIC_SIZE, False
+    try:
+        for opcode, offset, length in _records(file, size):
+            _note(file, opcode, offset, length, index, chunks)
+            position, is_whole = offset + length, opcode == Opcode.DATA_END
+    except BROKEN:
+        pass  # up to here, then
+    chunks.into(index, cut=not is_whole)
+    if is_whole:
+        index.faults.append(f"was not closed ({_NOT_CLOSED}), so it has no index")
+    else:
+        index.faults.append(
+            f"is cut off or damaged at byte {position} ({_NOT_CLOSED}): "
+            f"{size - position} bytes are left out"
+        )
+    return index
+
+
+def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, place and length of one record after the other, up to the end of the data."""
+    position, opcode = MAGIC_SIZE, 0
+    while opcode != Opcode.DATA_END:
+        file.seek(position)
+        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+        end = position + _HEAD.size + length
+        if opcode == 0 or end > size:
+            return
+        yield opcode, position, end - position
+        position = end
 
 
 class _Chunks:
@@ -177,36 +195,6 @@ class _Chunks:
                 index.counts[channel] = index.counts.get(channel, 0) + count
 
 
-def _look_through(file: BinaryIO, size: int) -> FileIndex:
-    """Walks from record to record, up to the end of the data or to where that is not possible."""
-    index, chunks = FileIndex(), _Chunks()
-    position, opcode = MAGIC_SIZE, 0
-    while opcode != Opcode.DATA_END:
-        file.seek(position)
-        head = file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
-            break
-        opcode, length = _HEAD.unpack(head)
-        end = position + _HEAD.size + length
-        if opcode == 0 or end > size:
-            break
-        try:
-            _note(file, opcode, position, end - position, index, chunks)
-        except BROKEN:
-            break
-        position = end
-    whole = opcode == Opcode.DATA_END and position <= size
-    chunks.into(index, cut=not whole)
-    if whole:
-        index.faults.append(f"was not closed ({_NOT_CLOSED}), so it has no index")
-    else:
-        rest = size - position
-        index.faults.append(
-            f"is cut off or damaged at byte {position} ({_NOT_CLOSED}): {rest} bytes are left out"
-        )
-    return index
-
-
 def _note(
     file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex, chunks: _Chunks
 ) -> None:
@@ -223,9 +211,14 @@ def _note(
         found = Channel.read(ReadDataStream(read_record(file, offset, length)))
         index.channels[found.id] = found
     elif opcode == Opcode.METADATA:
-        metadata = Metadata.read(ReadDataStream(read_record(file, offset, length)))
+        metadata = _metadata(file, offset, length)
         index.metadata[metadata.name] = metadata.metadata
     elif opcode == Opcode.ATTACHMENT:
         stream = ReadDataStream(io.BytesIO(file.read(min(length, _ATTACHMENT_HEAD))))
         stream.read(16)  # two times
         index.attachments[stream.read_prefixed_string()] = (offset, length)
+
+
+def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
+    found: Metadata = Metadata.read(ReadDataStream(read_record(file, offset, length)))
+    return found

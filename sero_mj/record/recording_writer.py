@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.records import Channel, McapRecord, Schema
+from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import UnknownName
-from .mcap_file import CHUNK_BYTES, FLUSH_AFTER, McapFile
+from .mcap_file import WholeFile, pack_record
 from .recording_format import (
     ABOUT,
     CLOCK,
@@ -26,16 +29,21 @@ from .recording_format import (
     raw_topic,
     signals_topic,
 )
-from .signals_json import encode_signals, encode_table, signals_schema
+from .signals_json import Signals
+
+CHUNK_BYTES = 1 << 20
+FLUSH_AFTER = 0.4  # s: so that no more than half a second is lost with its process
+_MESSAGE_HEAD = 31  # bytes of a message's record beside its data
+_BY_US = 1 << 62  # larger than any chunk: the library shall not end one when we do not know it
 
 
 @dataclass
 class _Channels:
-    """The numbers of a source's two channels, its events, and the number of the next packet."""
+    """The numbers of a source's two channels, what the second holds, and the next packet's."""
 
     raw: int
-    signals: int
-    events: Mapping[str, tuple[int, ...]]
+    decoded: int
+    signals: Signals
     number: int = 0
 
 
@@ -44,7 +52,8 @@ class RecordingWriter:
 
     The process may be killed at any time: what came more than `flush_after` before is in the file,
     as long as something is written or `flush_if_old` is called now and then. The file can be read
-    while it is written.
+    while it is written. The memory it takes grows by the library's chunk index only: less than 1 kB
+    per chunk, so 7 MB in an hour of chunks that are flushed every 0.4 s.
 
     Args:
         path: the file.
@@ -71,15 +80,17 @@ class RecordingWriter:
     ) -> None:
         self.clock = Clock()
         self._channels: dict[str, _Channels] = {}
-        self._file = McapFile(
-            path,
-            library=f"sero-mj {__version__}",
-            overwrite=overwrite,
-            chunk_bytes=chunk_bytes,
-            flush_after=flush_after,
-        )
-        self._file.add_metadata(CLOCK, self.clock.to_metadata())
-        self._file.add_metadata(ABOUT, about)
+        self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
+        self._waiting = 0  # bytes of the messages that are not yet in the file
+        self._oldest = 0.0  # when the first of them came, on time.monotonic
+        self._count = 0  # of packets, in the file or not
+        self._span = (2**64, 0)  # log times of the first and the last of them, ns
+        self._file = WholeFile(path, overwrite=overwrite)
+        self._writer = Writer(self._file, chunk_size=_BY_US)  # type: ignore[arg-type]
+        self._writer.start(library=f"sero-mj {__version__}")
+        self._writer.add_metadata(CLOCK, self.clock.to_metadata())
+        self._writer.add_metadata(ABOUT, dict(about))
+        self._file.flush()
 
     @property
     def path(self) -> Path:
@@ -99,6 +110,7 @@ class RecordingWriter:
         declared: Mapping[str, Any],
         events: Mapping[str, tuple[int, ...]],
         size: int,
+        signals: Signals | None = None,
     ) -> None:
         """Makes room for a source's packets and for what they mean.
 
@@ -108,6 +120,7 @@ class RecordingWriter:
             declared: its fields in the scene, of JSON's types; a replay makes its decoder of them.
             events: event name to its shape, (n,), (n, 3) or (n, 4, 4).
             size: bytes of a packet.
+            signals: what is kept of the decoded packets; their events when None.
 
         Raises:
             RecordingError: it cannot be written.
@@ -117,12 +130,33 @@ class RecordingWriter:
         if name in self._channels:
             raise ValueError(f"source '{name}' is in the recording already")
         declaration = SourceDeclaration(name, kind, declared, events, size).to_json()
-        raw = self._file.add_channel(raw_topic(name), RAW_ENCODING, 0, {SOURCE_KEY: declaration})
-        schema = self._file.add_schema(
-            f"sero-mj.{name}", SCHEMA_ENCODING, signals_schema(name, events)
+        signals = signals or Signals(dict(events))
+        raw = self._add_channel(raw_topic(name), RAW_ENCODING, 0, {SOURCE_KEY: declaration})
+        title, text = f"sero-mj.{name}", signals.schema(name)
+        schema: int = self._writer.register_schema(title, SCHEMA_ENCODING, text)
+        self._repeat(Schema(id=schema, name=title, encoding=SCHEMA_ENCODING, data=text))
+        decoded = self._add_channel(signals_topic(name), SIGNALS_ENCODING, schema, signals.origins)
+        self._channels[name] = _Channels(raw, decoded, signals)
+        self._file.flush()
+
+    def _add_channel(
+        self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
+    ) -> int:
+        number: int = self._writer.register_channel(topic, encoding, schema, dict(metadata))
+        self._repeat(
+            Channel(
+                id=number,
+                topic=topic,
+                message_encoding=encoding,
+                schema_id=schema,
+                metadata=dict(metadata),
+            )
         )
-        signals = self._file.add_channel(signals_topic(name), SIGNALS_ENCODING, schema, {})
-        self._channels[name] = _Channels(raw, signals, dict(events))
+        return number
+
+    def _repeat(self, record: McapRecord) -> None:
+        """Writes a record outside of chunks too: that it is there must not hang on a chunk."""
+        self._file.write(pack_record(record))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Puts a file into the recording: the scene, a robot; raises RecordingError.
@@ -132,7 +166,8 @@ class RecordingWriter:
             media_type: e.g. `application/toml`.
             data: its contents.
         """
-        self._file.add_attachment(name, media_type, data, self.clock.epoch_ns)
+        self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
+        self._file.flush()
 
     def write_raw(
         self, name: str, packet: bytes, arrival: float, sequence: int | None = None
@@ -152,10 +187,9 @@ class RecordingWriter:
         """
         channels = self._find(name)
         number = channels.number if sequence is None else sequence
+        log_time = self.clock.log_time(arrival)
         channels.number = number + 1
-        self._file.add_message(
-            channels.raw, packet, self.clock.log_time(arrival), number & 0xFFFFFFFF
-        )
+        self._add_packet(channels.raw, packet, log_time, number)
 
     def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
         """Keeps packets of one length all at once.
@@ -173,7 +207,9 @@ class RecordingWriter:
         channels = self._find(name)
         number = channels.number
         channels.number = number + len(rows)
-        self._file.add_rows(channels.raw, rows, self.clock.log_times(arrivals), number)
+        times = self.clock.log_times(arrivals).tolist()
+        for i, (row, log_time) in enumerate(zip(rows, times, strict=True), number):
+            self._add_packet(channels.raw, row.tobytes(), log_time, i)
 
     def write_signals(
         self, name: str, values: Mapping[str, NDArray[np.float64]], arrival: float
@@ -182,7 +218,7 @@ class RecordingWriter:
 
         Args:
             name: its source.
-            values: event name to its array, in the shapes of `add_source`.
+            values: key of `Signals.shapes` to its array; events by default.
             arrival: when the packet arrived, s on the clock of `time.monotonic`.
 
         Raises:
@@ -191,11 +227,9 @@ class RecordingWriter:
             ValueError: the arrival is not a time.
         """
         channels = self._find(name)
-        self._file.add_message(
-            channels.signals,
-            encode_signals(values),
-            self.clock.log_time(arrival),
-            max(0, channels.number - 1) & 0xFFFFFFFF,
+        log_time = self.clock.log_time(arrival)
+        self._add(
+            channels.decoded, channels.signals.encode(values), log_time, max(0, channels.number - 1)
         )
 
     def write_signal_rows(
@@ -209,7 +243,7 @@ class RecordingWriter:
 
         Args:
             name: their source.
-            table: (n, k), the numbers of all its events in their order; matrices row by row.
+            table: (n, k), the numbers of all its signals in their order; matrices row by row.
             arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
             sequences: the packets' numbers, n, counted from 0.
 
@@ -219,10 +253,10 @@ class RecordingWriter:
             ValueError: an arrival is not a time.
         """
         channels = self._find(name)
-        messages = encode_table(channels.events, table)
+        messages = channels.signals.encode_table(table)
         times = self.clock.log_times(arrivals).tolist()
-        for message, time, sequence in zip(messages, times, sequences, strict=True):
-            self._file.add_message(channels.signals, message, time, sequence & 0xFFFFFFFF)
+        for message, log_time, sequence in zip(messages, times, sequences, strict=True):
+            self._add(channels.decoded, message, log_time, sequence)
 
     def _find(self, name: str) -> _Channels:
         channels = self._channels.get(name)
@@ -230,17 +264,46 @@ class RecordingWriter:
             raise UnknownName("source", name, self._channels)
         return channels
 
+    def _add_packet(self, channel: int, packet: bytes, log_time: int, number: int) -> None:
+        self._count += 1
+        first, last = self._span
+        self._span = min(first, log_time), max(last, log_time)
+        self._add(channel, packet, log_time, number)
+
+    def _add(self, channel: int, data: bytes, log_time: int, number: int) -> None:
+        """Adds a message to the chunk, and writes that when it is full."""
+        if self._file.error is not None:
+            raise self._file.error
+        if not self._waiting:
+            self._oldest = time.monotonic()
+        self._writer.add_message(channel, log_time, data, log_time, number & 0xFFFFFFFF)
+        self._waiting += _MESSAGE_HEAD + len(data)
+        if self._waiting >= self._chunk_bytes:
+            self.flush()
+
     def flush(self) -> None:
         """Brings all that was written into the file; raises RecordingError."""
-        self._file.flush()
+        if not self._waiting:
+            return
+        self._writer.flush()
+        self._waiting = 0
+        seconds = max(self._span[1] - self._span[0], 0) / 1e9
+        self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
 
     def flush_if_old(self) -> float:
-        """Flushes when the oldest message waits for `flush_after`; returns the s until then.
+        """Flushes when the oldest message has waited for `flush_after`.
+
+        Returns:
+            The s until it is due; infinite when nothing waits.
 
         Raises:
             RecordingError: there is no room.
         """
-        return self._file.flush_if_old()
+        remaining = self._oldest + self._flush_after - time.monotonic()
+        if self._waiting and remaining > 0.0:
+            return remaining
+        self.flush()
+        return float("inf")
 
     def close(self, *, lost: Mapping[str, int] | None = None) -> None:
         """Finishes the file; harmless when it is finished.
@@ -253,10 +316,12 @@ class RecordingWriter:
         """
         if self._file.closed:
             return
-        self._file.flush()
+        self.flush()
         told = {name: str(count) for name, count in (lost or {}).items() if count}
         if told:
-            self._file.add_metadata(LOST, told)
+            self._writer.add_metadata(LOST, told)
+            self._file.flush()
+        self._writer.finish()
         self._file.finish()
 
     def __enter__(self) -> RecordingWriter:

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
 
-from ..errors import RecordingError, SourceError, did_you_mean
-from ..plugins import SOURCES, load_plugin
+from ..errors import DeclarationError, RecordingError, SourceError, did_you_mean, nearest
+from ..plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
 from ..receive.receiver import Receiver, log
 from ..receive.source import Packets
 from ..receive.structure import Structure
-from .open_recording import open_recording
 from .recording import RecordedSource, Recording
 
 Array = NDArray[np.float64]
@@ -79,7 +78,7 @@ class Replay(Receiver):
     @classmethod
     def _file_is_a_recording(cls, file: Path) -> Path:
         try:
-            open_recording(file).close()
+            Recording(file).close()
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return file
@@ -89,19 +88,20 @@ class Replay(Receiver):
     def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data:
             return source
-        with Recording(info.data["file"]) as recording:
-            names = list(recording.sources)
-        if source:
-            if source not in names:
-                near = did_you_mean(source, names)
-                raise ValueError(f"no source '{source}' in {info.data['file']}{near}")
-            return source
-        if info.data.get("name") in names:
-            return str(info.data["name"])
-        if len(names) != 1:
-            found = f"has {', '.join(names)}; choose one" if names else "has no source"
-            raise ValueError(f"{info.data['file']} {found}")
-        return names[0]
+        file, name = info.data["file"], str(info.data.get("name"))
+        with Recording(file) as recording:
+            recorded = recording.sources
+        if source and source not in recorded:
+            raise ValueError(f"no source '{source}' in {file}{did_you_mean(source, recorded)}")
+        if not source and name not in recorded and len(recorded) != 1:
+            found = f"has {', '.join(recorded)}; choose one" if recorded else "has no source"
+            raise ValueError(f"{file} {found}")
+        chosen = source or (name if name in recorded else next(iter(recorded)))
+        try:
+            _receiver_of(file, recorded[chosen], chosen)
+        except RecordingError as error:
+            raise ValueError(str(error)) from None
+        return chosen
 
     @field_validator("start")
     @classmethod
@@ -134,8 +134,7 @@ class Replay(Receiver):
     @cached_property
     def original(self) -> Receiver:
         """The receiver that once listened; it is never opened, but knows how to decode."""
-        kind = load_plugin(SOURCES, self.recorded.kind)
-        receiver: Receiver = kind(**{**self.recorded.declared, "name": self.name})
+        receiver = _receiver_of(self.file, self.recorded, self.name)
         receiver.only_latest_packet = self.only_latest_packet
         return receiver
 
@@ -321,6 +320,31 @@ class Replay(Receiver):
         padded = b"".join(packet[: size + 1].ljust(size + 1, b"\0") for _, packet in batch)
         rows = np.frombuffer(padded, np.uint8).reshape(len(batch), size + 1)
         self._accept(rows, lengths, arrivals)
+
+
+def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Receiver:
+    """The receiver that a recording declares.
+
+    Raises:
+        RecordingError: its kind is not known, its fields are wrong, or they make other events.
+    """
+    kind, of = recorded.kind, f"source '{recorded.name}'"
+    kinds = [known for known in plugins(SOURCES) if known != "replay"]
+    if kind not in kinds:
+        known = " or ".join(map(repr, kinds))
+        near = f"; did you mean '{found}'?" if (found := nearest(kind, kinds)) else ""
+        raise RecordingError(file, f"kind of {of}: found {kind!r}; expected {known}{near}")
+    try:
+        receiver: Receiver = load_plugin(SOURCES, kind)(**{**recorded.declared, "name": name})
+    except DeclarationError as error:
+        wrong = "; ".join(f"{problem.key}: {problem.message}" for problem in error.problems)
+        raise RecordingError(file, f"how {of} is decoded: {wrong}") from error
+    for event, shape in recorded.events.items():
+        if receiver.events.get(event) != shape:
+            expected = receiver.events.get(event, "no such event")
+            reason = f"events of {of}: found {event} of shape {shape}; expected {expected}"
+            raise RecordingError(file, reason)
+    return receiver
 
 
 def _first_of(recording: Recording) -> float:

@@ -21,6 +21,7 @@ ACTUAL = ("actual_angles", "actual_velocities", "actual_torques")
 DRIVEN = ("commanded_torques", "saturated")
 TARGETS = ("target_angles", "target_velocities")
 ESTIMATED = ("external_torques",)
+PER_JOINT = (*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED)
 TIME = "time"
 
 
@@ -50,7 +51,7 @@ class RunLayout:
         others: Mapping[str, str] | None = None,
     ) -> None:
         parts = [f"{TIME}:1F"]
-        for signal in (*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED):
+        for signal in PER_JOINT:
             names = targets if signal in TARGETS else joints
             parts += [f"{event_of(name, signal)}:{joints[name]}F" for name in names]
         parts += [f"{event}:{kind}" for event, kind in (others or {}).items()]

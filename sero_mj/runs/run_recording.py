@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..errors import RecordingError, UsageError, did_you_mean
-from ..record.open_recording import open_recording
 from ..record.recording import Recording
 from .recorded_events import read_events, receiver_of
 from .recorded_robots import read_tables, recorded_robots
@@ -46,7 +45,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         UsageError: no such source, or there are several and one has to be chosen.
     """
     path = Path(path)
-    with open_recording(path) as recording:
+    with Recording(path) as recording:
         names = _chosen(recording, source)
         runs = [name for name in names if _robots_of(recording.sources[name].events)]
         if len(runs) > 1:

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import CsvError, RecordingError, UsageError, did_you_mean
 from ..receive.structure import Structure
 from ..record.export_csv import column_names
-from ..record.open_recording import open_recording
 from ..record.read_csv import read_csv
+from ..record.recording import Recording
 from ..record.replay import Replay
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ class RecordedPackets(Playback):
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
         recorded = self._replay.recorded
-        with open_recording(self.file) as recording:
+        with Recording(self.file) as recording:
             for arrival, packet in recording.packets(recorded.name):
                 sent = packet if self.is_raw else self._again(packet)
                 if self._only_whole and self.is_raw and len(packet) != self.structure.size:
@@ -238,7 +238,7 @@ def _identities(structure: Structure) -> dict[str, Array]:
 
 def _choose(file: Path, source: str) -> tuple[str, list[str]]:
     """The source of a recording that is meant, and what is wrong with the recording."""
-    with open_recording(file) as recording:
+    with Recording(file) as recording:
         names = list(recording.sources)
         if source and source not in names:
             raise UsageError(f"no source '{source}' in {file}{did_you_mean(source, names)}")

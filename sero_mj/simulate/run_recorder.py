@@ -9,9 +9,12 @@ from typing import Self
 import numpy as np
 
 from .. import __version__
+from ..drive.signal_names import joint_names
 from ..record.export_csv import column_names
 from ..record.recording_writer import RecordingWriter
+from ..record.signals_json import Signals
 from ..record.write_csv import csv_table
+from ..runs.run_log import PER_JOINT, event_of
 from .scenario import Scenario
 from .simulation import Simulation
 from .staging import SOURCE
@@ -54,6 +57,7 @@ class RunRecorder:
             declared={"structure": layout.structure.text, "column_major": False},
             events={name: tuple(shape) for name, shape in layout.structure.events.items()},
             size=layout.structure.size,
+            signals=_signals_of(simulation),
         )
         for file in files_of(scenario):
             name = f"{file.parent.name}/{file.name}"
@@ -83,6 +87,21 @@ class RunRecorder:
         at: TracebackType | None,
     ) -> None:
         self._writer.close()
+
+
+def _signals_of(simulation: Simulation) -> Signals:
+    """The log's events, those of joints by name: `lwr.A1.torque [Nm]`."""
+    events = simulation.layout.structure.events
+    shapes = {name: tuple(shape) for name, shape in events.items()}
+    names: dict[str, list[str]] = {}
+    for name, robot in simulation.scenario.scene.robots.items():
+        for signal in PER_JOINT:
+            if (event := event_of(name, signal)) in shapes:
+                names[event] = joint_names(name, robot, signal)
+    origins = {
+        each: f"{event}[{i}]" for event, found in names.items() for i, each in enumerate(found)
+    }
+    return Signals(shapes, names, origins)
 
 
 def files_of(scenario: Scenario) -> list[Path]:

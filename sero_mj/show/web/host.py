@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
-from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -18,11 +17,11 @@ from ...errors import RenderError, SeroError
 from ..camera import find_camera, list_cameras
 from ..clicks import OnClick, take_click
 from ..clock import Clock
-from ..interaction import HOST_KEYS, KEYS, MORE_KEYS, Pointer, hover
+from ..interaction import Pointer, hover
+from ..keys import Keys
 from ..mouse import Clicked
 from ..notice import Notice
-from ..toggle_keys import press_toggle
-from ..torque_history import TorqueHistory, joint_name
+from ..torque_history import TorqueHistory
 from .app import StudioApp
 from .decor import WebDecor
 from .greying import Greying
@@ -124,6 +123,16 @@ class WebHost:
                 self.viewer.dispatch(event)
         self._greying = Greying(self.viewer)
         self._begin = time.monotonic()
+        panels = self._panels
+        self._keys = Keys(
+            self,
+            {
+                "follow": self._follow,
+                "plot": panels.flip_plots,
+                "status_line": panels.flip_status,
+                "help": panels.flip_help,
+            },
+        )
 
     @property
     def url(self) -> str:
@@ -240,39 +249,7 @@ class WebHost:
 
     def press(self, key: str) -> None:
         """Does what a key means, by the table of `interaction`."""
-        if key in KEYS:
-            self.say(press_toggle(key, self.world, self.data, self.toggles))
-            return
-        name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
-        clock, seek = self.clock, self.clock.seek
-        actions: dict[str, Callable[[], str | None]] = {
-            "pause": clock.pause,
-            "step": clock.step,
-            "step_back": lambda: clock.step(-1),
-            "slower": lambda: clock.faster(-1),
-            "faster": lambda: clock.faster(1),
-            "reset": clock.reset,
-            "back": lambda: seek(clock.time - 1.0),
-            "on": lambda: seek(clock.time + 1.0),
-            "camera": lambda: self.choose_camera(int(key)),
-            "follow": self._follow,
-            "plot": self._panels.flip_plots,
-            "next_joint": lambda: self._select(1),
-            "last_joint": lambda: self._select(-1),
-            "status_line": self._panels.flip_status,
-            "help": self._panels.flip_help,
-        }
-        if name in actions:
-            said = actions[name]()
-            if said:
-                self.say(said)
-
-    def _select(self, places: int) -> str:
-        names = self.world.joints.names
-        if not names:
-            return "no joint"
-        self.joint = (self.joint + places) % len(names)
-        return f"selected: {joint_name(self.world, self.joint)}"
+        self._keys.press(key)
 
     def choose_camera(self, number: int) -> str:
         """Looks through a camera by its number, 1 for the first; 0 is the scene's own view."""

@@ -16,12 +16,12 @@ from ..clicks import OnClick, take_click
 from ..clock import Clock, time_text
 from ..events import Event
 from ..headless.renderer import DEFAULT_SIZE
-from ..interaction import KEYS, Pointer, hover
+from ..interaction import Pointer, hover
+from ..keys import Keys
 from ..mouse import Clicked, Mouse, Moved
 from ..notice import Notice
 from ..picking import Picked
 from ..status_line import Piece, status_pieces
-from ..toggle_keys import press_toggle
 from ..torque_history import TorqueHistory
 from .camera import Navigator
 from .film import Camera
@@ -29,7 +29,6 @@ from .frame import Frame
 from .gl import GlWindow
 from .help import Row, help_columns, pages
 from .hud import Hud
-from .keys import WindowKeys
 from .layout import Layout, arrange
 from .plot import TorquePlot
 from .timeline import TimeLine
@@ -91,7 +90,18 @@ class Window:
         self._hud = Hud(self.gl)
         self._pointer = Pointer(world, self.toggles)
         self._mouse = Mouse()
-        self._keys = WindowKeys(self)
+        self._keys = Keys(
+            self,
+            {
+                "follow": self._follow,
+                "plot": self._flip_plot,
+                "status_line": self._flip_status,
+                "screenshot": self._take_screenshot,
+                "film": self._flip_film,
+                "full_screen": self.gl.toggle_full_screen,
+                "help": self.next_help_page,
+            },
+        )
         self._history, self._plot = TorqueHistory(world), TorquePlot(world)
         self._help = help_columns()
         self._layout = self._arrange(self.gl.size)
@@ -318,11 +328,41 @@ class Window:
         self.navigator.centre(point)
 
     def _press(self, event: Event) -> None:
-        if event.key in KEYS:
-            if not event.is_repeat:
-                self.say(press_toggle(event.key, self.world, self.data, self.toggles))
-            return
-        self._keys.press(event)
+        if event.key != "escape":
+            self._keys.press(event.key, is_repeat=event.is_repeat)
+        elif self.shows_help:
+            self.shows_help = False
+        elif self.gl.is_full_screen:
+            self.gl.toggle_full_screen()
+
+    def choose_camera(self, number: int) -> str:
+        """Looks through a camera, 1 for the first, 0 for the view of the start."""
+        return self.navigator.choose(number)
+
+    def _follow(self) -> str:
+        picked = self.pick_under_pointer()
+        is_frame = picked is not None and picked.name in self.world.frames.names
+        return self.navigator.follow(self.data, picked.name if picked and is_frame else None)
+
+    def _flip_plot(self) -> str:
+        self.shows_plot = not self.shows_plot
+        return "" if self.world.joints.names else "no joint to plot"
+
+    def _flip_status(self) -> None:
+        self.shows_status = not self.shows_status
+
+    def _take_screenshot(self) -> None:
+        self.wants_picture = True
+
+    def _flip_film(self) -> str:
+        if self.camera.is_filming:
+            self.camera.stop()
+            return "the film ends"
+        try:
+            return self.camera.start(self.picture_size, time.monotonic())
+        except SeroError as error:
+            self.say(str(error), is_bad=True)
+            return ""
 
     def close(self) -> None:
         """Closes the window, when pictures and films are written."""

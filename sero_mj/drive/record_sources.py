@@ -13,7 +13,10 @@ from .. import __version__
 from ..assemble.scene import Scene
 from ..receive.receiver import Receiver
 from ..receive.source import Source
-from .recorder import SIGNALS_RATE, Recorder
+from ..record.recorder import SIGNALS_RATE, Recorder
+from .route import wire
+from .signal_names import RoutedSignals
+from .wiring import Route
 
 
 @contextmanager
@@ -30,7 +33,8 @@ def record_sources(
     Args:
         sources: by name, `mirror.sources` say; opened or not. Replays are not recorded again.
         path: where to, OUT.mcap.
-        scene: its file and those of its robots are kept in the recording.
+        scene: its file and those of its robots are kept in the recording, and its routes say what
+            the decoded values are called there: `lwr.A1.torque [Nm]`.
         overwrite: write over a file that exists.
         signals_rate: of how many packets per second and source the decoded values are kept as well.
 
@@ -41,10 +45,11 @@ def record_sources(
     about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
     with Recorder(path, about=about, overwrite=overwrite, signals_rate=signals_rate) as recorder:
         recorded = []
+        routes = [] if scene is None else wire(scene).routes
         try:
             for name, source in sources.items():
                 if isinstance(source, Receiver) and source.is_live:
-                    _add(recorder, name, source)
+                    _add(recorder, name, source, scene, routes)
                     recorded.append(source)
             for file in [] if scene is None else _files_of(scene):
                 recorder.attach(
@@ -56,14 +61,23 @@ def record_sources(
                 source.record_to(None)
 
 
-def _add(recorder: Recorder, name: str, source: Receiver) -> None:
+def _add(
+    recorder: Recorder, name: str, source: Receiver, scene: Scene | None, routes: list[Route]
+) -> None:
+    routed = None if scene is None else RoutedSignals(scene, routes, name, source.events)
+
+    def decode(packet: bytes) -> Mapping[str, NDArray[np.float64]] | None:
+        values = source.decode(packet)
+        return values if values is None or routed is None else routed.of(values)
+
     recorder.add_source(
         name,
         kind=source.kind,
         declared=source.decoding_fields(),
         events=source.events,
         size=source.size,
-        decode=source.decode,
+        decode=decode,
+        signals=None if routed is None else routed.signals,
     )
 
     def tap(

@@ -1,0 +1,112 @@
+"""`Feature`: one thing that decor shows, of ours or of another package; and what it is given.
+
+A package adds a feature by an entry point in the group `sero_mj.decor`:
+
+    [project.entry-points."sero_mj.decor"]
+    temperature = "my_package:TemperatureGauge"
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.world_view import WorldView
+from ..errors import PluginError
+from ..plugins import DECOR, load_plugin, plugins
+from .cards import Cards
+from .panels import Panels
+from .pen import Pen
+from .toggles import Shown, Toggles
+from .view import View
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(eq=False)
+class Frame:
+    """One frame while it is laid out.
+
+    Attributes:
+        pen: takes geoms.
+        data: the state of the world: `time`, `xpos`, `site_xpos`, `userdata`, ... as of `MjData`.
+        view: from where, and how large the picture is.
+        toggles: what is switched on.
+        shown: what of that is anywhere.
+        values: per-joint values by name, (N,) each: `torques`, `torque_error`, `joint_angles`, and
+            every other input of robots; NaN for no data.
+        arrow_values: what the joints' arrows show, (N,), NaN for no data.
+        arrow_limit: at which value an arrow is at full width, (N,), inf where there is none.
+        stale: what to say of robots, doubles, arrows and frames without fresh data, by name.
+        stale_joints: which joints have no fresh data, (N,).
+        max_segments: how many boxes a round arrow has at most.
+        cards: panels beside the robots with leaders; features add theirs.
+        corners: panels in the corners of the picture, which cards keep clear of; likewise.
+        panels: other panels; likewise.
+    """
+
+    pen: Pen
+    data: Any
+    view: View
+    toggles: Toggles
+    shown: Shown
+    values: dict[str, Array]
+    arrow_values: Array
+    arrow_limit: Array
+    stale: dict[str, str]
+    stale_joints: Bools
+    max_segments: int
+    cards: list[Cards] = field(default_factory=list)
+    corners: list[Panels] = field(default_factory=list)
+    panels: list[Panels] = field(default_factory=list)
+
+    def is_stale(self, names: list[str]) -> Bools:
+        """Which of these have no fresh data."""
+        if not self.stale:
+            return np.zeros(len(names), bool)
+        return np.array([name in self.stale for name in names], bool)
+
+
+class Feature:
+    """Something that decor shows in a world.
+
+    All features lay out first, then text is drawn, then all of them draw: where a host has no room
+    for everything, numbers are kept.
+
+    Args:
+        world: whose decor it is.
+
+    Attributes:
+        order: features of lower numbers come first, in both passes; sero-mj's own have 10 to 90.
+    """
+
+    order: ClassVar[int] = 100
+
+    def __init__(self, world: WorldView) -> None:
+        self.world = world
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds cards, corner panels and panels to the frame."""
+
+    def draw(self, frame: Frame) -> None:
+        """Adds geoms to the frame's pen."""
+
+
+def make_features(world: WorldView) -> list[Feature]:
+    """Every feature that is installed, for one world; what cannot be loaded is logged and left."""
+    found: list[tuple[int, str, type[Feature]]] = []
+    for name in plugins(DECOR):
+        try:
+            kind: type[Feature] = load_plugin(DECOR, name)
+        except PluginError as error:
+            log.warning("%s; not shown", error)
+            continue
+        found.append((kind.order, name, kind))
+    return [kind(world) for _, _, kind in sorted(found, key=lambda entry: entry[:2])]

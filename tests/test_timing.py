@@ -1,0 +1,53 @@
+"""Rate, jitter and delay: the same whether packets come one by one or many at once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sero_mj.receive.timing import Timing
+
+_GAPS = st.floats(0.0, 0.1) | st.sampled_from([0.0, 1.9, 2.1, 11.0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.tuples(_GAPS, _GAPS), max_size=40),
+    st.booleans(),
+    st.integers(1, 40),
+)
+def test_packets_one_by_one_are_as_many_at_once(
+    gaps: list[tuple[float, float]], stamped: bool, first: int
+) -> None:
+    begin = [(100.0, 5.0), (0.01, 0.01)]  # which are the measure of what is usual
+    arrivals, stamps = np.cumsum(np.array([*begin, *gaps]), axis=0).T
+    one, many = Timing(), Timing()
+    for each in (one, many):
+        each.add(arrivals[:2], stamps[:2] if stamped else None)
+    for k in range(2, len(arrivals)):
+        one.add(arrivals[k : k + 1], stamps[k : k + 1] if stamped else None)
+    if stamped and len(arrivals) > 2:  # without stamps jitter is from the mean of the batch before
+        for part in (slice(2, 2 + first), slice(2 + first, None)):
+            if len(arrivals[part]):
+                many.add(arrivals[part], stamps[part])
+        if np.ptp(arrivals) < 10.0:  # the base line is looked at once a batch
+            assert one.delay == pytest.approx(many.delay, abs=1e-9)
+        assert one.jitter == pytest.approx(many.jitter, abs=1e-9)
+        assert one.interval == pytest.approx(many.interval, abs=1e-9)
+    assert math.isfinite(one.jitter) and one.interval >= 0.0
+
+
+def test_a_steady_sender_at_1_khz() -> None:
+    timing = Timing()
+    for k in range(100):
+        timing.add(np.array([k * 1e-3 + 0.002]), np.array([k * 1e-3]))
+    assert timing.rate == pytest.approx(1000.0)
+    assert timing.jitter == pytest.approx(0.0, abs=1e-9)
+    assert timing.delay == pytest.approx(0.0, abs=1e-9)
+    timing.add(np.array([0.105]), np.array([0.100]))
+    assert timing.delay == pytest.approx(0.003)
+    assert timing.jitter == pytest.approx(0.003 / 16)
