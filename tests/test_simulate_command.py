@@ -113,7 +113,7 @@ def test_a_recording_holds_every_row_and_replays_to_the_same_states(
                 mirror.advance(t)
                 states.append(mirror.data.qpos.copy())
     assert np.array_equal(states[:4], states[4:])
-    row = simulation.rows[250, simulation.layout.columns["lwr_angles"]]
+    row = simulation.rows[250, simulation.layout.columns["lwr_joint_angles"]]
     assert np.array_equal(states[3], row)
 
 
@@ -133,7 +133,7 @@ def test_a_table_holds_every_number(scenario: Path, tmp_path: Path) -> None:
     simulation = rows_of(scenario)
     with open(out, newline="", encoding="utf-8") as file:
         head, *rows = csv.reader(file)
-    assert head[:3] == ["time", "lwr_angles[0]", "lwr_angles[1]"]
+    assert head[:3] == ["time", "lwr_joint_angles[0]", "lwr_joint_angles[1]"]
     assert np.array_equal(np.array(rows, float), simulation.rows)
 
 
@@ -172,7 +172,7 @@ def test_a_film_and_the_log_show_the_same(scenario: Path) -> None:
         for frame in range(12):
             mirror.advance(frame / 30)
             row = int(frame / 30 / 1e-3 + 1e-6)
-            expected = finished.rows[row, finished.layout.columns["lwr_angles"]]
+            expected = finished.rows[row, finished.layout.columns["lwr_joint_angles"]]
             assert np.array_equal(mirror.data.qpos, expected)
             target = mirror.data.userdata[mirror.world.slots["lwr_target.joint_angles"]]
             columns = finished.layout.columns["lwr_target_angles"]
@@ -205,7 +205,7 @@ def test_one_process_simulates_and_another_mirrors(scenario: Path, tmp_path: Pat
         assert until(lambda: mirror.advance() or len(got) == 401)
         assert receiver_source.counters.malformed == 0
     simulation = rows_of(scenario)
-    assert np.array_equal(got, simulation.rows[:, simulation.layout.columns["lwr_angles"]])
+    assert np.array_equal(got, simulation.rows[:, simulation.layout.columns["lwr_joint_angles"]])
     assert re.search(r"sent 401 packets in 0\.\d+ s", done.stdout)
 
 

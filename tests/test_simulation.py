@@ -119,7 +119,7 @@ def test_two_robots_do_what_each_does_alone() -> None:
     alone = ran(scenario(disturbances={"push": PUSH}, duration=0.5)).log
     for signal in MEASURED:
         assert both.of("lwr", signal) == pytest.approx(alone.of("lwr", signal), abs=1e-9)
-    still = both.of("other", "angles")
+    still = both.of("other", "joint_angles")
     assert still == pytest.approx(np.tile(HOME, (501, 1)), abs=1e-9)
 
 
@@ -129,7 +129,7 @@ def test_elastic_joints_feel_the_same_push() -> None:
     assert elastic.of("lwr", "torques")[-1] == pytest.approx(
         stiff.of("lwr", "torques")[-1], abs=1.0
     )
-    assert not np.array_equal(elastic.of("lwr", "angles"), stiff.of("lwr", "angles"))
+    assert not np.array_equal(elastic.of("lwr", "joint_angles"), stiff.of("lwr", "joint_angles"))
 
 
 # ---- faults
@@ -219,7 +219,7 @@ def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
     assert "asks for nan Nm; expected a finite number" in str(caught.value)
     assert simulation.step in (50, 51)
     assert seen[-1][1] == simulation.step + 1
-    assert np.isfinite(simulation.log.of("lwr", "angles")).all()
+    assert np.isfinite(simulation.log.of("lwr", "joint_angles")).all()
     assert len(simulation.log.times) == simulation.step + 1
 
 

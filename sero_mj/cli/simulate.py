@@ -89,9 +89,9 @@ def run(options: argparse.Namespace) -> int:
     error = _simulate(simulation, options)
     seconds = time.perf_counter() - begin
     if options.csv is not None:
-        from ..simulate.run_recorder import write_csv
+        from ..runs.run_csv import write_run_csv
 
-        write_csv(simulation, options.csv)
+        write_run_csv(simulation.layout, simulation.rows[: simulation.step + 1], options.csv)
     if options.plot is not None:
         from ..study.plot import plot_run, spans_of
 

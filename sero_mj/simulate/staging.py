@@ -14,12 +14,8 @@ from .disturbances import Force
 from .scenario import Scenario
 
 SOURCE = "simulation"
-# Inputs of robots to the signals that they get, unless the scene routes something else there.
-_SHOWN = {
-    "joint_angles": "angles",
-    "torques": "torques",
-    "commanded_torques": "commanded_torques",
-}
+# Inputs that robots get of the log, unless the scene routes something else there.
+_SHOWN = ("joint_angles", "torques", "commanded_torques")
 
 
 def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
@@ -39,9 +35,7 @@ def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
     scene.doubles, scene.arrows = dict(scene.doubles), dict(scene.arrows)
     routes = {}
     for name, robot in scene.robots.items():
-        for key, signal in _SHOWN.items():
-            routes[f"{name}.{key}"] = f"{SOURCE}.{event_of(name, signal)}"
-        for key in robot.inputs or []:
+        for key in (*_SHOWN, *robot.inputs):
             if event_of(name, key) in layout.columns:
                 routes[f"{name}.{key}"] = f"{SOURCE}.{event_of(name, key)}"
         if name in layout.targets and scenario.run.show_targets:

@@ -40,7 +40,7 @@ def compare_scene(pair: Pair, folder: Path) -> Scene:
     other = "b" if robot != "b" else "second"
     for source, run in (("a", pair.a), ("b", pair.b)):
         _write(folder / f"{source}.mcap", source, pair.times, run)
-    routes = {f"{robot}.joint_angles": "a.angles", f"{other}.joint_angles": "b.angles"}
+    routes = {f"{robot}.joint_angles": "a.joint_angles", f"{other}.joint_angles": "b.joint_angles"}
     if "torques" in pair.signals:
         routes |= {f"{robot}.commanded_torques": "a.torques", f"{robot}.torques": "b.torques"}
     return Scene(
@@ -71,10 +71,10 @@ def _shown(robot: SerialRobot) -> SerialRobot:
 
 def _write(path: Path, source: str, times: Array, run: Mapping[str, Array]) -> None:
     """Writes a run as a recording whose packets come at its own times."""
-    signals = [signal for signal in ("angles", "torques") if signal in run]
-    n = run["angles"].shape[1]
+    signals = [signal for signal in ("joint_angles", "torques") if signal in run]
+    n = run["joint_angles"].shape[1]
     structure = Structure(" ".join([f"{TIME}:1F", *(f"{signal}:{n}F" for signal in signals)]))
-    known = np.flatnonzero(np.isfinite(run["angles"]).all(axis=1))
+    known = np.flatnonzero(np.isfinite(run["joint_angles"]).all(axis=1))
     shown = times[known]
     nth = np.floor((shown - shown[0] + 1e-9) * _MOST_PER_SECOND) if len(shown) else shown
     known = known[np.append(True, np.diff(nth) > 0)] if len(shown) else known
