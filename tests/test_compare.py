@@ -263,7 +263,7 @@ def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
     from sero_mj.drive.mirror import Mirror
 
     a, b = simulated(800.0).log, simulated(2000.0).log
-    scene = compare_scene(align(a, b), tmp_path)
+    scene = compare_scene(align(a, b))
     assert scene.robots["lwr"].arrow_quantity == "torque_error"
     assert "lwr" not in {double.name for double in scene.doubles.values()}
     with Mirror(scene) as mirror:
@@ -307,7 +307,7 @@ def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) 
         """Pixels of the double's, the negative and the positive arrows' colours."""
         folder = tmp_path / name
         folder.mkdir()
-        scene = compare_scene(align(log, shifted(log, **signals)), folder)
+        scene = compare_scene(align(log, shifted(log, **signals)))
         scene.robots["lwr"].show_billboards = False
         render_picture(scene, folder / "x.png", size=(320, 200), wait=0.0)
         r, g, b = np.moveaxis(np.asarray(Image.open(folder / "x.png").convert("RGB"), int), -1, 0)

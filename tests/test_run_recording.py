@@ -20,8 +20,7 @@ from sero_mj.runs.run_csv import read_run_csv, write_run_csv
 from sero_mj.runs.run_log import event_of
 from sero_mj.runs.run_recording import read_run
 from sero_mj.simulate.run_recorder import RunRecorder
-from sero_mj.simulate.simulated_source import staged
-from sero_mj.simulate.staging import SOURCE
+from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
 
 # Degrees and mNm; outputs of robots go into others.
 SCENE = """\
@@ -302,7 +301,7 @@ def test_an_old_table_is_the_same_run(tmp_path: Path) -> None:
 
 def test_an_old_recording_plays_in_the_scene_of_its_scenario(tmp_path: Path) -> None:
     simulation = simulated()
-    scene = staged(simulation)
+    scene = simulated_scene(simulation)
     replay_instead(scene, record_run(simulation, tmp_path / "old.mcap", is_old=True), None)
     with Mirror(scene) as mirror:
         mirror.advance(0.3)

@@ -189,9 +189,9 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
 
 def _render(simulation: Simulation, options: argparse.Namespace) -> None:
     from ..show.headless.capture import render_picture
-    from ..simulate.simulated_source import staged
+    from ..simulate.simulated_scene import simulated_scene
 
-    scene = staged(simulation)
+    scene = simulated_scene(simulation)
     if check_picture_or_film("--render", options.render):
         film_with_progress(
             scene, options.render, quiet=options.quiet, duration=max(simulation.time, 1e-3),

@@ -24,14 +24,14 @@ from ..drive.mirror import Mirror
 from ..errors import DeclarationError, Problem, UnknownName
 from ..runs.measures import MEASURES
 from ..runs.run_log import RunLog, event_of
+from ..runs.run_source import RunSource
 from ..show.headless.renderer import HeadlessRenderer
 from ..simulate.expect import Expect
 from ..simulate.plant import Plant
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
-from ..simulate.simulated_source import SimulatedSource
+from ..simulate.simulated_scene import with_routes
 from ..simulate.simulation import Simulation
-from ..simulate.staging import stage
 from .actions import AnyAction, ImpedanceAction, Kind, TorqueAction
 from .episodes import EpisodicEnvironment
 
@@ -237,8 +237,8 @@ class ScenarioEnvironment(EpisodicEnvironment):
         simulation = self.simulation
         if self._view is None or self._shape != (height, width, camera):
             self.close()
-            source = SimulatedSource(simulation=simulation)
-            scene = stage(self.scenario, simulation.layout, source)
+            source = RunSource(run=simulation)
+            scene = with_routes(self.scenario, simulation.layout, source)
             mirror = self._open.enter_context(Mirror(scene))
             renderer = HeadlessRenderer(mirror.world, width, height, camera)
             self._view = (mirror, self._open.enter_context(renderer))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..drive.mirror import LiveWorld
 from ..record.replay import Replay
-from ..simulate.simulated_source import SimulatedSource
+from ..runs.run_source import RunSource
 from .torque_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -57,7 +57,7 @@ class Clock:
         self._shown: float | None = None  # what the mirror stands at
         self._simulated = 0.0  # as far as it is simulated
         sources = mirror.sources.values()
-        self._simulates = any(isinstance(source, SimulatedSource) for source in sources)
+        self._simulates = any(isinstance(source, RunSource) for source in sources)
 
     @property
     def is_at_end(self) -> bool:
@@ -170,16 +170,16 @@ def end_of(mirror: LiveWorld) -> float | None:
             if source.loop:
                 return None
             ends.append(source.duration / source.speed)
-        elif isinstance(source, SimulatedSource):
-            ends.append(source.simulation.scenario.run.duration)
+        elif isinstance(source, RunSource):
+            ends.append(source.end)
     return max(ends, default=None)
 
 
 def step_of(mirror: LiveWorld) -> float:
     """How long a single step is, s: that of the simulation, or a frame."""
     for source in mirror.sources.values():
-        if isinstance(source, SimulatedSource):
-            return float(source.simulation.scenario.run.timestep)
+        if isinstance(source, RunSource):
+            return source.timestep
     return _STEP
 
 

@@ -52,10 +52,10 @@ def _read_staged(name: str, given: dict[str, Any]) -> Scene:
     """
     # What simulates is read where something is to be simulated.
     from .scenario_file import read_scenario
-    from .simulated_source import staged
+    from .simulated_scene import simulated_scene
     from .simulation import Simulation
 
-    return staged(Simulation(read_scenario(name, given)))
+    return simulated_scene(Simulation(read_scenario(name, given)))
 
 
 def read_model(name: str, settings: dict[str, Any] | None = None) -> SerialRobot:

@@ -14,8 +14,8 @@ from ..record.recording_writer import RecordingWriter
 from ..record.signals_json import Signals
 from ..runs.run_log import PER_JOINT, event_of
 from .scenario import Scenario
+from .simulated_scene import SOURCE
 from .simulation import Simulation
-from .staging import SOURCE
 
 SIGNALS_RATE = 5.0  # decoded rows per simulated second, for programs that plot; 0 for none
 

@@ -12,6 +12,7 @@ from ..control.compiler import Compiler
 from ..control.joint_control import GravityCompensation
 from ..control.plan import Plan, make_plan
 from ..errors import DeclarationError, Problem
+from ..receive.structure import Structure
 from ..runs.monitor import Finding
 from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
 from .contacts import Contacts
@@ -175,6 +176,16 @@ class Simulation:
             if plan.flange is not None:
                 poses = plan.flange.poses.reshape(len(self.rows), 16)
                 self.rows[:, columns[event_of(name, "target_pose")]] = poses
+
+    @property
+    def about(self) -> str:
+        """What it is, for people."""
+        return f"simulation of {self.scenario.name}"
+
+    @property
+    def structure(self) -> Structure:
+        """Of a row of the log as a packet."""
+        return self.layout.structure
 
     @property
     def steps(self) -> int:

@@ -1,4 +1,4 @@
-"""Puts a simulation on a stage: what its scene shows of it where nobody has said so."""
+"""The scene of a simulation: with it as a source, and routes, doubles and arrows that show it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,29 @@ from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
 from ..assemble.scene import Scene
 from ..runs.run_log import RunLayout, event_of
+from ..runs.run_source import RunSource
 from .disturbances import Force
 from .scenario import Scenario
+from .simulation import Simulation
 
 SOURCE = "simulation"
 # Inputs that robots get of the log, unless the scene routes something else there.
 _SHOWN = ("joint_angles", "torques", "commanded_torques")
 
 
-def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
+def simulated_scene(simulation: Simulation) -> Scene:
+    """Returns the scene of a simulation, which is simulated while it is shown.
+
+    Rows of doubles stand along the targets' paths where `[run]` asks for them.
+    """
+    scenario, layout = simulation.scenario, simulation.layout
+    scene = with_routes(scenario, layout, RunSource(run=simulation))
+    if scenario.run.show_paths:
+        _add_paths(scene, scenario, layout, simulation.rows)
+    return scene
+
+
+def with_routes(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
     """Returns the scene as it is shown: with the source, and routes from it.
 
     Robots get measured angles and torques and commanded torques, and their external torques where
@@ -70,7 +84,7 @@ def _show_pushes(scene: Scene, scenario: Scenario, layout: RunLayout) -> dict[st
     return routes
 
 
-def add_paths(scene: Scene, scenario: Scenario, layout: RunLayout, rows: np.ndarray) -> None:
+def _add_paths(scene: Scene, scenario: Scenario, layout: RunLayout, rows: np.ndarray) -> None:
     """Adds a row of doubles along the way that every robot's target takes."""
     for name in layout.targets:
         angles = rows[:, layout.columns[event_of(name, "target_angles")]]
