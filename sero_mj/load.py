@@ -85,7 +85,7 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
 def _load_scenario(name: str, overrides: Mapping[str, Any]) -> Scene:
     # What simulates is imported where something is to be simulated.
     from .simulate.scenario_file import read_scenario
-    from .simulate.simulated_source import staged
+    from .simulate.simulated_scene import simulated_scene
     from .simulate.simulation import Simulation
 
-    return staged(Simulation(read_scenario(name, overrides)))
+    return simulated_scene(Simulation(read_scenario(name, overrides)))

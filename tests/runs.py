@@ -52,7 +52,7 @@ def sine_run(
     measured = np.stack([4.0 * np.cos(t), 20.0 * np.sin(t)], axis=1)
     commanded = measured + amplitude * np.sin(4.0 * np.pi * t)[:, None]
     signals = {
-        f"{robot.name}_angles": angles,
+        f"{robot.name}_joint_angles": angles,
         f"{robot.name}_torques": measured,
         f"{robot.name}_commanded_torques": commanded,
     }
@@ -76,9 +76,18 @@ def simulated(stiffness: float = 800.0, duration: float = 0.5) -> Simulation:
     return simulation
 
 
-def record_run(simulation: Simulation, path: Path, *, attach: bool = True) -> Path:
+def in_old_words(text: str) -> str:
+    """Events of measured angles and velocities as simulations were recorded before."""
+    return text.replace("_joint_angles", "_angles").replace("_joint_velocities", "_velocities")
+
+
+def record_run(
+    simulation: Simulation, path: Path, *, attach: bool = True, is_old: bool = False
+) -> Path:
     """Records a simulation as the writer of simulations does."""
     structure = simulation.layout.structure
+    if is_old:
+        structure = Structure(in_old_words(structure.text), column_major=False)
     with RecordingWriter(path, about={"scene": "swing"}) as writer:
         writer.add_source(
             "simulation",

@@ -37,7 +37,9 @@ def test_a_known_shift_is_found_within_a_sample(
 ) -> None:
     a = sine_run(rate=rates[0], duration=4.0)
     b = sine_run(rate=rates[1], duration=4.0, delay=delay)
-    shift = find_shift(a.times, a.of("arm", "angles"), b.times + start, b.of("arm", "angles"))
+    shift = find_shift(
+        a.times, a.of("arm", "joint_angles"), b.times + start, b.of("arm", "joint_angles")
+    )
     assert shift is not None
     assert shift.seconds == pytest.approx(-delay - start, abs=1.0 / min(rates))
     assert shift.likeness > 0.99
@@ -45,9 +47,9 @@ def test_a_known_shift_is_found_within_a_sample(
 
 def test_a_part_of_a_motion_is_found_in_it() -> None:
     a = sine_run(duration=6.0)
-    part = a.of("arm", "angles")[3000:4500]
+    part = a.of("arm", "joint_angles")[3000:4500]
     noisy = part + np.random.default_rng(1).normal(0.0, 1e-4, part.shape)
-    shift = find_shift(a.times, a.of("arm", "angles"), np.arange(1500) * 1e-3, noisy)
+    shift = find_shift(a.times, a.of("arm", "joint_angles"), np.arange(1500) * 1e-3, noisy)
     assert shift is not None
     assert shift.seconds == pytest.approx(3.0, abs=1e-3)
 
@@ -62,11 +64,13 @@ def test_of_a_motion_that_repeats_itself_the_nearest_shift_is_taken() -> None:
 
 def test_without_motion_nothing_is_aligned() -> None:
     a = sine_run()
-    still = RunLog(a.robots, {**a.signals, "arm_angles": np.zeros((4001, 2))}, a.times, "still")
+    still = RunLog(
+        a.robots, {**a.signals, "arm_joint_angles": np.zeros((4001, 2))}, a.times, "still"
+    )
     with pytest.raises(UsageError, match=r"--offset auto: one of the runs hardly moves; expected"):
         align(a, still, offset="auto")
     noise = np.cumsum(np.random.default_rng(1).normal(0.0, 0.01, (4001, 2)), axis=0)
-    other = RunLog(a.robots, {**a.signals, "arm_angles": noise}, a.times, "noise")
+    other = RunLog(a.robots, {**a.signals, "arm_joint_angles": noise}, a.times, "noise")
     with pytest.raises(UsageError, match=r"of run and noise are not alike \(-?0\.\d\d of 1\)"):
         align(a, other, offset="auto")
 
@@ -81,8 +85,8 @@ def test_differences_have_the_peak_and_rms_that_they_were_made_with() -> None:
     assert commanded.at % 0.25 == pytest.approx(0.125, abs=1e-3)
     assert commanded.unit == "Nm"
     assert found["commanded_torques", "slide"].unit == "N"
-    assert found["angles", "turn"].peak == 0.0
-    assert (found["angles", "turn"].unit, found["angles", "slide"].unit) == ("rad", "m")
+    assert found["joint_angles", "turn"].peak == 0.0
+    assert (found["joint_angles", "turn"].unit, found["joint_angles", "slide"].unit) == ("rad", "m")
 
 
 def test_the_sign_is_that_of_the_first_less_the_second() -> None:
@@ -107,19 +111,19 @@ def test_runs_of_different_rates_meet_at_the_times_of_the_faster_one() -> None:
 
 def test_only_what_both_have_is_compared() -> None:
     a = sine_run()
-    only = {"arm_angles": a.signals["arm_angles"][1000:3001]}
+    only = {"arm_joint_angles": a.signals["arm_joint_angles"][1000:3001]}
     b = RunLog(a.robots, only, a.times[1000:3001] + 7.0, "b")
     pair = align(a, b, offset=-7.0)
-    assert pair.signals == ["angles"]
+    assert pair.signals == ["joint_angles"]
     assert (pair.times[0], pair.times[-1]) == (1.0, 3.0)
-    np.testing.assert_allclose(pair.difference("angles"), 0.0, atol=1e-12)
+    np.testing.assert_allclose(pair.difference("joint_angles"), 0.0, atol=1e-12)
 
 
 def test_nothing_is_made_up_in_a_gap() -> None:
     a = sine_run()
     keep = (a.times < 1.0) | (a.times > 1.5)
     b = RunLog(a.robots, {key: v[keep] for key, v in a.signals.items()}, a.times[keep], "gap")
-    known = np.isfinite(align(a, b).difference("angles")).all(axis=1)
+    known = np.isfinite(align(a, b).difference("joint_angles")).all(axis=1)
     np.testing.assert_array_equal(known, keep)
 
 
@@ -157,7 +161,7 @@ def test_what_cannot_be_compared_is_told() -> None:
 
 def test_tolerances_tell_joint_time_and_both_numbers() -> None:
     a = sine_run()
-    differences = compare(align(a, shifted(a, arm_torques=0.25, arm_angles=np.deg2rad(2.0))))
+    differences = compare(align(a, shifted(a, arm_torques=0.25, arm_joint_angles=np.deg2rad(2.0))))
     assert exceeded(differences) == []
     assert exceeded(differences, torque=0.2500001, angle=0.1) == []
     found = [str(each) for each in exceeded(differences, torque=0.2, angle=0.01)]
@@ -223,8 +227,10 @@ def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
     told = capsys.readouterr()
     found = json.loads(told.out)
     a, b = simulated(800.0).log, simulated(2000.0).log
-    by_hand = np.rad2deg(np.abs(a.of("lwr", "angles") - b.of("lwr", "angles")).max(axis=0))
-    peaks = [abs(each["peak"]) for each in found["differences"] if each["signal"] == "angles"]
+    by_hand = np.rad2deg(
+        np.abs(a.of("lwr", "joint_angles") - b.of("lwr", "joint_angles")).max(axis=0)
+    )
+    peaks = [abs(each["peak"]) for each in found["differences"] if each["signal"] == "joint_angles"]
     np.testing.assert_allclose(np.rad2deg(peaks), by_hand, rtol=1e-9)
     assert len(found["exceeded"]) == (by_hand > 0.05).sum() > 0
     assert "allowed 0.05 deg" in told.err
@@ -258,7 +264,7 @@ def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
     from sero_mj.drive.mirror import Mirror
 
     a, b = simulated(800.0).log, simulated(2000.0).log
-    scene = compare_scene(align(a, b), tmp_path)
+    scene = compare_scene(align(a, b))
     assert scene.robots["lwr"].arrow_quantity == "torque_error"
     assert "lwr" not in {double.name for double in scene.doubles.values()}
     with Mirror(scene) as mirror:
@@ -269,12 +275,12 @@ def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
             for target, wanted in (
                 ("lwr.commanded_torques", a.of("lwr", "torques")),
                 ("lwr.torques", b.of("lwr", "torques")),
-                ("b.joint_angles", b.of("lwr", "angles")),
+                ("b.joint_angles", b.of("lwr", "joint_angles")),
             ):
                 shown = data.userdata[world.slots[target]]
                 assert (np.abs(wanted[near] - shown).max(axis=1) == 0.0).any(), target
             shown = data.qpos[world.robots["lwr"].qpos]
-            assert (np.abs(a.of("lwr", "angles")[near] - shown).max(axis=1) == 0.0).any()
+            assert (np.abs(a.of("lwr", "joint_angles")[near] - shown).max(axis=1) == 0.0).any()
 
 
 @pytest.mark.gl
@@ -302,7 +308,7 @@ def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) 
         """Pixels of the double's, the negative and the positive arrows' colours."""
         folder = tmp_path / name
         folder.mkdir()
-        scene = compare_scene(align(log, shifted(log, **signals)), folder)
+        scene = compare_scene(align(log, shifted(log, **signals)))
         scene.robots["lwr"].show_billboards = False
         render_picture(scene, folder / "x.png", size=(320, 200), wait=0.0)
         r, g, b = np.moveaxis(np.asarray(Image.open(folder / "x.png").convert("RGB"), int), -1, 0)
@@ -312,7 +318,7 @@ def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) 
             int(((r > b + 110) & (r > g + 50)).sum()),
         )
 
-    same, other = count("same"), count("other", lwr_angles=0.5)
+    same, other = count("same"), count("other", lwr_joint_angles=0.5)
     more, less = count("more", lwr_torques=-40.0), count("less", lwr_torques=40.0)
     assert other[0] > 300
     assert same[0] < 20

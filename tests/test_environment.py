@@ -12,9 +12,12 @@ from dm_env import test_utils
 
 import sero_mj
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.environment.make import list_environments
-from sero_mj.environment.rewards import closeness
+from sero_mj.environment.make import list_environments, scenario_environment
+from sero_mj.environment.settings import ScenarioSettings
+from sero_mj.environment.task import closeness
 from sero_mj.errors import DeclarationError, SimulationError, UnknownName
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
 
 SHORT = {"time_limit": 0.2}
 
@@ -117,7 +120,7 @@ def test_a_target_can_be_reached_and_is_worth_one() -> None:
     )
     step = environment.reset()
     spec = environment.action_spec()
-    goal = environment.task.goal()
+    goal = environment.task.goal
     while not step.last():
         missing = goal - step.observation["commanded_angles"]
         step = environment.step(np.clip(missing, 0.3 * spec.minimum, 0.3 * spec.maximum))
@@ -199,7 +202,9 @@ def test_actions_are_bounded_by_the_torque_limits_and_cut_off_there() -> None:
     np.testing.assert_array_equal(spec.minimum, -robot.torque_limits)
     environment.reset()
     environment.step(10.0 * spec.maximum)
-    assert (np.abs(environment.arm.commanded_torques) <= robot.torque_limits).all()
+    assert (
+        np.abs(environment.simulation.log.of("lwr", "commanded_torques")) <= robot.torque_limits
+    ).all()
     impedance = sero_mj.make_environment("lwr/reach", action="impedance")
     np.testing.assert_allclose(impedance.action_spec().maximum, 0.02 * robot.velocity_limits)
 
@@ -223,7 +228,7 @@ def test_an_action_that_is_no_number_names_the_joint_and_moves_nothing(
     environment.step(np.zeros(7))
     before = environment.data.qpos.copy()
     action = np.zeros(7)
-    action[environment.arm.robot.names.index(joint)] = bad
+    action[environment.robot.names.index(joint)] = bad
     with pytest.raises(
         SimulationError,
         match=rf"^lwr/{joint} at 0\.0200 s: found an action of {bad}; expected -\d+ to \d+ Nm$",
@@ -273,11 +278,11 @@ def test_an_episode_ends_at_its_time_limit_with_discount_one() -> None:
 
 def test_targets_are_free_and_within_limits() -> None:
     environment = sero_mj.make_environment("lwr/reach")
-    limits = environment.arm.robot.position_limits
+    limits = environment.robot.position_limits
     seen = []
     for _ in range(20):
         environment.reset()
-        goal = environment.task.goal()
+        goal = environment.task.goal
         assert (goal > limits[:, 0]).all() and (goal < limits[:, 1]).all()
         seen.append(environment.task.target[:3, 3].copy())
         assert seen[-1][2] > 0.0
@@ -383,3 +388,56 @@ def test_pictures_show_the_robot_and_change_as_it_moves(name: str) -> None:
         environment.render(60, 80, "front")
     environment.close()
     environment.close()
+
+
+LONG = {"run.duration": 4.6}  # as long as its expectations need
+
+
+@pytest.mark.gl
+def test_a_picture_is_of_the_state_now_however_long_drawing_takes() -> None:
+    still = sero_mj.make_environment("impedance_push", overrides=LONG)
+    zero = np.zeros(7)
+    still.reset()
+    first = still.render(60, 80)
+    for _ in range(75):
+        still.step(zero)
+    later = still.render(60, 80)  # under the push, which has begun at 1 s
+    assert still.simulation.time == pytest.approx(1.5)
+    fresh = sero_mj.make_environment("impedance_push", overrides=LONG)
+    fresh.reset()
+    for _ in range(75):
+        fresh.step(zero)
+    np.testing.assert_array_equal(fresh.render(60, 80), later)
+    assert np.abs(later.astype(int) - first).max() > 50
+    still.close()
+    fresh.close()
+
+
+def test_the_users_scenario_keeps_its_controllers() -> None:
+    scenario = read_scenario("impedance_push", LONG)
+    before = dict(scenario.controllers)
+    environment = scenario_environment(scenario, ScenarioSettings(control_timestep=0.05))
+    play(environment, 2)
+    assert scenario.controllers == before
+    assert environment.scenario.controllers != before
+    simulation = Simulation(scenario)
+    simulation.advance(simulation.steps)  # by its own controller, as ever
+    again = Simulation(read_scenario("impedance_push", LONG))
+    again.advance(again.steps)
+    np.testing.assert_array_equal(simulation.rows, again.rows)
+
+
+def test_what_is_changed_about_the_plant_stays_over_episodes() -> None:
+    environment = sero_mj.make_environment("lwr/hold", most_force=0.0, time_limit=0.1)
+    light = play(environment, 4)[-1].observation["torques"]
+    environment.episode = -1
+    environment.plant.attach_payload("lwr", mass=5.0, center_of_mass=[0, 0, 0.1])
+    heavy = play(environment, 4)[-1].observation["torques"]
+    assert np.abs(heavy - light).max() > 1.0
+
+
+def test_a_start_beyond_the_limits_of_a_robot_that_begins_anywhere_does_not_matter() -> None:
+    limits = np.deg2rad([[-170, 170]] + [[10, 120]] + [[-170, 170]] * 5)
+    environment = sero_mj.make_environment("lwr/reach", robot={"position_limits": limits.tolist()})
+    angles = environment.reset().observation["joint_angles"]  # declared: upright, joint 2 at 0
+    assert angles[1] > limits[1, 0]

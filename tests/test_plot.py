@@ -147,7 +147,7 @@ def test_a_gap_stays_a_gap() -> None:
 
 def test_what_is_missing_is_left_out(tmp_path: Path, sheets: list[Sheet]) -> None:
     log = sine_run()
-    signals = {key: log.signals[key] for key in ("arm_angles", "arm_torques")}
+    signals = {key: log.signals[key] for key in ("arm_joint_angles", "arm_torques")}
     plot_run(
         RunLog(log.robots, signals, log.times, "measured"), tmp_path / "m.svg", joints=["turn"]
     )
@@ -166,7 +166,9 @@ def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
         plot_run(log, tmp_path / "x.png", robots=["arn"])
     with pytest.raises(UsageError, match=r"no joint 'tur' in run; did you mean 'turn'\?"):
         plot_run(log, tmp_path / "x.png", joints=["tur"])
-    angles = RunLog(log.robots, {"arm_angles": log.signals["arm_angles"]}, log.times, "angles")
+    angles = RunLog(
+        log.robots, {"arm_joint_angles": log.signals["arm_joint_angles"]}, log.times, "angles"
+    )
     with pytest.raises(UsageError, match=r"run angles has no torques of robot 'arm'; expected"):
         plot_run(angles, tmp_path / "x.png")
     with pytest.raises(UsageError, match=r"size_mm: found 1e\+06 mm wide; expected 60 mm to"):
@@ -242,12 +244,12 @@ def test_a_comparison_shows_both_torques_and_both_differences(
         np.testing.assert_array_equal(line(both, "b")[:, 1], b.of("lwr", "torques")[:, k])
         difference = a.of("lwr", "torques")[:, k] - b.of("lwr", "torques")[:, k]
         np.testing.assert_array_equal(line(torque, "difference")[:, 1], difference)
-        degrees = np.rad2deg(a.of("lwr", "angles")[:, k] - b.of("lwr", "angles")[:, k])
+        degrees = np.rad2deg(a.of("lwr", "joint_angles")[:, k] - b.of("lwr", "joint_angles")[:, k])
         np.testing.assert_allclose(line(angle, "difference")[:, 1], degrees, atol=1e-12)
         pixels = pixels_of(path, sheet, both)
         assert share_of(pixels, ORANGE) > 1e-3
         assert share_of(pixels, BLUE) > 1e-4
-    only = {"arm_angles": sine_run().signals["arm_angles"]}
+    only = {"arm_joint_angles": sine_run().signals["arm_joint_angles"]}
     angles = RunLog(sine_run().robots, only, sine_run().times, "angles")
     plot_comparison(angles, sine_run(), tmp_path / "angles.png", joints=["slide"])
     assert [panel.get_title(loc="left") for panel in sheets[1].axes[0]] == [

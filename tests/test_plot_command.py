@@ -13,9 +13,9 @@ from runs import simulated, sine_run, two_joints
 
 from sero_mj.cli import main
 from sero_mj.errors import CsvError, UsageError
+from sero_mj.runs.run_csv import read_run_csv, write_run_csv
 from sero_mj.runs.run_log import RunLog
-from sero_mj.simulate.run_csv import read_run_csv
-from sero_mj.simulate.run_recorder import RunRecorder, write_csv
+from sero_mj.simulate.run_recorder import RunRecorder
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulation = simulated()
     with RunRecorder(simulation, folder / "swing.mcap") as recorder:
         recorder.write(0, simulation.step + 1)
-    write_csv(simulation, folder / "swing.csv")
+    write_run_csv(simulation.layout, simulation.rows, folder / "swing.csv")
     return folder
 
 
@@ -130,7 +130,7 @@ def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) ->
     hand = two_joints("hand")
     both = RunLog(
         {"hand": hand, **log.robots},
-        {**log.signals, "hand_angles": np.zeros((len(log.times), 2))},
+        {**log.signals, "hand_joint_angles": np.zeros((len(log.times), 2))},
         log.times,
     )
     plot_run(both, tmp_path / "x.svg")

@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from runs import HOME, record_packets, record_run, simulated
+from runs import HOME, in_old_words, record_packets, record_run, simulated
 
 from sero_mj.assemble.scene_file import read_scene
+from sero_mj.cli._arguments import replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import RecordingError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.record.recording import Recording
 from sero_mj.record.recording_writer import FLUSH_AFTER
+from sero_mj.runs.run_csv import read_run_csv, write_run_csv
 from sero_mj.runs.run_log import event_of
 from sero_mj.runs.run_recording import read_run
 from sero_mj.simulate.run_recorder import RunRecorder
-from sero_mj.simulate.staging import SOURCE
+from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
 
 # Degrees and mNm; outputs of robots go into others.
 SCENE = """\
@@ -97,12 +99,12 @@ def test_a_recorded_robot_is_read_through_its_routes(
     run = read_run(path)
     np.testing.assert_allclose(run.times, times - times[0], atol=1e-8)
     left = np.deg2rad(numbers[:, :7])
-    np.testing.assert_allclose(run.of("left", "angles"), left, rtol=1e-12)
+    np.testing.assert_allclose(run.of("left", "joint_angles"), left, rtol=1e-12)
     np.testing.assert_allclose(run.of("left", "torques"), numbers[:, 7:14] * 1e-3, rtol=1e-12)
     commanded = numbers[:, 7:14] * 1e-3 + numbers[:, 14:21]
     np.testing.assert_allclose(run.of("left", "commanded_torques"), commanded, rtol=1e-12)
     np.testing.assert_allclose(run.of("left", "target_angles"), -numbers[:, 21:], rtol=1e-12)
-    np.testing.assert_allclose(run.of("right", "angles"), 0.5 * left, rtol=1e-12)
+    np.testing.assert_allclose(run.of("right", "joint_angles"), 0.5 * left, rtol=1e-12)
     assert not run.has("right", "torques")
     np.testing.assert_array_equal(run.torque_limits("left"), np.arange(1.0, 8.0))
     assert np.isnan(run.of("left", "torques")[20, 2])
@@ -124,7 +126,7 @@ def test_it_is_what_a_mirror_shows(
             mirror.advance(times[k] - times[0] + 1e-5)
             for robot in ("left", "right"):
                 qpos = data.qpos[world.robots[robot].qpos]
-                np.testing.assert_allclose(run.of(robot, "angles")[k], qpos, rtol=1e-12)
+                np.testing.assert_allclose(run.of(robot, "joint_angles")[k], qpos, rtol=1e-12)
             for key in ("torques", "commanded_torques"):
                 shown = data.userdata[world.slots[f"left.{key}"]]
                 np.testing.assert_allclose(run.of("left", key)[k], shown, rtol=1e-12)
@@ -141,7 +143,7 @@ def test_velocities_that_were_not_sent_are_differences(
     slope = (
         (left[11] - left[10]) / after * before + (left[10] - left[9]) / before * after
     ) / (before + after)  # fmt: skip
-    np.testing.assert_allclose(run.of("left", "velocities")[10], slope, rtol=1e-6)
+    np.testing.assert_allclose(run.of("left", "joint_velocities")[10], slope, rtol=1e-6)
 
 
 def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
@@ -157,7 +159,7 @@ def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
     scene, problems = read_scene(file)
     assert not problems
     run = read_run(path, scene=scene)
-    np.testing.assert_array_equal(run.of("lwr", "angles"), angles)
+    np.testing.assert_array_equal(run.of("lwr", "joint_angles"), angles)
 
 
 def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path) -> None:
@@ -172,7 +174,9 @@ def test_robots_with_other_joints_are_refused(tmp_path: Path) -> None:
                                         "lwr_angles": np.zeros((3, 6))}  # fmt: skip
     files = {"x/mine.toml": '[robots.lwr]\nmodel = "lwr"\n'}
     path = record_packets(tmp_path / "six.mcap", "time:1F lwr_angles:6F", rows, times, files)
-    with pytest.raises(RecordingError, match=r"lwr_angles are 6; its robot 'lwr' has 7 joints"):
+    with pytest.raises(
+        RecordingError, match=r"lwr_joint_angles are 6; its robot 'lwr' has 7 joints"
+    ):
         read_run(path)
 
 
@@ -237,7 +241,7 @@ def test_packets_that_came_at_once_count_as_one(tmp_path: Path) -> None:
     rows = {"values0": np.arange(5.0)[:, None] * np.ones(7) + HOME}
     run = read_run(record_packets(tmp_path / "x.mcap", "7F", rows, times, files))
     np.testing.assert_allclose(run.times, [0.0, 0.1, 0.2], atol=1e-8)
-    np.testing.assert_allclose(run.of("lwr", "angles")[:, 0], [0.0, 3.0, 4.0])
+    np.testing.assert_allclose(run.of("lwr", "joint_angles")[:, 0], [0.0, 3.0, 4.0])
 
 
 def test_what_was_recorded_is_in_the_file_half_a_second_later(tmp_path: Path) -> None:
@@ -267,9 +271,41 @@ def test_values_as_json_belong_to_their_rows(tmp_path: Path) -> None:
             if channel.message_encoding == "json"
         }
     assert list(found) == list(range(0, 101, 10))
-    angles = simulation.layout.columns[event_of("lwr", "angles")]
+    angles = simulation.layout.columns[event_of("lwr", "joint_angles")]
     for k, values in found.items():
         joints = simulation.scenario.scene.robots["lwr"].names
         found_angles = [values[f"lwr.{joint}.angle [rad]"] for joint in joints]
         expected = simulation.rows[k, angles].tolist()
         assert found_angles == pytest.approx(expected, rel=1e-6, abs=1e-300)
+
+
+# ---- files of before, in which measured angles and velocities had other names
+
+
+def test_an_old_recording_is_the_same_run(tmp_path: Path) -> None:
+    new = read_run(record_run(simulated(), tmp_path / "new.mcap"))
+    old = read_run(record_run(simulated(), tmp_path / "old.mcap", is_old=True))
+    assert new.signals.keys() == old.signals.keys() >= {"lwr_joint_angles", "lwr_joint_velocities"}
+    for event, values in new.signals.items():
+        np.testing.assert_array_equal(old.signals[event], values)
+
+
+def test_an_old_table_is_the_same_run(tmp_path: Path) -> None:
+    robots = simulated().scenario.scene.robots
+    write_run_csv(simulated().layout, simulated().rows, tmp_path / "new.csv")
+    text = (tmp_path / "new.csv").read_text()
+    assert "lwr_joint_angles[0]" in text
+    (tmp_path / "old.csv").write_text(in_old_words(text))
+    new, old = (read_run_csv(tmp_path / f"{name}.csv", robots) for name in ("new", "old"))
+    assert new.signals.keys() == old.signals.keys() >= {"lwr_joint_angles", "lwr_joint_velocities"}
+
+
+def test_an_old_recording_plays_in_the_scene_of_its_scenario(tmp_path: Path) -> None:
+    simulation = simulated()
+    scene = simulated_scene(simulation)
+    replay_instead(scene, record_run(simulation, tmp_path / "old.mcap", is_old=True), None)
+    with Mirror(scene) as mirror:
+        mirror.advance(0.3)
+        shown = mirror.data.qpos[mirror.world.robots["lwr"].qpos]
+    expected = simulation.rows[300, simulation.layout.columns["lwr_joint_angles"]]
+    np.testing.assert_array_equal(shown, expected)

@@ -216,16 +216,16 @@ def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
         for rows in first.run():
             recorder.write(*rows)
     table = tmp_path / "run.csv"
-    angles = first.log.of("lwr", "angles")[::10]
+    angles = first.log.of("lwr", "joint_angles")[::10]
     lines = [",".join(map(str, row)) for row in np.column_stack([first.log.times[::10], angles])]
     table.write_text("\n".join(["time,A1,A2,E1,A3,A4,A5,A6", *lines]))
     for file in ("run.mcap", "run.csv"):
         text = BASE.replace("0.1", "2.0") + f"[targets.lwr]\nkind='recorded'\nfile='{file}'\n"
         again = ran(read(tmp_path, text))
-        assert again.log.of("lwr", "angles")[0] == pytest.approx(angles[0], abs=2e-3)
+        assert again.log.of("lwr", "joint_angles")[0] == pytest.approx(angles[0], abs=2e-3)
         target = again.log.of("lwr", "target_angles")
         # Averages over 20 ms, which belong to their middle.
-        assert np.abs(target[100:1900] - first.log.of("lwr", "angles")[100:1900]).max() < 0.02
+        assert np.abs(target[100:1900] - first.log.of("lwr", "joint_angles")[100:1900]).max() < 0.02
 
 
 @pytest.mark.parametrize(
@@ -296,7 +296,7 @@ def test_constant_torques_come_on_top_of_gravity() -> None:
     log = ran(scenario(controllers={"lwr": pushed}, duration=0.5)).log
     held = log.of("lwr", "commanded_torques")[1] - log.of("lwr", "torques")[0]
     assert held == pytest.approx([5.0, 0, 0, 0, 0, 0, 0], abs=1e-6)
-    assert log.of("lwr", "angles")[-1, 0] > 0.05
+    assert log.of("lwr", "joint_angles")[-1, 0] > 0.05
 
 
 def test_a_motion_that_is_too_fast_names_its_peak_and_its_ramp() -> None:

@@ -19,10 +19,10 @@ from polling import until
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot
 from sero_mj.cli import main
 from sero_mj.record.recording import Recording
+from sero_mj.runs.run_source import RunSource
 from sero_mj.simulate.scenario_file import read_scenario
-from sero_mj.simulate.simulated_source import SimulatedSource
+from sero_mj.simulate.simulated_scene import SOURCE, with_routes
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.simulate.staging import SOURCE, stage
 
 MINE = """
 [robots.lwr]
@@ -104,16 +104,16 @@ def test_a_recording_holds_every_row_and_replays_to_the_same_states(
         assert set(recording.attachments) >= {f"{tmp_path.name}/mine.toml", "lwr/robot.toml"}
     states = []
     for source in (
-        SimulatedSource(simulation=simulation),
+        RunSource(run=simulation),
         {"kind": "replay", "file": str(out), "source": SOURCE},
     ):
-        scene = stage(simulation.scenario, simulation.layout, source)
+        scene = with_routes(simulation.scenario, simulation.layout, source)
         with Mirror(scene) as mirror:
             for t in (0.0, 0.1003, 0.4, 0.25):
                 mirror.advance(t)
                 states.append(mirror.data.qpos.copy())
     assert np.array_equal(states[:4], states[4:])
-    row = simulation.rows[250, simulation.layout.columns["lwr_angles"]]
+    row = simulation.rows[250, simulation.layout.columns["lwr_joint_angles"]]
     assert np.array_equal(states[3], row)
 
 
@@ -133,7 +133,7 @@ def test_a_table_holds_every_number(scenario: Path, tmp_path: Path) -> None:
     simulation = rows_of(scenario)
     with open(out, newline="", encoding="utf-8") as file:
         head, *rows = csv.reader(file)
-    assert head[:3] == ["time", "lwr_angles[0]", "lwr_angles[1]"]
+    assert head[:3] == ["time", "lwr_joint_angles[0]", "lwr_joint_angles[1]"]
     assert np.array_equal(np.array(rows, float), simulation.rows)
 
 
@@ -167,12 +167,12 @@ def test_a_film_and_the_log_show_the_same(scenario: Path) -> None:
     """A mirror that simulates while it films shows what the finished log says."""
     finished = rows_of(scenario)
     fresh = Simulation(read_scenario(scenario))
-    scene = stage(fresh.scenario, fresh.layout, SimulatedSource(simulation=fresh))
+    scene = with_routes(fresh.scenario, fresh.layout, RunSource(run=fresh))
     with Mirror(scene) as mirror:
         for frame in range(12):
             mirror.advance(frame / 30)
             row = int(frame / 30 / 1e-3 + 1e-6)
-            expected = finished.rows[row, finished.layout.columns["lwr_angles"]]
+            expected = finished.rows[row, finished.layout.columns["lwr_joint_angles"]]
             assert np.array_equal(mirror.data.qpos, expected)
             target = mirror.data.userdata[mirror.world.slots["lwr_target.joint_angles"]]
             columns = finished.layout.columns["lwr_target_angles"]
@@ -206,7 +206,7 @@ def test_one_process_simulates_and_another_mirrors(scenario: Path, tmp_path: Pat
         assert until(lambda: mirror.advance() or len(got) == 401)
         assert receiver_source.counters.malformed == 0
     simulation = rows_of(scenario)
-    assert np.array_equal(got, simulation.rows[:, simulation.layout.columns["lwr_angles"]])
+    assert np.array_equal(got, simulation.rows[:, simulation.layout.columns["lwr_joint_angles"]])
     assert re.search(r"sent 401 packets in 0\.\d+ s", done.stdout)
 
 
@@ -256,7 +256,7 @@ def test_options_that_do_not_fit_are_told(
 
 def test_it_renders_with_decor_from_python(scenario: Path) -> None:
     simulation = rows_of(scenario)
-    scene = stage(simulation.scenario, simulation.layout, SimulatedSource(simulation=simulation))
+    scene = with_routes(simulation.scenario, simulation.layout, RunSource(run=simulation))
     with Mirror(scene) as mirror, HeadlessRenderer(mirror.world, 160, 120) as renderer:
         mirror.advance(0.3)
         assert renderer.render(mirror.data).shape == (120, 160, 3)

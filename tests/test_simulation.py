@@ -11,6 +11,7 @@ from test_scenarios import HOME, lwr, ran, scenario
 from sero_mj.assemble.objects import Object
 from sero_mj.errors import SimulationError
 from sero_mj.runs.run_log import MEASURED, event_of
+from sero_mj.simulate.faults import DeadSensor
 from sero_mj.simulate.simulation import Simulation
 
 PUSH = {"kind": "force", "at": "lwr/flange", "force": [5.0, 10.0, -40.0]}
@@ -118,7 +119,7 @@ def test_two_robots_do_what_each_does_alone() -> None:
     alone = ran(scenario(disturbances={"push": PUSH}, duration=0.5)).log
     for signal in MEASURED:
         assert both.of("lwr", signal) == pytest.approx(alone.of("lwr", signal), abs=1e-9)
-    still = both.of("other", "angles")
+    still = both.of("other", "joint_angles")
     assert still == pytest.approx(np.tile(HOME, (501, 1)), abs=1e-9)
 
 
@@ -128,7 +129,7 @@ def test_elastic_joints_feel_the_same_push() -> None:
     assert elastic.of("lwr", "torques")[-1] == pytest.approx(
         stiff.of("lwr", "torques")[-1], abs=1.0
     )
-    assert not np.array_equal(elastic.of("lwr", "angles"), stiff.of("lwr", "angles"))
+    assert not np.array_equal(elastic.of("lwr", "joint_angles"), stiff.of("lwr", "joint_angles"))
 
 
 # ---- faults
@@ -218,7 +219,7 @@ def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
     assert "asks for nan Nm; expected a finite number" in str(caught.value)
     assert simulation.step in (50, 51)
     assert seen[-1][1] == simulation.step + 1
-    assert np.isfinite(simulation.log.of("lwr", "angles")).all()
+    assert np.isfinite(simulation.log.of("lwr", "joint_angles")).all()
     assert len(simulation.log.times) == simulation.step + 1
 
 
@@ -233,3 +234,37 @@ def test_the_log_says_what_its_columns_are() -> None:
         assert decoded[event].tolist() == simulation.log.signals[event][-1].tolist()
     assert decoded["push_force"].tolist() == [[5.0, 10.0, -40.0]]
     assert decoded["time"].tolist() == pytest.approx([0.01])
+
+
+def test_external_torques_of_several_robots_begin_at_zero_as_of_one() -> None:
+    other = lwr(name="other", base_frame={"xyz": [0.0, 2.0, 0.0]})
+    gains = {"kind": "joint_impedance", "stiffness": 800.0}
+    both = ran(
+        scenario(robots=[lwr(), other], controllers={"lwr": gains, "other": gains}, duration=0.1)
+    ).log
+    for robot in ("lwr", "other"):
+        assert np.abs(both.of(robot, "external_torques")).max() < 0.05
+
+
+# ---- what the user handed in stays as it was
+
+
+def test_a_run_with_elastic_joints_leaves_the_users_robot_rigid() -> None:
+    robot = lwr()
+    declared = scenario(robots=[robot], elastic=True, duration=0.01)
+    simulation = ran(declared)
+    assert simulation.robots["lwr"].elastic_joints
+    assert not robot.elastic_joints
+    assert declared.scene.robots["lwr"] is robot
+
+
+def test_one_fault_may_be_in_two_scenarios_with_other_robots() -> None:
+    fault = DeadSensor(robot="lwr", joints=["A2"])
+    before = fault.model_dump()
+    other = lwr(name="other", base_frame={"xyz": [0.0, 2.0, 0.0]})
+    second = scenario(robots=[other, lwr()], controllers={}, faults={"it": fault}, duration=0.01)
+    first = scenario(faults={"it": fault}, duration=0.01)
+    assert fault.model_dump() == before and not fault.__pydantic_private__
+    for declared in (second, first):
+        torques = ran(declared).log.of("lwr", "torques")
+        assert not torques[1:, 1].any() and torques[1:, 3].all()

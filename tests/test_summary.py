@@ -62,7 +62,7 @@ def test_findings_are_counted_at_their_joints() -> None:
 
 def test_what_is_missing_is_none_and_no_column() -> None:
     log = sine_run(robot=two_joints(torque_limits=None))
-    only = RunLog(log.robots, {"arm_angles": log.signals["arm_angles"]}, log.times)
+    only = RunLog(log.robots, {"arm_joint_angles": log.signals["arm_joint_angles"]}, log.times)
     rows = summarise(only)
     assert rows[0].peak_torque_error is rows[0].peak_torque is rows[0].saturated_share is None
     shown = printed(rows)

@@ -220,9 +220,10 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
     from ..record.recording import Recording
+    from ..runs.run_log import routes_from_recording
 
     with Recording(file) as recording:
-        recorded = list(recording.sources)
+        recorded = {name: list(source.events) for name, source in recording.sources.items()}
         check_span(recording, start)
     both = [name for name in scene.sources if name in recorded]
     if not both:
@@ -231,6 +232,7 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
     for name in both:
         scene.sources[name] = {"kind": "replay", "file": str(file), "source": name}
+        scene.routes = routes_from_recording(scene.routes, name, recorded[name])
         if start is not None:
             scene.sources[name]["start"] = start
 

@@ -157,20 +157,16 @@ def _read(options: argparse.Namespace) -> list[RunLog]:
 
 
 def _film(pair: Pair, a: RunLog, options: argparse.Namespace) -> None:
-    from tempfile import TemporaryDirectory
-
     from ..study.compare_scene import compare_scene
     from .render import film_with_progress
 
-    with TemporaryDirectory() as directory:
-        scene = compare_scene(pair, Path(directory))
-        film_with_progress(
-            scene,
-            options.render,
-            quiet=options.quiet,
-            duration=float(pair.times[-1] - pair.times[0]),
-            size=options.size,
-            camera=None,
-            wait=0.0,
-            clicks=[],
-        )
+    film_with_progress(
+        compare_scene(pair),
+        options.render,
+        quiet=options.quiet,
+        duration=float(pair.times[-1] - pair.times[0]),
+        size=options.size,
+        camera=None,
+        wait=0.0,
+        clicks=[],
+    )

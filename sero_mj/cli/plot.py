@@ -87,8 +87,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _read(path: Path, scene: Scene | None, options: argparse.Namespace) -> RunLog:
     """A recording or a table, and of it the time that was asked for."""
+    from ..runs.run_csv import read_run_csv
     from ..runs.run_recording import read_run
-    from ..simulate.run_csv import read_run_csv
 
     if path.suffix.lower() == ".csv":
         if scene is None:

@@ -89,9 +89,9 @@ def run(options: argparse.Namespace) -> int:
     error = _simulate(simulation, options)
     seconds = time.perf_counter() - begin
     if options.csv is not None:
-        from ..simulate.run_recorder import write_csv
+        from ..runs.run_csv import write_run_csv
 
-        write_csv(simulation, options.csv)
+        write_run_csv(simulation.layout, simulation.rows[: simulation.step + 1], options.csv)
     if options.plot is not None:
         from ..study.plot import plot_run, spans_of
 
@@ -189,9 +189,9 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
 
 def _render(simulation: Simulation, options: argparse.Namespace) -> None:
     from ..show.headless.render import render_picture
-    from ..simulate.simulated_source import staged
+    from ..simulate.simulated_scene import simulated_scene
 
-    scene = staged(simulation)
+    scene = simulated_scene(simulation)
     if check_picture_or_film("--render", options.render):
         film_with_progress(
             scene, options.render, quiet=options.quiet, duration=max(simulation.time, 1e-3),

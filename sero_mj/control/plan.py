@@ -17,7 +17,6 @@ from .joint_control import GravityCompensation, Torque
 from .law import Law, Motion
 from .laws import Constant
 from .reach import follow_poses
-from .state import Target
 from .torque_limits import Controller
 
 Array = NDArray[np.float64]
@@ -39,19 +38,14 @@ class Plan:
 
     @cached_property
     def rows(self) -> Array:
-        """What is asked for at every step as it stands in `Target.planned`, from its beginning."""
+        """(T, k), what is asked for at every step, as the first k numbers of `Target.planned`."""
         if self.joints is None:
-            return np.zeros((0, 0))
+            return np.zeros((1, 0))
         joints, flange = self.joints, self.flange
         parts = [joints.angles, joints.velocities, joints.accelerations]
         if flange is not None:
             parts += [flange.poses.reshape(len(flange.poses), 16), flange.twists]
         return np.hstack(parts)
-
-    def load(self, target: Target, k: int) -> None:
-        """Writes what is asked for at a step into a controller's target."""
-        if self.joints is not None:
-            target.planned[: self.rows.shape[1]] = self.rows[k]
 
 
 def make_plan(
@@ -60,6 +54,7 @@ def make_plan(
     controller: ControllerDeclaration | Controller,
     times: Array,
     compiler: Compiler,
+    start: Array | None = None,
 ) -> Plan:
     """The target of a robot over a run.
 
@@ -67,16 +62,17 @@ def make_plan(
     joint angles; the latter are shown in any case, and are proof that it can be followed.
 
     Args:
-        robot: with its limits; it starts where it is declared to be.
+        robot: with its limits.
         law: of the motion; None stays where it starts, or has no target where there is no spring.
         controller: that is to follow it.
         times: (T,), s.
         compiler: of the model with which a flange's way is followed.
+        start: (n,), where the robot stands at first, rad or m; as it is declared when None.
 
     Raises:
         DeclarationError: the motion leaves the robot's limits or reach.
     """
-    start = np.asarray(robot.home, np.float64)
+    start = np.asarray(robot.home if start is None else start, np.float64)
     is_cartesian = isinstance(controller, CartesianImpedance)
     if law is None and isinstance(controller, GravityCompensation | Torque):
         return Plan(None, None, moves=False)

@@ -54,7 +54,6 @@ class LimitedController:
     Attributes:
         controller: what is limited.
         asked: (n,), what the controller asked for in the last step; the same array at every step.
-        checks: whether NaN and infinity are looked for; false for who looks by himself.
 
     Raises:
         DeclarationError: a limit is not positive, or there is not one for every joint.
@@ -78,7 +77,6 @@ class LimitedController:
             raise DeclarationError(problems)
         self.controller = controller
         self.asked: Array = np.zeros(n)
-        self.checks = True
         self._given: Array = self.asked
         self._robot, self._names = robot, list(joint_names)
         self._high: Array = np.array(limits, float)
@@ -104,7 +102,7 @@ class LimitedController:
             reason = "torques() has returned something; expected it to write into `out`"
             raise SimulationError(sensed.time, self._robot, reason)
         # One number tells of NaN and inf in any joint.
-        if self.checks and not asked.dot(asked) < math.inf:
+        if not asked.dot(asked) < math.inf:
             raise self.not_finite(sensed)
         _clip(asked, self._low, self._high, out)
         if self._step is not None:

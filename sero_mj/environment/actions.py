@@ -1,4 +1,4 @@
-"""What an agent commands: joint torques, or where the springs of an impedance are drawn to."""
+"""What an agent commands, joint torques or target offsets, and the controller that does it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
+from ..control.controllers import make_controller
 from ..control.gains import ControllerDeclaration
 from ..control.joint_control import JointImpedance, Torque
-from ..control.state import Target
+from ..control.robot_model import RobotModel
+from ..control.state import Sensed, Target
 from ..errors import DeclarationError, Problem, SimulationError
 
 Array = NDArray[np.float64]
@@ -160,6 +162,47 @@ class ImpedanceAction:
 
 
 AnyAction = TorqueAction | ImpedanceAction
+
+
+class AgentController:
+    """The controller that carries out an agent's actions.
+
+    Args:
+        action: what the agent commands.
+        robot: whose controller it is.
+        model: what it knows of the robot.
+        timestep: s between two steps of the simulation.
+
+    Raises:
+        DeclarationError: gains that do not fit the robot.
+    """
+
+    def __init__(
+        self, action: AnyAction, robot: SerialRobot, model: RobotModel, timestep: float
+    ) -> None:
+        self._action, self._robot, self._model, self._timestep = action, robot, model, timestep
+        self.begin(np.asarray(robot.home, np.float64))
+
+    def begin(self, angles: Array) -> None:
+        """Begins an episode: nothing that was remembered gets into it.
+
+        Args:
+            angles: (n,), where the robot stands, rad or m.
+        """
+        self._target = Target(self._robot.n)
+        self._inner = make_controller(
+            self._action.controller, self._model, self._timestep, self._robot.torque_limits
+        )
+        self._action.begin(self._target, angles)
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques of this step, (n,)."""
+        self._action.advance()
+        self._inner.torques(sensed, self._target, out)
+
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long; see `LimitedController.check`."""
+        self._inner.check(angles)
 
 
 def checked_action(

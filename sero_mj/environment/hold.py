@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..assemble.cartesian import SmartArrow
-from .arm import Arm
-from .rewards import closeness
-from .task import Task, TaskAtWork
+from .agent_robot import AgentRobot
+from .task import GOAL, Episode, Task, closeness
 
 Array = NDArray[np.float64]
 
@@ -38,49 +37,50 @@ class Hold(Task):
     within: float = Field(0.005, ge=0)
     margin: float = Field(0.3, gt=0)
 
-    def make(self, arm: Arm) -> TaskAtWork:
-        """The task at work on a robot."""
-        return HoldAtWork(self, arm)
+    def make(self, robot: AgentRobot) -> Episode:
+        """The task for a robot, to be begun."""
+        return HoldEpisode(self, robot)
 
     def arrows(self, robot: str) -> list[SmartArrow]:
         """The push."""
         return [SmartArrow(name="push", kind="force", at=f"{robot}/flange", expressed_in="world")]
 
 
-class HoldAtWork:
+class HoldEpisode:
     """`Hold` from episode to episode."""
 
-    def __init__(self, task: Hold, arm: Arm) -> None:
-        self._task, self._arm = task, arm
-        self._pose: Array = np.zeros(arm.robot.n)
+    def __init__(self, task: Hold, robot: AgentRobot) -> None:
+        self._task, self._robot = task, robot
+        self._pose: Array = np.zeros(robot.declared.n)
         self._times: Array = np.zeros((0, 2))
         self._forces: Array = np.zeros((0, 3))
         self._force: Array = np.zeros(3)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draws all pushes of the episode."""
-        task, arm = self._task, self._arm
-        self._pose = arm.truth[0].copy()
-        many = rng.poisson(arm.settings.time_limit / task.every)
-        begins = rng.uniform(0.0, arm.settings.time_limit, many)
+        task, robot = self._task, self._robot
+        self._pose = robot.angles.copy()
+        duration = robot.simulation.scenario.run.duration
+        many = rng.poisson(duration / task.every)
+        begins = rng.uniform(0.0, duration, many)
         lasting = rng.uniform(task.shortest, max(task.longest, task.shortest), many)
         self._times = np.stack([begins, begins + lasting], axis=1)
         directions = rng.standard_normal((many, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         self._forces = directions * rng.uniform(0.0, task.most_force, (many, 1))
         self._force = np.zeros(3)
-        self._push = arm.plant.push(f"{arm.robot.name}/flange")
+        self._push = robot.plant.push(f"{robot.name}/flange")
 
     def advance(self) -> None:
         """Pushes as hard as it is time for."""
-        now = self._arm.time
+        now = self._robot.plant.time
         acting = (self._times[:, 0] <= now) & (now < self._times[:, 1])
         self._force = self._forces[acting].sum(axis=0)
         self._push.force[:] = self._force
 
     def reward(self) -> float:
         """0 to 1, for the state now."""
-        error = float(np.abs(self._arm.truth[0] - self._pose).max())
+        error = float(np.abs(self._robot.angles - self._pose).max())
         return closeness(error, self._task.within, self._task.margin)
 
     def observation(self) -> dict[str, Array]:
@@ -91,10 +91,6 @@ class HoldAtWork:
         """Shapes and bounds of that."""
         return {"hold_angles": specs.Array(self._pose.shape, np.float64, name="hold_angles")}
 
-    def goal(self) -> Array:
-        """Joint angles, (n,), at which a transparent double stands."""
-        return self._pose
-
-    def arrows(self) -> dict[str, Array]:
-        """The push, (3,), N."""
-        return {"push": self._force}
+    def inputs(self) -> dict[str, Array]:
+        """A double in the pose, and the push, (3,), N."""
+        return {f"{self._robot.name}_{GOAL}.joint_angles": self._pose, "push.vector": self._force}

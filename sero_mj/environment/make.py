@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,13 @@ from ..assemble.robot import SerialRobot
 from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ..paths import list_models, list_scenarios
-from .arm import Settings
+from ..simulate.scenario import Scenario
+from ..simulate.scenario_file import read_scenario
+from .environment import Environment
+from .expectations import Expectations
 from .hold import Hold
 from .reach import Reach
-from .robot_environment import RobotEnvironment
-from .scenario_environment import ScenarioEnvironment, ScenarioSettings
+from .settings import RobotSettings, ScenarioSettings
 from .task import Task
 
 TASKS: dict[str, type[Task]] = {"reach": Reach, "hold": Hold}
@@ -25,14 +28,14 @@ def list_environments() -> list[str]:
     return [f"{robot}/{task}" for robot in list_models() for task in TASKS] + list_scenarios()
 
 
-def make_environment(name: str, **options: Any) -> RobotEnvironment | ScenarioEnvironment:
+def make_environment(name: str, **options: Any) -> Environment:
     """Makes a `dm_env.Environment`.
 
     Args:
         name: `ROBOT/TASK`, e.g. `lwr/reach`: a shipped robot, or the folder or file of one, with
             the task `reach` or `hold`; or a scenario, shipped or a TOML file.
-        **options: of `Settings` (`action`, `time_limit`, `control_timestep`, `timestep`, `seed`,
-            `sensors`, `start`, `robot`, `stiffness`, `damping`) and of the task (`Reach`,
+        **options: of `RobotSettings` (`action`, `time_limit`, `control_timestep`, `timestep`,
+            `seed`, `sensors`, `start`, `robot`, `stiffness`, `damping`) and of the task (`Reach`,
             `Hold`); of a scenario those of `ScenarioSettings`.
 
     Returns:
@@ -44,17 +47,57 @@ def make_environment(name: str, **options: Any) -> RobotEnvironment | ScenarioEn
     """
     robot, slash, task = name.rpartition("/")
     if name.endswith(".toml") or name in list_scenarios():
-        return ScenarioEnvironment(name, ScenarioSettings(**_known(options, ScenarioSettings)))
+        return scenario_environment(name, ScenarioSettings(**_known(options, ScenarioSettings)))
     if not slash or not robot:
         raise UnknownName("environment", name, list_environments())
     if task not in TASKS:
         raise UnknownName(f"task of {robot}", task, TASKS)
     kind = TASKS[task]
-    known = _known(options, Settings, kind)
+    known = _known(options, RobotSettings, kind)
     own = {key: value for key, value in known.items() if key in kind.model_fields}
-    settings = Settings(**{key: value for key, value in known.items() if key not in own})
+    settings = RobotSettings(**{key: value for key, value in known.items() if key not in own})
     fields = {"show_arrows": True, **settings.robot}
-    return RobotEnvironment(SerialRobot.from_model(robot, **fields), kind(**own), settings)
+    return robot_environment(SerialRobot.from_model(robot, **fields), kind(**own), settings)
+
+
+def robot_environment(
+    robot: SerialRobot, task: Task, settings: RobotSettings | None = None
+) -> Environment:
+    """A robot alone with a task.
+
+    Args:
+        robot: its declaration.
+        task: what it is to do.
+        settings: how it is driven; the usual ones when None.
+
+    Raises:
+        DeclarationError: what does not fit the robot.
+    """
+    settings = settings or RobotSettings()
+    scenario = settings.make_scenario(robot, task)
+    return Environment(
+        scenario, robot.name, task, settings, random_start=settings.start == "random"
+    )
+
+
+def scenario_environment(
+    scenario: Scenario | Path | str, settings: ScenarioSettings | None = None
+) -> Environment:
+    """A scenario in which an agent takes the place of a robot's controller.
+
+    Args:
+        scenario: a file, the name of a shipped one, or a `Scenario`, which is left as it is.
+        settings: how the robot is driven; the usual ones when None.
+
+    Raises:
+        UnknownName: no such scenario or robot.
+        DeclarationError: what is wrong in the file, or does not fit the robot.
+    """
+    settings = settings or ScenarioSettings()
+    if not isinstance(scenario, Scenario):
+        scenario = read_scenario(scenario, settings.overrides)
+    robot = next(iter(scenario.scene.robots)) if settings.robot is None else settings.robot
+    return Environment(scenario, robot, Expectations(), settings)
 
 
 def _known(options: dict[str, Any], *kinds: type[Declaration]) -> dict[str, Any]:

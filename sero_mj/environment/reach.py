@@ -10,9 +10,8 @@ from dm_env import specs
 from numpy.typing import NDArray
 from pydantic import Field
 
-from .arm import Arm
-from .rewards import closeness
-from .task import Task, TaskAtWork
+from .agent_robot import AgentRobot
+from .task import GOAL, Episode, Task, closeness
 
 Array = NDArray[np.float64]
 
@@ -22,7 +21,7 @@ class Reach(Task):
 
     The reward is c(d, 0.005 m, 0.3 m) with the distance d between flange and target, and for poses
     that times c(a, 2 deg, 90 deg) with the angle a between them; c is 1 within the first number
-    and 0.1 the second beyond it: `rewards.closeness`.
+    and 0.1 the second beyond it: `task.closeness`.
 
     Attributes:
         target: `position`, or `pose`: with orientation.
@@ -38,35 +37,36 @@ class Reach(Task):
     within_angle: float = Field(float(np.deg2rad(2.0)), ge=0)
     margin_angle: float = Field(float(np.deg2rad(90.0)), gt=0)
 
-    def make(self, arm: Arm) -> TaskAtWork:
-        """The task at work on a robot."""
-        return ReachAtWork(self, arm)
+    def make(self, robot: AgentRobot) -> Episode:
+        """The task for a robot, to be begun."""
+        return ReachEpisode(self, robot)
 
 
-class ReachAtWork:
+class ReachEpisode:
     """`Reach` from episode to episode.
 
     Attributes:
+        goal: (n,), joint angles at which the flange is there, rad or m.
         target: T_world_target, (4, 4), m.
     """
 
-    def __init__(self, task: Reach, arm: Arm) -> None:
-        self._task, self._arm = task, arm
-        self._goal: Array = np.zeros(arm.robot.n)
+    def __init__(self, task: Reach, robot: AgentRobot) -> None:
+        self._task, self._robot = task, robot
+        self.goal: Array = np.zeros(robot.declared.n)
         self.target: Array = np.eye(4)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Chooses a target: where the flange is in a pose that touches nothing."""
-        robot = self._arm.robot
-        self._goal = self._arm.free_pose(rng)
-        self.target = robot.base_frame @ robot.fwd_kin_base_to_flange(self._goal)
+        robot = self._robot.declared
+        self.goal = self._robot.free_pose(rng)
+        self.target = robot.base_frame @ robot.fwd_kin_base_to_flange(self.goal)
 
     def advance(self) -> None:
         """Nothing happens."""
 
     def reward(self) -> float:
         """0 to 1, for the state now."""
-        task, flange = self._task, self._arm.flange()
+        task, flange = self._task, self._robot.flange()
         distance = float(np.linalg.norm(flange[:3, 3] - self.target[:3, 3]))
         reward = closeness(distance, task.within, task.margin)
         if task.target == "pose":
@@ -76,8 +76,8 @@ class ReachAtWork:
 
     def observation(self) -> dict[str, Array]:
         """Where flange and target are, in the world, m; for poses also quaternions, w first."""
-        angles = self._arm.plant.measured[0]
-        robot = self._arm.robot
+        angles = self._robot.measured_angles
+        robot = self._robot.declared
         flange = robot.base_frame @ robot.fwd_kin_base_to_flange(angles)
         found = {
             "flange_position": flange[:3, 3].copy(),
@@ -99,13 +99,9 @@ class ReachAtWork:
                 found[name] = specs.BoundedArray((4,), np.float64, -1.0, 1.0, name=name)
         return found
 
-    def goal(self) -> Array:
-        """Joint angles, (n,), at which a transparent double stands."""
-        return self._goal
-
-    def arrows(self) -> dict[str, Array]:
-        """None."""
-        return {}
+    def inputs(self) -> dict[str, Array]:
+        """A double at the goal."""
+        return {f"{self._robot.name}_{GOAL}.joint_angles": self.goal}
 
 
 def _angle_between(a: Array, b: Array) -> float:

@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 
 
 def _actual(log: RunLog, robot: str, signal: str) -> Array:
-    """What is true, where that is known; else what was measured."""
+    """`angles` or `velocities` as they truly were, where that is known; else as measured."""
     known = f"actual_{signal}"
-    return log.of(robot, known if log.has(robot, known) else signal)
+    return log.of(robot, known if log.has(robot, known) else f"joint_{signal}")
 
 
 def _position_error(log: RunLog, robot: str) -> Array:

@@ -73,12 +73,16 @@ class Monitor(Declaration):
             yield "external_torque", outer, self.external_torque * limits
         if log.has(robot, "saturated"):
             yield "saturated", log.of(robot, "saturated"), np.full(declared.n, 0.5)
-        angles = log.of(robot, "angles")
+        angles = log.of(robot, "joint_angles")
         if self.position_error is not None and log.has(robot, "target_angles"):
             error = np.abs(log.of(robot, "target_angles") - angles)
             yield "position_error", error, np.full(declared.n, self.position_error)
-        if declared.velocity_limits is not None and log.has(robot, "velocities"):
-            yield "velocity_limit", np.abs(log.of(robot, "velocities")), declared.velocity_limits
+        if declared.velocity_limits is not None and log.has(robot, "joint_velocities"):
+            yield (
+                "velocity_limit",
+                np.abs(log.of(robot, "joint_velocities")),
+                declared.velocity_limits,
+            )
         if declared.position_limits is not None:
             low, high = declared.position_limits.T
             beyond = np.maximum(low - angles, angles - high)

@@ -24,12 +24,8 @@ from .run_log import event_of
 
 Array = NDArray[np.float64]
 
-# Inputs of a robot, and the signals that they are.
-_SIGNALS = {
-    "joint_angles": "angles",
-    "torques": "torques",
-    "commanded_torques": "commanded_torques",
-}
+# Inputs of a robot that are signals of a run.
+_SIGNALS = ("joint_angles", "torques", "commanded_torques")
 _TARGET = "target_angles"  # of a double
 
 
@@ -141,9 +137,9 @@ class _Follower:
         for name in robots:
             if f"{name}.joint_angles" not in self._routes:
                 continue
-            for key, signal in _SIGNALS.items():
-                if f"{name}.{key}" in self._routes:
-                    found[event_of(name, signal)] = self._compute(f"{name}.{key}")
+            for signal in _SIGNALS:
+                if f"{name}.{signal}" in self._routes:
+                    found[event_of(name, signal)] = self._compute(f"{name}.{signal}")
             for double, robot in doubles.items():
                 event = event_of(name, _TARGET)
                 target = f"{double}.joint_angles"

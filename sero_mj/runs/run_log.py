@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from ..receive.structure import Structure
 Array = NDArray[np.float64]
 
 # Per joint of every robot, in blocks of three that lie in a row as the plant has them.
-MEASURED = ("angles", "velocities", "torques")
+MEASURED = ("joint_angles", "joint_velocities", "torques")
 ACTUAL = ("actual_angles", "actual_velocities", "actual_torques")
 DRIVEN = ("commanded_torques", "saturated")
 TARGETS = ("target_angles", "target_velocities")
@@ -25,9 +27,31 @@ PER_JOINT = (*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED)
 TIME = "time"
 
 
+# Signals whose events had other names in recordings and tables of before.
+_OLD_NAMES = {"joint_angles": "angles", "joint_velocities": "velocities"}
+
+
 def event_of(robot: str, signal: str) -> str:
     """The event of a robot's signal, as routes and recordings call it."""
     return f"{robot.replace('-', '_')}_{signal}"
+
+
+def recorded_event(event: str, recorded: Collection[str]) -> str:
+    """An event's name among those that a recording or a table has, which may be an old one.
+
+    Args:
+        event: `lwr_joint_angles`, say.
+        recorded: names in the file.
+
+    Returns:
+        `lwr_angles` where only that is recorded; else the event as it is.
+    """
+    for signal, old in _OLD_NAMES.items():
+        if event.endswith(f"_{signal}") and event not in recorded:
+            found = f"{event.removesuffix(signal)}{old}"
+            if found in recorded:
+                return found
+    return event
 
 
 class RunLayout:
@@ -156,3 +180,24 @@ class RunLog:
     def timestep(self) -> float:
         """Median time between two rows, s."""
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
+
+
+def routes_from_recording(
+    routes: Mapping[str, Any], source: str, recorded: Collection[str]
+) -> dict[str, Any]:
+    """Routes from a simulation as they are from a recording of it, in which events had old names.
+
+    Args:
+        routes: input to origin.
+        source: name of the source, in the scene and in the recording.
+        recorded: its events there.
+    """
+
+    def rename(match: re.Match[str]) -> str:
+        return f"{source}.{recorded_event(match[1], recorded)}"
+
+    event = re.compile(rf"\b{re.escape(source)}\.(\w+)")
+    return {
+        target: event.sub(rename, origin) if isinstance(origin, str) else origin
+        for target, origin in routes.items()
+    }

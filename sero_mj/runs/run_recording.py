@@ -16,19 +16,20 @@ from ..record.recording import Recording
 from .recorded_events import read_events, receiver_of
 from .recorded_robots import read_tables, recorded_robots
 from .recorded_routes import follow_routes
-from .run_log import TIME, RunLog, event_of
+from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 
 Array = NDArray[np.float64]
 
-_DERIVED = ("actual_", "target_")  # before `angles`, in events of a robot that has others as well
-_ANGLES = "_angles"
+_ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
+# Before `angles`, in old events of a robot that has others as well.
+_DERIVED = ("actual_", "target_")
 
 
 def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
     """Reads a recording of a simulation, or of robots that a scene mirrors.
 
-    A source with the events `time` and `ROBOT_angles` is a run as it was logged. Of others the
-    scene in the recording says what leads to which robot, in which unit. Time counts from the
+    A source with the events `time` and `ROBOT_joint_angles` is a run as it was logged. Of others
+    the scene in the recording says what leads to which robot, in which unit. Time counts from the
     start of the simulation, or from the first packet that tells where the robots are.
 
     Args:
@@ -37,8 +38,8 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         scene: the robots and the routes; those in the recording when None.
 
     Returns:
-        The signals `angles`, `velocities` (by differences where they were not sent) and, where
-        there are such, `torques`, `commanded_torques`, and all others of a simulation.
+        The signals `joint_angles`, `joint_velocities` (by differences where they were not sent)
+        and, where there are such, `torques`, `commanded_torques`, and all others of a simulation.
 
     Raises:
         RecordingError: it cannot be read, is no recording, or has no robot.
@@ -61,7 +62,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         routes = _routes_in(recording) if scene is None else scene.routes
         doubles = _tables_in(recording, "doubles") if scene is None else _doubles_of(scene)
         signals, times = follow_routes(recording, names, robots, routes, doubles)
-        known = {name: robots[name] for name in robots if event_of(name, "angles") in signals}
+        known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
         return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
 
 
@@ -81,6 +82,9 @@ def _robots_of(events: Iterable[str]) -> list[str]:
     if TIME not in events:
         return []
     prefixes = [event.removesuffix(_ANGLES) for event in events if event.endswith(_ANGLES)]
+    if prefixes:
+        return prefixes
+    prefixes = [event.removesuffix(_OLD_ANGLES) for event in events if event.endswith(_OLD_ANGLES)]
     return [
         prefix
         for prefix in prefixes
@@ -107,7 +111,11 @@ def _simulated(recording: Recording, name: str, scene: Scene | None) -> RunLog:
     }
     robots = {}
     for prefix in _robots_of(receiver.events):
-        count = signals[f"{prefix}_angles"].shape[1]
+        for signal in MEASURED:
+            event = event_of(prefix, signal)
+            if (recorded := recorded_event(event, signals)) in signals:
+                signals[event] = signals.pop(recorded)
+        count = signals[f"{prefix}{_ANGLES}"].shape[1]
         chosen = _declared(recording.path, prefix, count, declared)
         robots[chosen.name] = chosen
     signals = _with_velocities(robots, signals, times[rising])
@@ -123,7 +131,7 @@ def _declared(
     path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]
 ) -> SerialRobot:
     """The robot that events mean."""
-    by_event = {event_of(name, "angles").removesuffix(_ANGLES): each
+    by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
                 for name, each in robots.items()}  # fmt: skip
     robot = by_event.get(prefix)
     if robot is None and len(robots) == 1:  # its file alone does not tell how it was called
@@ -133,7 +141,7 @@ def _declared(
         near = did_you_mean(prefix, by_event)
         raise RecordingError(path, f"does not say what robot '{prefix}' is{near}; give a scene")
     if robot.n != count:
-        reason = f"{prefix}_angles are {count}; its robot '{robot.name}' has {robot.n} joints"
+        reason = f"{prefix}{_ANGLES} are {count}; its robot '{robot.name}' has {robot.n} joints"
         raise RecordingError(path, reason)
     return robot
 
@@ -159,7 +167,7 @@ def _with_velocities(
     """Adds the velocities that were not sent, as differences of angles."""
     found = dict(signals)
     for name in robots:
-        event = event_of(name, "velocities")
+        event = event_of(name, "joint_velocities")
         if event not in found and len(times) > 1:
-            found[event] = np.gradient(found[event_of(name, "angles")], times, axis=0)
+            found[event] = np.gradient(found[event_of(name, "joint_angles")], times, axis=0)
     return found

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, PrivateAttr, model_validator
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from ..assemble.robot import SerialRobot
 from ..declaration import Name
@@ -16,9 +17,7 @@ from .plant import Plant
 from .sensors import Signal
 from .timed import Timed
 
-_INVERTED = -1.0
-
-
+Array = NDArray[np.float64]
 Part = Literal["sensors", "drives", "friction"]
 
 
@@ -36,15 +35,13 @@ class Fault(Timed):
     robot: Name | None = None
     joints: list[str] = Field(default_factory=list)
 
-    _rows: list[int] = PrivateAttr(default_factory=list)
-
-    def choose(self, robots: Mapping[str, SerialRobot]) -> str:
-        """The robot that it happens to; remembers which rows of the plant are its joints.
+    def check(self, robots: Mapping[str, SerialRobot]) -> None:
+        """Looks whether its robot and joints are there.
 
         Raises:
             DeclarationError: no such robot or joint, or it has to be named.
         """
-        name = self.robot or (next(iter(robots)) if len(robots) == 1 else None)
+        name = self._owner(robots)
         if name is None:
             raise DeclarationError(
                 [Problem("robot", f"is required; expected one of {', '.join(robots)}")]
@@ -58,26 +55,26 @@ class Fault(Timed):
             if joint not in names:
                 message = f"no joint '{joint}' of {name}{did_you_mean(joint, names)}"
                 raise DeclarationError([Problem("joints", message)])
-        first = 0
-        for other, declared in robots.items():
-            if other == name:
-                break
-            first += declared.n
-        self._rows = [
-            first + k for k, joint in enumerate(names) if not self.joints or joint in self.joints
+
+    def _owner(self, robots: Mapping[str, SerialRobot]) -> str | None:
+        return self.robot or (next(iter(robots)) if len(robots) == 1 else None)
+
+    def rows(self, robots: Mapping[str, SerialRobot]) -> list[int]:
+        """Which joints of the plant it concerns: of all robots together, in their order."""
+        chosen = self._owner(robots)
+        joints = [(name, joint) for name, robot in robots.items() for joint in robot.names]
+        return [
+            row
+            for row, (name, joint) in enumerate(joints)
+            if name == chosen and (not self.joints or joint in self.joints)
         ]
-        return name
 
-    @property
-    def rows(self) -> Sequence[int]:
-        """Which joints of the plant it concerns; `choose` finds them."""
-        return self._rows
-
-    def happen(self, plant: Plant, gains: Any) -> None:
-        """Breaks it.
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Begins it.
 
         Args:
             plant: whose sensors and joints.
+            rows: of the joints that it concerns, see `rows`.
             gains: (n,), what the torques that controllers ask for are multiplied by.
         """
         raise NotImplementedError
@@ -110,15 +107,15 @@ class SensorFault(Fault):
             raise ValueError(f"does nothing; expected one of {', '.join(keys)}")
         return self
 
-    def happen(self, plant: Plant, gains: Any) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Changes the sensor."""
         given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
         changed = {key: value for key, value in given.items() if value is not None}
         if changed:
-            plant.sensors.change(self.signal, self.rows, **changed)
+            plant.sensors.change(self.signal, rows, **changed)
         if self.delay_ms is not None:
             steps = round(self.delay_ms / 1e3 / plant.timestep)
-            plant.sensors.delay(self.signal, steps, list(self.rows))
+            plant.sensors.delay(self.signal, steps, list(rows))
 
 
 class EncoderOffset(Fault):
@@ -133,10 +130,10 @@ class EncoderOffset(Fault):
     offset: float = 0.0
     offset_deg: float = 0.0
 
-    def happen(self, plant: Plant, gains: Any) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Shifts the encoder."""
         offset = self.offset + float(np.deg2rad(self.offset_deg))
-        plant.sensors.change("angles", self.rows, bias=offset)
+        plant.sensors.change("angles", rows, bias=offset)
 
 
 class DeadSensor(Fault):
@@ -149,9 +146,9 @@ class DeadSensor(Fault):
     kind: Literal["dead_sensor"] = "dead_sensor"
     signal: Signal = "torques"
 
-    def happen(self, plant: Plant, gains: Any) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Kills it."""
-        for row in self.rows:
+        for row in rows:
             plant.sensors.kill(self.signal, row)
 
 
@@ -165,9 +162,9 @@ class FrozenSensor(Fault):
     kind: Literal["frozen_sensor"] = "frozen_sensor"
     signal: Signal = "torques"
 
-    def happen(self, plant: Plant, gains: Any) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Freezes it."""
-        for row in self.rows:
+        for row in rows:
             plant.sensors.freeze(self.signal, row)
 
 
@@ -181,11 +178,11 @@ class ControllerFault(Fault):
     part: ClassVar[Part] = "drives"
 
     kind: Literal["controller"] = "controller"
-    gain: float = _INVERTED
+    gain: float = -1.0
 
-    def happen(self, plant: Plant, gains: Any) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Changes the gain of the drives."""
-        gains[list(self.rows)] = self.gain
+        gains[list(rows)] = self.gain
 
 
 class FrictionFault(Fault):
@@ -210,11 +207,11 @@ class FrictionFault(Fault):
             raise ValueError("does nothing; expected viscous, coulomb or added_coulomb")
         return self
 
-    def happen(self, plant: Plant, gains: Any) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Changes the friction."""
         first = 0
         for name, part in plant.world.robots.items():
-            mine = [row - first for row in self.rows if first <= row < first + part.robot.n]
+            mine = [row - first for row in rows if first <= row < first + part.robot.n]
             first += part.robot.n
             if mine:
                 viscous = plant.model.dof_damping[part.dofs].copy()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runs.run_log import event_of
+from ..runs.run_log import MEASURED, event_of
 from .simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -27,27 +27,22 @@ class LogSignals:
         columns = simulation.layout.columns
         self._columns = {
             signal: columns[event_of(robot, signal)]
-            for signal in (
-                "angles", "velocities", "torques", "commanded_torques", "target_angles",
-                "external_torques",
-            )
+            for signal in (*MEASURED, "commanded_torques", "target_angles", "external_torques")
             if event_of(robot, signal) in columns
-        }  # fmt: skip
+        }
 
     def signals(self, t: float) -> Mapping[str, Array]:
         """What is measured at time t, s."""
-        simulation = self._simulation
-        row = min(round(t / simulation.scenario.run.timestep), simulation.step)
+        simulation, timestep = self._simulation, self._simulation.scenario.run.timestep
+        row = min(round(t / timestep), simulation.step)
         found = {signal: simulation.rows[row, columns] for signal, columns in self._columns.items()}
-        angles = found["angles"]
-        before = simulation.rows[max(row - 1, 0), self._columns["velocities"]]
+        angles, velocities = found["joint_angles"], found["joint_velocities"]
+        before = simulation.rows[max(row - 1, 0), self._columns["joint_velocities"]]
         return {
             **found,
-            "joint_angles": angles,
             "commanded_angles": found.get("target_angles", angles),
-            "joint_accelerations": (found["velocities"] - before)
-            / simulation.scenario.run.timestep,
-            "billboard_values": found["velocities"],
+            "joint_accelerations": (velocities - before) / timestep,
+            "billboard_values": velocities,
             "flange_check": self._robot.fwd_kin_base_to_flange(angles),
             "further": found["external_torques"],
         }

@@ -298,6 +298,14 @@ class Plant:
         detach_payload(self.model, robot)
         self.refresh()
 
+    def flange(self, robot: str) -> Array:
+        """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
+        self.joints.look()
+        frame, body = np.eye(4), self._part(robot).flange_body
+        frame[:3, :3] = self.data.xmat[body].reshape(3, 3)
+        frame[:3, 3] = self.data.xpos[body]
+        return frame
+
     def refresh(self) -> None:
         """Lets all follow from `model` and `data` as they were changed; no time passes."""
         self.joints.refresh()

@@ -86,7 +86,7 @@ def _from_recording(file: Path, robot: SerialRobot, of: object) -> tuple[Array, 
     if log.robots[str(name)].n != robot.n:
         found = f"robot '{name}' in {file} has {log.robots[str(name)].n} joints"
         raise _wrong("file", f"{found}; '{robot.name}' has {robot.n}")
-    return log.times, log.of(str(name), "angles")
+    return log.times, log.of(str(name), "joint_angles")
 
 
 def _wrong(key: str, message: str) -> DeclarationError:

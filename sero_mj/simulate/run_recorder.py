@@ -1,4 +1,4 @@
-"""Keeps the log of a run: as MCAP, as a source's packets, and as a table."""
+"""Records the log of a simulation as MCAP, as packets of a source."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import numpy as np
 
 from .. import __version__
 from ..drive.signal_names import joint_names
-from ..record.export_csv import column_names
 from ..record.recording_writer import RecordingWriter
 from ..record.signals_json import Signals
-from ..record.write_csv import csv_table
 from ..runs.run_log import PER_JOINT, event_of
 from .scenario import Scenario
+from .simulated_scene import SOURCE
 from .simulation import Simulation
-from .staging import SOURCE
 
 SIGNALS_RATE = 5.0  # decoded rows per simulated second, for programs that plot; 0 for none
 
@@ -109,19 +107,3 @@ def files_of(scenario: Scenario) -> list[Path]:
     models = [robot._model for robot in scenario.scene.robots.values()]
     found = [scenario.file, scenario.scene.file, *models]
     return list(dict.fromkeys(file for file in found if file is not None and file.is_file()))
-
-
-def write_csv(simulation: Simulation, path: Path) -> None:
-    """Writes the log as a table, a row for every step.
-
-    Raises:
-        CsvError: the file cannot be written.
-    """
-    rows = simulation.rows[: simulation.step + 1]
-    events = simulation.layout.structure.events
-    names = column_names({name: tuple(shape) for name, shape in events.items()})
-    names[0] = "time"
-    with csv_table(path) as table:
-        table.writerow(names)
-        for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
-            table.writerows(part.tolist())

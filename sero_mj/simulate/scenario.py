@@ -179,7 +179,7 @@ class Scenario:
                     self.problems.append(Problem(f"{section}.{name}.begin", message))
         self._check_starts()
         for name, fault in self.faults.items():
-            self._read(f"faults.{name}", lambda fault=fault: fault.choose(robots))
+            self._read(f"faults.{name}", lambda fault=fault: fault.check(robots))
         for name, expect in self.expect.items():
             self._read(f"expect.{name}", lambda expect=expect: expect.check(self))
 

@@ -18,7 +18,7 @@ from .shift import Shift, find_shift
 Array = NDArray[np.float64]
 
 # What is compared, where both runs have it.
-COMPARED = ("angles", "velocities", "torques", "commanded_torques")
+COMPARED = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 # Longer without a packet than this, and than so many packets, nothing is known in between.
 _GAP, _GAP_ROWS = 0.1, 5
 _LEAST_LIKENESS = 0.5  # below, an offset that was found means nothing
@@ -79,7 +79,7 @@ def align(
     of_a, of_b = choose_robots(a, b, robot)
     shift: Shift | None = None
     if offset == "auto":
-        shift = find_shift(a.times, a.of(of_a, "angles"), b.times, b.of(of_b, "angles"))
+        shift = find_shift(a.times, a.of(of_a, "joint_angles"), b.times, b.of(of_b, "joint_angles"))
         if shift is None:
             found = "one of the runs hardly moves"
             raise UsageError(f"--offset auto: {found}; expected a number of seconds")

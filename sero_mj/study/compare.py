@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_IN_TABLE = ("angles", "torques")  # where there are such; the rest is in the JSON
+_IN_TABLE = ("joint_angles", "torques")  # where there are such; the rest is in the JSON
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Difference:
 
     Attributes:
         joint: its name.
-        signal: `angles`, `velocities`, `torques` or `commanded_torques`.
+        signal: `joint_angles`, `joint_velocities`, `torques` or `commanded_torques`.
         unit: rad, m, rad/s, m/s, Nm or N.
         peak: the difference of the greatest size, with its sign; NaN where nothing is known.
         at: when, s.
@@ -96,7 +96,7 @@ def exceeded(
         torque: Nm (N for sliding joints); any when None.
         angle: rad (m for sliding joints); any when None.
     """
-    allowed = {"torques": torque, "angles": angle}
+    allowed = {"torques": torque, "joint_angles": angle}
     found = []
     for each in differences:
         tolerance = allowed.get(each.signal)

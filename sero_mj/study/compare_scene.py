@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,41 +12,36 @@ from ..assemble.robot import SerialRobot
 from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..receive.structure import Structure
-from ..record.recording_writer import RecordingWriter
 from ..runs.run_log import TIME
+from ..runs.run_source import FinishedRun, RunSource
 from .align import Pair
 
 Array = NDArray[np.float64]
 
-_MOST_PER_SECOND = 240.0  # rows; more than any film shows
+_MAX_RATE = 240.0  # rows per second; more than any film shows
 _GREEN = np.array([0.10, 0.62, 0.30, 0.42])
 
 
-def compare_scene(pair: Pair, folder: Path) -> Scene:
+def compare_scene(pair: Pair) -> Scene:
     """A scene that plays both runs on one clock.
 
     Arrows show the torques of the first run less those of the second; the robot stands as in the
     first, and a transparent double as in the second.
-
-    Args:
-        pair: the runs.
-        folder: where the two recordings are written that it plays, `a.mcap` and `b.mcap`.
-
-    Raises:
-        RecordingError: they cannot be written.
     """
     robot = pair.robot.name
     other = "b" if robot != "b" else "second"
-    for source, run in (("a", pair.a), ("b", pair.b)):
-        _write(folder / f"{source}.mcap", source, pair.times, run)
-    routes = {f"{robot}.joint_angles": "a.angles", f"{other}.joint_angles": "b.angles"}
+    routes = {
+        f"{robot}.joint_angles": "a.joint_angles",
+        f"{other}.joint_angles": "b.joint_angles",
+    }
     if "torques" in pair.signals:
         routes |= {f"{robot}.commanded_torques": "a.torques", f"{robot}.torques": "b.torques"}
     return Scene(
         robots=[_shown(pair.robot)],
         doubles=[Double(name=other, of=robot, rgba=_GREEN)],
         sources={
-            name: {"kind": "replay", "file": str(folder / f"{name}.mcap")} for name in ("a", "b")
+            source: RunSource(name=source, run=_run(name, pair.times, signals))
+            for source, name, signals in zip(("a", "b"), pair.names, (pair.a, pair.b), strict=True)
         },
         routes=routes,
         name=f"{pair.names[0]} less {pair.names[1]}",
@@ -69,24 +63,13 @@ def _shown(robot: SerialRobot) -> SerialRobot:
     return robot.model_copy(update=changed)
 
 
-def _write(path: Path, source: str, times: Array, run: Mapping[str, Array]) -> None:
-    """Writes a run as a recording whose packets come at its own times."""
-    signals = [signal for signal in ("angles", "torques") if signal in run]
-    n = run["angles"].shape[1]
-    structure = Structure(" ".join([f"{TIME}:1F", *(f"{signal}:{n}F" for signal in signals)]))
-    known = np.flatnonzero(np.isfinite(run["angles"]).all(axis=1))
-    shown = times[known]
-    nth = np.floor((shown - shown[0] + 1e-9) * _MOST_PER_SECOND) if len(shown) else shown
-    known = known[np.append(True, np.diff(nth) > 0)] if len(shown) else known
-    rows = np.column_stack([times, *(run[signal] for signal in signals)])[known]
-    with RecordingWriter(path, about={}, overwrite=True) as writer:
-        writer.add_source(
-            source,
-            kind="udp",
-            declared={"structure": structure.text},
-            events=structure.events,
-            size=structure.size,
-        )
-        begin = writer.clock.monotonic_ns / 1e9
-        for row in rows:
-            writer.write_raw(source, row.tobytes(), begin + row[0] - times[0])
+def _run(name: str, times: Array, signals: Mapping[str, Array]) -> FinishedRun:
+    """One of the runs, with no more rows than a film shows, from the time that both begin at."""
+    shown = [signal for signal in ("joint_angles", "torques") if signal in signals]
+    n = signals["joint_angles"].shape[1]
+    structure = Structure(" ".join([f"{TIME}:1F", *(f"{signal}:{n}F" for signal in shown)]))
+    known = np.flatnonzero(np.isfinite(signals["joint_angles"]).all(axis=1))
+    nth = np.floor((times[known] - times[0] + 1e-9) * _MAX_RATE)
+    known = known[np.diff(nth, prepend=-1.0) > 0]
+    rows = np.column_stack([times - times[0], *(signals[signal] for signal in shown)])[known]
+    return FinishedRun(f"run {name}", structure, rows)

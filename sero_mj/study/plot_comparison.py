@@ -67,12 +67,16 @@ def plot_pair(
             near = did_you_mean(joint, names)
             raise UsageError(f"no joint '{joint}' of {pair.robot.name}{near}")
     chosen = [k for k, joint in enumerate(names) if joints is None or joint in joints]
-    main = "torques" if "torques" in pair.signals else "angles"
+    main = "torques" if "torques" in pair.signals else "joint_angles"
     units = dict.fromkeys(_shown(main, pair.robot.types[k])[1] for k in chosen)
-    angles = dict.fromkeys(_shown("angles", pair.robot.types[k])[1] for k in chosen)
-    what, unit, unit_of_angle = main.removesuffix("s"), " or ".join(units), " or ".join(angles)
+    angles = dict.fromkeys(_shown("joint_angles", pair.robot.types[k])[1] for k in chosen)
+    what, unit, unit_of_angle = (
+        main.removesuffix("s").removeprefix("joint_"),
+        " or ".join(units),
+        " or ".join(angles),
+    )
     columns = [(f"{what}, {unit}", 1.35), (f"{what}, A − B, {unit}", 1.0)]
-    if main == "torques" and "angles" in pair.signals:
+    if main == "torques" and "joint_angles" in pair.signals:
         columns.append((f"angle, A − B, {unit_of_angle}", 1.0))
     with styled():
         sheet = Sheet(
@@ -87,7 +91,7 @@ def plot_pair(
             _draw_both(sheet, panels[0], pair, main, k)
             _draw_difference(sheet, panels[1], pair, main, k)
             if len(panels) > 2:
-                _draw_difference(sheet, panels[2], pair, "angles", k)
+                _draw_difference(sheet, panels[2], pair, "joint_angles", k)
         sheet.legend(_legend(pair))
         sheet.save(path)
 
@@ -112,7 +116,7 @@ def _about(pair: Pair) -> str:
 
 def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:
     """How much a panel shows at least, and that without limits."""
-    if signal == "angles":
+    if signal == "joint_angles":
         return np.inf, _LEAST_ANGLE
     limits = pair.robot.torque_limits
     return (np.inf if limits is None else LEAST_SHARE * float(limits[k])), _LEAST_TORQUE

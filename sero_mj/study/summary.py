@@ -77,7 +77,7 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
         error = torque_error(log, robot) if has["torques"] and has["commanded_torques"] else None
         position = None
         if has["target_angles"]:
-            angles = log.of(robot, "actual_angles" if has["actual_angles"] else "angles")
+            angles = log.of(robot, "actual_angles" if has["actual_angles"] else "joint_angles")
             position = log.of(robot, "target_angles") - angles
         for k, joint in enumerate(declared.names):
             mine = [f for f in found if f.robot == robot and f.joint == joint]
@@ -98,7 +98,7 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
                 values["saturated_share"] = float(np.mean(log.of(robot, "saturated")[:, k] > 0.5))
             kind = declared.types[k]
             rows.append(JointSummary(robot, joint, unit_of("torques", kind),
-                                     unit_of("angles", kind), **values))  # fmt: skip
+                                     unit_of("joint_angles", kind), **values))  # fmt: skip
     return rows
 
 

@@ -1,4 +1,4 @@
-"""Processes that run variants side by side.
+"""Variants of a sweep side by side in processes.
 
 Why processes: controllers, sensors, the observer and what happens in a run are Python between any
 two steps of MuJoCo, which threads would take turns at. `mujoco.rollout` runs steps in threads but
@@ -11,16 +11,24 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Generator, Iterable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from multiprocessing import get_context
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .variant import VariantRunner
 
 Variant = tuple[int, Mapping[str, Any]]
 Result = tuple[int, dict[str, Any]]
+
+_KILLED = "its process was killed, or ran out of memory; expected an answer"
+_runner: VariantRunner  # of a worker process
 
 
 def available_cpus() -> int:
@@ -32,56 +40,31 @@ def available_cpus() -> int:
     return os.cpu_count() or 1
 
 
-def work(connection: Connection, file: Path, fixed: Mapping[str, Any]) -> None:
-    """Runs variants until the other end is closed, also by the end of its process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked for it closes the connection
+def start_worker(parent: Connection, file: Path, fixed: Mapping[str, Any]) -> None:
+    """Prepares a worker process, which ends with the process that started it.
+
+    Args:
+        parent: nothing comes from there; it ends with that process, or before.
+        file: the scenario's.
+        fixed: dotted keys that are set in all variants.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started it ends it
+    threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
     os.environ["MUJOCO_GL"] = "disable"  # nothing is drawn here
     from .variant import VariantRunner
 
-    runner = VariantRunner(file, fixed)
+    global _runner  # noqa: PLW0603
+    _runner = VariantRunner(file, fixed)
+
+
+def _exit_with(parent: Connection) -> None:
     with suppress(EOFError, OSError):
-        while True:
-            number, values = connection.recv()
-            connection.send((number, runner.run(values)))
+        parent.recv_bytes()
+    os._exit(1)
 
 
-class _Worker:
-    """A process, and what it is at."""
-
-    def __init__(self, file: Path, fixed: Mapping[str, Any]) -> None:
-        context = get_context("spawn")  # a fork would take over threads and OpenGL half alive
-        self.connection, other = context.Pipe()
-        self.process: BaseProcess = context.Process(
-            target=work, args=(other, file, dict(fixed)), daemon=True
-        )
-        self.process.start()
-        other.close()  # so that its end is seen here
-        self.number = -1
-        self.has_ended = False
-
-    def begin(self, variant: Variant) -> None:
-        self.number = variant[0]
-        with suppress(OSError):  # that it has ended is seen when the answer does not come
-            self.connection.send((variant[0], dict(variant[1])))
-
-    def end(self) -> Result:
-        """What came of it; an error where the process has ended."""
-        try:
-            result: Result = self.connection.recv()
-        except (EOFError, OSError):
-            self.has_ended = True
-            self.process.join()
-            code = self.process.exitcode
-            ended = f"by signal {-code}" if code is not None and code < 0 else f"with {code}"
-            error = f"its process has ended {ended}; expected an answer"
-            return self.number, {"held": False, "error": error, "ended": 0.0}
-        return result
-
-    def stop(self) -> None:
-        self.connection.close()
-        self.process.kill()
-        self.process.join()
-        self.process.close()
+def _run(values: Mapping[str, Any]) -> dict[str, Any]:
+    return _runner.run(values)
 
 
 def run_in_processes(
@@ -99,28 +82,40 @@ def run_in_processes(
         file: the scenario's.
         fixed: dotted keys that are set in all of them.
     """
+    context = get_context("spawn")  # a fork would take over threads and OpenGL half alive
+    child_end, own_end = context.Pipe(duplex=False)
+
+    def new_pool() -> ProcessPoolExecutor:
+        arguments = (child_end, file, dict(fixed))
+        return ProcessPoolExecutor(1, context, initializer=start_worker, initargs=arguments)
+
     todo = iter(variants)
-    busy: dict[Connection, _Worker] = {}
+    # A process that is killed breaks its pool; with one process each it is known whose it was.
+    free = [new_pool() for _ in range(jobs)]
+    busy: dict[Future[dict[str, Any]], tuple[ProcessPoolExecutor, int]] = {}
     try:
-        for variant in todo:
-            worker = _Worker(file, fixed)
-            busy[worker.connection] = worker
-            worker.begin(variant)
-            if len(busy) >= jobs:
-                break
-        while busy:
-            for connection in wait(list(busy)):
-                worker = busy.pop(connection)  # type: ignore[call-overload]
-                result = worker.end()
-                following = next(todo, None)
-                if following is None or worker.has_ended:
-                    worker.stop()
-                if following is not None:
-                    if worker.has_ended:
-                        worker = _Worker(file, fixed)
-                    busy[worker.connection] = worker
-                    worker.begin(following)
-                yield result
+        while True:
+            while free and (variant := next(todo, None)) is not None:
+                number, values = variant
+                pool = free.pop()
+                try:
+                    future = pool.submit(_run, dict(values))
+                except BrokenProcessPool:  # killed while it had nothing to do
+                    pool = new_pool()
+                    future = pool.submit(_run, dict(values))
+                busy[future] = pool, number
+            if not busy:
+                return
+            for future in wait(busy, return_when=FIRST_COMPLETED).done:
+                pool, number = busy.pop(future)
+                try:
+                    result = future.result()
+                except BrokenProcessPool:
+                    pool, result = new_pool(), {"held": False, "error": _KILLED, "ended": 0.0}
+                free.append(pool)
+                yield number, result
     finally:
-        for worker in busy.values():
-            worker.stop()
+        own_end.close()  # ends all processes, whatever they do
+        for pool in [*free, *(pool for pool, _ in busy.values())]:
+            pool.shutdown()
+        child_end.close()

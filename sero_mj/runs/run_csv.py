@@ -1,4 +1,4 @@
-"""Reads a table as a run: what `simulate --csv` wrote, or a table of somebody else."""
+"""A run as a CSV table: written by `simulate --csv`, read also where others wrote it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import CsvError
+from ..record.export_csv import column_names
 from ..record.read_csv import read_csv
-from ..runs.run_log import RunLog, event_of
+from ..record.write_csv import csv_table
+from .run_log import MEASURED, RunLayout, RunLog, event_of, recorded_event
 
 _COLUMN = re.compile(r"(\w+)\[(\d+)\]")
 
@@ -38,6 +40,10 @@ def read_run_csv(path: Path | str, robots: Mapping[str, SerialRobot]) -> RunLog:
     signals, known = {}, {}
     for robot, declared in robots.items():
         start = event_of(robot, "")
+        for signal in MEASURED:
+            event = event_of(robot, signal)
+            if (recorded := recorded_event(event, found)) in found:
+                found[event] = found.pop(recorded)
         for event, of_joints in found.items():
             if event.startswith(start) and set(of_joints) == set(range(declared.n)):
                 signals[event] = np.stack([of_joints[k] for k in range(declared.n)], axis=1)
@@ -49,3 +55,23 @@ def read_run_csv(path: Path | str, robots: Mapping[str, SerialRobot]) -> RunLog:
         expected = f"{start}torques[0] to {start}torques[{n - 1}]"
         raise CsvError(path, f"found the columns {shown}, ...; expected such as {expected}")
     return RunLog(known, signals, times, Path(path).stem)
+
+
+def write_run_csv(layout: RunLayout, rows: NDArray[np.float64], path: Path) -> None:
+    """Writes a log as a table: `time`, s, and `ROBOT_SIGNAL[JOINT]`, SI units.
+
+    Args:
+        layout: of the rows.
+        rows: (T, width), the log.
+        path: where to.
+
+    Raises:
+        CsvError: the file cannot be written.
+    """
+    events = layout.structure.events
+    names = column_names({name: tuple(shape) for name, shape in events.items()})
+    names[0] = "time"
+    with csv_table(path) as table:
+        table.writerow(names)
+        for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
+            table.writerows(part.tolist())

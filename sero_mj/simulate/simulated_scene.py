@@ -1,4 +1,4 @@
-"""Puts a simulation on a stage: what its scene shows of it where nobody has said so."""
+"""The scene of a simulation: with it as a source, and routes, doubles and arrows that show it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,29 @@ from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
 from ..assemble.scene import Scene
 from ..runs.run_log import RunLayout, event_of
+from ..runs.run_source import RunSource
 from .disturbances import Force
 from .scenario import Scenario
+from .simulation import Simulation
 
 SOURCE = "simulation"
-# Inputs of robots to the signals that they get, unless the scene routes something else there.
-_SHOWN = {
-    "joint_angles": "angles",
-    "torques": "torques",
-    "commanded_torques": "commanded_torques",
-}
+# Inputs that robots get of the log, unless the scene routes something else there.
+_SHOWN = ("joint_angles", "torques", "commanded_torques")
 
 
-def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
+def simulated_scene(simulation: Simulation) -> Scene:
+    """Returns the scene of a simulation, which is simulated while it is shown.
+
+    Rows of doubles stand along the targets' paths where `[run]` asks for them.
+    """
+    scenario, layout = simulation.scenario, simulation.layout
+    scene = with_routes(scenario, layout, RunSource(run=simulation))
+    if scenario.run.show_paths:
+        _add_paths(scene, scenario, layout, simulation.rows)
+    return scene
+
+
+def with_routes(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
     """Returns the scene as it is shown: with the source, and routes from it.
 
     Robots get measured angles and torques and commanded torques, and their external torques where
@@ -39,9 +49,7 @@ def stage(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
     scene.doubles, scene.arrows = dict(scene.doubles), dict(scene.arrows)
     routes = {}
     for name, robot in scene.robots.items():
-        for key, signal in _SHOWN.items():
-            routes[f"{name}.{key}"] = f"{SOURCE}.{event_of(name, signal)}"
-        for key in robot.inputs or []:
+        for key in (*_SHOWN, *robot.inputs):
             if event_of(name, key) in layout.columns:
                 routes[f"{name}.{key}"] = f"{SOURCE}.{event_of(name, key)}"
         if name in layout.targets and scenario.run.show_targets:
@@ -76,7 +84,7 @@ def _show_pushes(scene: Scene, scenario: Scenario, layout: RunLayout) -> dict[st
     return routes
 
 
-def add_paths(scene: Scene, scenario: Scenario, layout: RunLayout, rows: np.ndarray) -> None:
+def _add_paths(scene: Scene, scenario: Scenario, layout: RunLayout, rows: np.ndarray) -> None:
     """Adds a row of doubles along the way that every robot's target takes."""
     for name in layout.targets:
         angles = rows[:, layout.columns[event_of(name, "target_angles")]]

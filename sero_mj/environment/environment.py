@@ -1,0 +1,276 @@
+"""`Environment`: a scenario in which an agent drives one robot, as a `dm_env.Environment`."""
+
+from __future__ import annotations
+
+import copy
+from contextlib import ExitStack
+from typing import Any
+
+import dm_env
+import mujoco
+import numpy as np
+from dm_env import specs
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from ..assemble.world import World
+from ..control.compiler import Compiler
+from ..drive.mirror import Mirror
+from ..errors import SimulationError, UnknownName
+from ..runs.run_log import event_of
+from ..runs.run_source import RunSource
+from ..show.headless.renderer import HeadlessRenderer
+from ..simulate.plant import Plant
+from ..simulate.scenario import Scenario
+from ..simulate.simulated_scene import with_routes
+from ..simulate.simulation import Simulation
+from .actions import AgentController, checked_action
+from .agent_robot import AgentRobot
+from .settings import Settings
+from .task import Episode, Task
+
+Array = NDArray[np.float64]
+
+# rad, m: how far springs let joints into their stops, and observations beyond their limits
+BEYOND = {"revolute": 0.2, "prismatic": 0.05}
+
+
+class Environment(dm_env.Environment):  # type: ignore[misc]
+    """Episodes of a scenario in which an agent drives one robot.
+
+    Everything else happens as the scenario declares it. An episode ends with the scenario, with
+    discount 1: it could go on. It ends as well when the motion has become unstable, with reward and
+    discount 0 and the observation before; `error` says where and when. Actions beyond their bounds
+    are cut off, as the robot's drives do it. Number k depends on the seed and on k alone.
+
+    Args:
+        scenario: what happens; it is left as it is.
+        robot: name of the one that the agent drives.
+        task: what it is to do.
+        settings: how it is driven; the usual ones when None.
+        random_start: whether episodes begin in random poses, else as the robot is declared.
+
+    Attributes:
+        scenario: as given, with the agent in the place of the robot's controller.
+        simulation: the current episode; `simulation.outcomes()` says what has held.
+        task: the task from episode to episode; `task.target` of `reach`, for instance.
+        episode: number of the current one, from 0; -1 before the first. Set it to k - 1 and the
+            next episode is number k.
+        error: what ended the last episode, or None.
+
+    Raises:
+        UnknownName: no such robot.
+        DeclarationError: what does not fit the robot.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        robot: str,
+        task: Task,
+        settings: Settings | None = None,
+        *,
+        random_start: bool = False,
+    ) -> None:
+        settings = settings or Settings()
+        robots, timestep = scenario.scene.robots, scenario.run.timestep
+        if robot not in robots:
+            raise UnknownName("robot", robot, robots)
+        self._settings, self._random_start = settings, random_start
+        self._substeps = settings.substeps(timestep)
+        self._action = settings.make_action(robots[robot], timestep)
+        self._compiler = Compiler()
+        model = self._compiler.robot_model(robots[robot])
+        self._agent = AgentController(self._action, robots[robot], model, timestep)
+        self.scenario = copy.copy(scenario)
+        self.scenario.controllers = {**scenario.controllers, robot: self._agent}
+        self.simulation = Simulation(self.scenario, settings.seed, self._compiler)
+        self._robot = AgentRobot(self.simulation, robot)
+        self.task: Episode = task.make(self._robot)
+        self.episode = -1
+        self.error: SimulationError | None = None
+        self._is_over = True
+        self._observation: dict[str, Array] = {}
+        self._find_columns(task.observed)
+        self._mirror: Mirror | None = None
+        self._renderer: HeadlessRenderer | None = None
+        self._shape: tuple[int, int, str | None] = (0, 0, None)
+        self._open = ExitStack()
+
+    def _find_columns(self, observed: tuple[str, ...]) -> None:
+        """Finds every observed signal in the log, and the bounds of joint angles."""
+        columns = self.simulation.layout.columns
+        self._columns: dict[str, slice] = {}
+        self._bounds: dict[str, tuple[Array, Array]] = {}
+        for name, robot in self.simulation.robots.items():
+            prefix = "" if name == self._robot.name else f"{name}/"
+            for signal in observed:
+                if event_of(name, signal) in columns:
+                    self._columns[f"{prefix}{signal}"] = columns[event_of(name, signal)]
+            if robot.position_limits is not None:
+                slack = np.array([BEYOND[kind] for kind in robot.types])
+                low, high = robot.position_limits.T
+                self._bounds[f"{prefix}joint_angles"] = (low - slack, high + slack)
+
+    @property
+    def robot(self) -> SerialRobot:
+        """The declaration of the robot that the agent drives."""
+        return self._robot.declared
+
+    @property
+    def plant(self) -> Plant:
+        """The simulated robots: pushes, payloads, sensors.
+
+        What is changed there stays over episodes, but where the scenario has disturbances or
+        faults: then every episode has a new one.
+        """
+        return self.simulation.plant
+
+    @property
+    def world(self) -> World:
+        """What is simulated, with names and ids."""
+        return self.plant.world
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model: what `env.physics.model` is in dm_control."""
+        return self.plant.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state: what `env.physics.data` is in dm_control."""
+        return self.plant.data
+
+    @property
+    def control_timestep(self) -> float:
+        """Between two actions, s."""
+        return self._settings.control_timestep
+
+    def reset(self) -> dm_env.TimeStep:
+        """Begins the next episode."""
+        self.episode += 1
+        self.error, self._is_over = None, False
+        rng = np.random.default_rng([self._settings.seed, self.episode])
+        start = np.asarray(self.robot.home, np.float64)
+        if self._random_start:
+            start = self._robot.free_pose(rng)
+        self._restart(start, int(rng.integers(2**32)))
+        self._agent.begin(start)
+        self.task.begin(rng)
+        self._observation = self._observe()
+        return dm_env.restart(self._observation)
+
+    def _restart(self, start: Array, seed: int) -> None:
+        """Begins the simulation anew.
+
+        Args:
+            start: (n,), angles of the agent's robot, rad or m.
+            seed: of the noise.
+        """
+        if self.scenario.disturbances or self.scenario.faults:  # these change the model
+            self.close()  # what is shown is of the simulation before
+            self.simulation = Simulation(self.scenario, seed, self._compiler)
+            self._robot.simulation = self.simulation
+        else:
+            angles = {name: robot.home for name, robot in self.simulation.robots.items()}
+            angles[self._robot.name] = start
+            self.simulation.restart(np.concatenate(list(angles.values())), seed)
+            if self._mirror is not None:
+                self._mirror.open()  # forgets what was shown
+
+    def step(self, action: Any) -> dm_env.TimeStep:
+        """Lets a control step pass; after the end of an episode the next one begins.
+
+        Args:
+            action: (n,), see `action_spec`.
+
+        Raises:
+            ValueError: it is not n numbers.
+            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
+        """
+        if self._is_over:
+            return self.reset()
+        simulation, spec = self.simulation, self._action.spec
+        checked = checked_action(action, spec, self.robot, self._action.unit, self.plant.time)
+        self.task.advance()
+        self._action.take(checked)
+        try:
+            simulation.advance(simulation.step + self._substeps)
+        except SimulationError as error:
+            self.error, self._is_over = error, True
+            # Whoever got it before may have changed it.
+            before = {name: value.copy() for name, value in self._observation.items()}
+            return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
+        self.plant.joints.look()  # `data` is as up to date as after MuJoCo's own step
+        self._is_over = simulation.is_done
+        self._observation = self._observe()
+        end = dm_env.truncation if self._is_over else dm_env.transition
+        return end(self.reward(), self._observation)
+
+    def _observe(self) -> dict[str, Array]:
+        """What is seen now, in arrays of its own."""
+        row = self.simulation.rows[self.simulation.step]
+        found = {name: row[columns].copy() for name, columns in self._columns.items()}
+        for name, (low, high) in self._bounds.items():
+            np.clip(found[name], low, high, out=found[name])
+        return {**found, **self._action.observation(), **self.task.observation()}
+
+    def reward(self) -> float:
+        """0 to 1, for the state now."""
+        return self.task.reward()
+
+    def action_spec(self) -> specs.BoundedArray:
+        """Joint torques, Nm, or offsets of the target, rad, with their bounds."""
+        return self._action.spec
+
+    def reward_spec(self) -> specs.BoundedArray:
+        """A number from 0 to 1."""
+        return specs.BoundedArray((), float, 0.0, 1.0, name="reward")
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Names, shapes and bounds; rad, rad/s, Nm, m; of other robots as `ROBOT/joint_angles`."""
+        found: dict[str, specs.Array] = {}
+        for name, columns in self._columns.items():
+            shape = (columns.stop - columns.start,)
+            found[name] = (
+                specs.BoundedArray(shape, np.float64, *self._bounds[name], name=name)
+                if name in self._bounds
+                else specs.Array(shape, np.float64, name=name)
+            )
+        return {**found, **self._action.observation_spec(), **self.task.observation_spec()}
+
+    def render(
+        self, height: int = 480, width: int = 640, camera: str | None = None
+    ) -> NDArray[np.uint8]:
+        """Renders the state now, as `sero-mj simulate --render` would.
+
+        Args:
+            height: pixels.
+            width: pixels.
+            camera: `azimuth,elevation,distance` (degrees, degrees, m), or a camera's name.
+
+        Returns:
+            (height, width, 3), 0 to 255.
+
+        Raises:
+            RenderError: no OpenGL, or the size is out of range.
+            UnknownName: no such camera.
+        """
+        if self._mirror is None or self._renderer is None or self._shape != (height, width, camera):
+            self.close()
+            source = RunSource(run=self.simulation)
+            scene = with_routes(self.scenario, self.simulation.layout, source)
+            mirror = self._open.enter_context(Mirror(scene))
+            renderer = HeadlessRenderer(mirror.world, width, height, camera)
+            self._mirror, self._renderer = mirror, self._open.enter_context(renderer)
+            self._shape = (height, width, camera)
+        mirror, renderer = self._mirror, self._renderer
+        for target, values in self.task.inputs().items():
+            mirror.world.set_input(mirror.data, target, values)
+        mirror.advance(self.simulation.time)
+        return renderer.render(mirror.data)
+
+    def close(self) -> None:
+        """Frees what OpenGL has."""
+        self._mirror = self._renderer = None
+        self._open.close()
