@@ -200,7 +200,7 @@ def test_a_constant_in_the_other_byte_order_is_recognised(text: str, sent: str, 
     constant = {"H": 0x2006, "I": 0xCAFE0006, "q": -2}[sent[1]]
     packet = struct.pack(sent, constant).ljust(structure.size, b"\0")
     told = structure.describe_wrong_constant(rows_of(packet))
-    assert told.endswith(f"; these are its bytes turned round: '{order}'?")
+    assert told.endswith(f"; these are its bytes in reverse order: '{order}'?")
     assert "turned" not in structure.describe_wrong_constant(rows_of(bytes(structure.size)))
 
 

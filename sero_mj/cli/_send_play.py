@@ -77,7 +77,7 @@ def send_file(
     source = choose_source(wiring, options.source)
     structure = structure_for(source, options.structure)
     playback = _open(options, source, structure, goes_to_shm(options, source))
-    told = _tell(playback.notes)
+    printed = _print_notes(playback.notes)
     with sink(options, source, structure) as to:
         print(
             f"sending {playback.about}: {playback.count} packets, {playback.duration:.2f} s, "
@@ -92,13 +92,13 @@ def send_file(
         )
         report = send(packets, to)
     print(report)
-    _tell(playback.notes[told:])
+    _print_notes(playback.notes[printed:])
     if playback.skipped:
         print(f"{playback.skipped} could not be sent in '{structure.text}'")
     return 0
 
 
-def _tell(notes: list[str]) -> int:
+def _print_notes(notes: list[str]) -> int:
     for note in notes:
         print(f"note: {note}", flush=True)
     return len(notes)

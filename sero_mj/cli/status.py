@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None:
-    """Waits, and shows the table where somebody can see it change."""
+    """Waits, and refreshes the table on a terminal."""
     from rich.live import Live
 
     from ..receive.report import report

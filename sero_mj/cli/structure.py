@@ -67,7 +67,7 @@ def _count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
-    _refuse_nonsense(options)
+    _check_options(options)
     if options.scene:
         return _print_scene(options)
     layout = None if options.structure is None else _read(options)
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_nonsense(options: argparse.Namespace) -> None:
+def _check_options(options: argparse.Namespace) -> None:
     if not options.sniff:
         for name in ("host", "interface", "duration", "count"):
             if getattr(options, name) is not None:

@@ -73,7 +73,7 @@ class SourceStates:
         return max(now - since, 0.0) if since >= 0 else -1.0
 
     def _foreign_age(self, name: str, foreign: int, now: float) -> float:
-        """How long ago (s) a packet of somebody else came; -1 when none has."""
+        """How long ago (s) a packet of a foreign sender came; -1 when none has."""
         before, since = self._foreign.get(name, (0, -1.0))
         if foreign != before:
             self._foreign[name] = foreign, now

@@ -22,7 +22,7 @@ class Route:
         to: the input it leads to.
         text: where it leads from, as declared.
         value: how the input's numbers are computed.
-        negated: whether a switch is turned round.
+        negated: whether a toggle is negated.
     """
 
     to: Input

@@ -93,7 +93,7 @@ class Batch:
         lengths: as they were sent, (n,), bytes; of what was cut off at least the row's length.
         arrivals: on the clock of `time.monotonic`, (n,), s.
         senders: socket addresses as the system has them, (n, 28), uint8.
-        dropped: packets that the kernel has thrown away so far, or None where it does not say.
+        dropped: packets that the kernel has dropped so far, or None where it does not say.
     """
 
     rows: NDArray[np.uint8]

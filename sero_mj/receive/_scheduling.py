@@ -75,7 +75,7 @@ class _ShortTurns:
         self._lock = threading.Lock()
 
     def begin(self, receiver: object) -> None:
-        """Shortens them, from now on."""
+        """Shortens it, from now on."""
         with self._lock:
             if not self._answering:
                 self._usual = sys.getswitchinterval()
@@ -83,7 +83,7 @@ class _ShortTurns:
             self._answering.add(id(receiver))
 
     def end(self, receiver: object) -> None:
-        """Restores them, when nobody else answers."""
+        """Restores it, when no other receiver answers."""
         with self._lock:
             was_answering = id(receiver) in self._answering
             self._answering.discard(id(receiver))

@@ -361,7 +361,7 @@ class Receiver(Declaration):
             self._hand_on(rows, arrivals)
         intake.count()
         if self.debug_level >= 2:
-            self._tell(before, len(rows))
+            self._log_batch(before, len(rows))
         if len(rows):
             self._call_back()
 
@@ -392,7 +392,7 @@ class Receiver(Declaration):
             self._warned = now
             log.warning("source '%s': a packet is not applied: %s", self.name, fault)
 
-    def _tell(self, before: tuple[int, int], good: int) -> None:
+    def _log_batch(self, before: tuple[int, int], good: int) -> None:
         counters = self.counters
         if counters.restarts > before[0]:
             log.info("source '%s': its sender restarted", self.name)

@@ -20,7 +20,7 @@ MEANINGS = {
     "foreign": "from others than the sender that is named",
     "torn": "reads given up because the writer was in between",
     "blanked": "with values that are no data",
-    "dropped": "thrown away by the kernel, its buffer was full",
+    "dropped": "dropped by the kernel, its buffer was full",
 }
 
 

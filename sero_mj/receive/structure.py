@@ -235,7 +235,7 @@ class Structure:
                 said = f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
                 if item.item_bytes > 1 and found.byteswap() == constant:
                     other = "<" if item.dtype.byteorder == ">" else ">"
-                    said += f"; these are its bytes turned round: '{other}'?"
+                    said += f"; these are its bytes in reverse order: '{other}'?"
                 return said
         return ""
 

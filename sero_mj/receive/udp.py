@@ -177,9 +177,9 @@ class UdpReceiver(Receiver):
             else:
                 known = np.array([self._is_known(sender.tobytes()) for sender in senders])
             if not known.all():
-                strangers = int((~known).sum())
-                self.counters.foreign += strangers
-                self.counters.received += strangers
+                foreign = int((~known).sum())
+                self.counters.foreign += foreign
+                self.counters.received += foreign
                 if not known.any():
                     return
                 rows, lengths = rows[known], lengths[known]
@@ -206,7 +206,9 @@ def split_sender(text: str) -> tuple[str, int]:
         number = -1
     else:
         if address.is_unspecified or address.is_multicast:
-            raise ValueError(f"found {text!r}, from which nobody sends; leave it out for anybody")
+            raise ValueError(
+                f"found {text!r}, which no sender has; leave it out to accept every sender"
+            )
     if not 0 <= number <= 65535:
         message = "expected an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234"
         raise ValueError(f"found {text!r}; {message}")
