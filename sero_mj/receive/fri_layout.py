@@ -75,6 +75,12 @@ class FriLayout(Structure):
         self.missing = FRAMES & set(missing)
         self.events["commanded_angles"] = self.events[_COMMANDED[0]]
 
+    def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
+        """Returns every event's array; see `Structure.decode`."""
+        values = super().decode(packet)
+        derived = self._derive({event: array[None] for event, array in values.items()})
+        return {event: array[0] for event, array in derived.items()}
+
     def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
         """Decodes many packets at once; see `Structure.decode_rows`."""
         if events is not None and "commanded_angles" in events:

@@ -20,6 +20,7 @@ Alignment = Literal[1, 2, 4, 8]
 
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _LAST_ROW_TOLERANCE = 1e-6  # as `checks.are_frames` has it
+_DOUBLE = np.dtype(np.float64)
 
 
 class Structure:
@@ -87,7 +88,17 @@ class Structure:
             for item in self.fields
             if item.constant is not None
         ]
+        # Event, type, first byte, count, and how to finish what is not just a view.
+        self._plan = [
+            (name, np.dtype(item.type), item.offset, item.numbers, self._unless_plain(item))
+            for name, item in self._by_event.items()
+        ]
+        self._is_plain = not any(item for *_, item in self._plan)
         self._blocks: dict[frozenset[str], list[_Block]] = {}
+
+    def _unless_plain(self, item: Item) -> Item | None:
+        is_plain = np.dtype(item.type) == _DOUBLE and len(item.shape) == 1
+        return None if is_plain and not self._is_scaled(item) else item
 
     def _is_scaled(self, item: Item) -> bool:
         return self.scale != 1.0 and item.is_float and item.constant is None
@@ -104,8 +115,16 @@ class Structure:
         """
         if len(packet) != self.size:
             raise ValueError(f"found {len(packet)} bytes; expected {self.size} for '{self.text}'")
-        row = np.frombuffer(packet, np.uint8)[None]
-        return {event: array[0] for event, array in self.decode_rows(row).items()}
+        values = {}
+        if self._is_plain:  # without the cost of `errstate`
+            for name, dtype, offset, count, _ in self._plan:
+                values[name] = np.frombuffer(packet, dtype, count, offset)
+            return values
+        with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN would warn
+            for name, dtype, offset, count, item in self._plan:
+                numbers = np.frombuffer(packet, dtype, count, offset)
+                values[name] = self._finished(item, numbers) if item else numbers
+        return values
 
     def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
         """Decodes many packets at once; every array has one more axis at the front.
