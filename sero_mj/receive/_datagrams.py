@@ -239,7 +239,7 @@ class Datagrams:
 
     def _arrivals(self, count: int) -> Array:
         """When the kernel got the packets, on the monotonic clock."""
-        now, wall = time.monotonic_ns(), time.time_ns()
+        now, wall = _both_clocks()
         stamps = self._stamps[:count]
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
             return np.full(count, now * 1e-9)
@@ -269,6 +269,15 @@ class Datagrams:
                 self.on_arrival(self._rows[i].data, int(self._lengths[i]), packed)
             self._senders[i] = np.frombuffer(packed, np.uint8)
         return BATCH - first
+
+
+def _both_clocks() -> tuple[int, int]:
+    """The monotonic and the wall clock at one moment, ns; nothing has run in between."""
+    for _ in range(4):
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < 20_000:
+            break  # else another thread had the processor, and the two would be apart
+    return before, wall
 
 
 def pack_address(host: str, port: int) -> bytes:
