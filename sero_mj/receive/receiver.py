@@ -184,6 +184,11 @@ class Receiver(Declaration):
         return ""
 
     @property
+    def error(self) -> Exception | None:
+        """Why it cannot go on, where it has failed since it was opened; else None."""
+        return None
+
+    @property
     def receiving(self) -> bool:
         """Whether a good packet came within the last half second."""
         last = self._last

@@ -154,6 +154,10 @@ class Source(Protocol):
         """Why no packets arrive, as shown to the user; empty when unknown."""
 
     @property
+    def error(self) -> Exception | None:
+        """Why it cannot go on, where it has failed since it was opened; else None."""
+
+    @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
         """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
 

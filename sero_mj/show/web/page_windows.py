@@ -12,8 +12,8 @@ from ...assemble.world_view import WorldView
 from ...decor.pen import MAX_GEOMS
 from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
-from ...receive.receiver import Receiver
 from ...receive.report import describe, report
+from ...receive.source import Source
 from ..clock import SPEEDS, Clock, time_text
 from ..notice import Notice
 from ..status_line import Mood, clock_text, source_text
@@ -191,11 +191,8 @@ class PageWindows(plugin.ViewerPlugin):
         if not host.mirror.sources:
             tell("none: the scene stands as it is declared", "quiet")
         for source in host.mirror.sources.values():
-            if not isinstance(source, Receiver):
-                continue
-            error = getattr(source, "error", None)
-            if error is not None:
-                tell(f"{source.name}: {error}", "bad")
+            if source.error is not None:
+                tell(f"{source.name}: {source.error}", "bad")
                 continue
             found = self._report(source)
             tell(*source_text(found, is_live=source.is_live))
@@ -208,7 +205,7 @@ class PageWindows(plugin.ViewerPlugin):
                         imgui.SetItemTooltip(meaning)
                 imgui.TreePop()
 
-    def _report(self, source: Receiver) -> dict[str, Any]:
+    def _report(self, source: Source) -> dict[str, Any]:
         """What came in, a few times a second: what changes in every frame nobody can read."""
         now = time.monotonic()
         when, found = self._reports.get(source.name, (float("-inf"), {}))
