@@ -94,17 +94,10 @@ class Replay(Receiver):
     def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data:
             return source
-        file, name = info.data["file"], str(info.data.get("name"))
-        with Recording(file) as recording:
-            recorded = recording.sources
-        if source and source not in recorded:
-            raise ValueError(f"no source '{source}' in {file}{did_you_mean(source, recorded)}")
-        if not source and name not in recorded and len(recorded) != 1:
-            found = f"has {', '.join(recorded)}; choose one" if recorded else "has no source"
-            raise ValueError(f"{file} {found}")
-        chosen = source or (name if name in recorded else next(iter(recorded)))
+        with Recording(info.data["file"]) as recording:
+            chosen = recording.choose_source(source, str(info.data.get("name")))
         try:
-            _receiver_of(file, recorded[chosen], chosen)
+            _receiver_of(recording.path, recording.sources[chosen], chosen)
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return chosen
