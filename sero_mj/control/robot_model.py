@@ -246,20 +246,23 @@ class RobotModel:
         self._link_diagonal -= self.motor_inertia
         return self._link_mass
 
-    def over_mass(self, rows: Array, out: Array) -> Array:
+    def over_mass(self, rows: Array) -> Array:
         """Rows A as A M^-1, for a sixth of what an inverse of M takes.
 
         Args:
             rows: A, (k, n).
-            out: (k, n), to be written.
+
+        Returns:
+            (k, n), a new array.
         """
         if not self._is_factored:
             if not self._has_mass:
                 mj_makeM(self._model, self._data)
             mj_factorM(self._model, self._data)
             self._is_factored = True
-        mj_solveM(self._model, self._data, out, rows)
-        return out
+        result: Array = np.empty(rows.shape)
+        mj_solveM(self._model, self._data, result, rows)
+        return result
 
     def jacobian(self) -> Array:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..record.write_csv import csv_table
 from .align import Pair
+from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -78,12 +79,10 @@ def unit_of(signal: str, joint_type: str) -> str:
 
 
 def _difference(joint: str, signal: str, unit: str, times: Array, values: Array) -> Difference:
-    known = np.isfinite(values)
-    if not known.any():
+    row = peak(values)
+    if row is None:
         return Difference(joint, signal, unit, np.nan, np.nan, np.nan)
-    row = int(np.nanargmax(np.abs(values)))
-    rms = float(np.sqrt(np.mean(values[known] ** 2)))
-    return Difference(joint, signal, unit, float(values[row]), float(times[row]), rms)
+    return Difference(joint, signal, unit, float(values[row]), float(times[row]), rms(values))
 
 
 def exceeded(

@@ -14,6 +14,7 @@ from ..runs.run_log import RunLog
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from ..simulate.simulation import Simulation
+from .reduction import rms
 
 # Of every robot, all in Nm but the share: of its worst joint, over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
@@ -92,7 +93,7 @@ def _of_robot(log: RunLog, robot: str, findings: int) -> dict[str, Any]:
     share = np.abs(log.of(robot, "commanded_torques")[rows]) / log.torque_limits(robot)
     values = (
         float(np.abs(error).max()),
-        float(np.sqrt(np.mean(error**2, axis=0)).max()),
+        max(rms(of_joint) for of_joint in error.T),
         float(share.max()),
         findings,
     )
