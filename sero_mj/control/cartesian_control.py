@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from ..declaration import numbers
+from .controller import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
 from .damping import design_damping, too_stiff, unstable_joint
-from .gains import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
 from .robot_model import RobotModel
 from .state import Sensed, Target
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _BLOCKED = 0.01
 _TINY = 1e-15  # what the pivots of its inverse are at least
 # Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
-_LEAST_STIFFNESS = 1.0
+_MIN_STIFFNESS = 1.0
 
 
 def _stiffness(value: Any) -> Any:
@@ -43,7 +43,7 @@ def _stiffness(value: Any) -> Any:
 
 
 class CartesianImpedance(ControllerDeclaration):
-    """The flange is drawn to the target's pose; what is left of the joints, to its posture.
+    """Springs and dampers pull the flange to a target pose, and the null space to a posture.
 
     Attributes:
         stiffness: six numbers, N/m along and Nm/rad about x, y and z, or a symmetric 6x6 matrix.
@@ -63,7 +63,7 @@ class CartesianImpedance(ControllerDeclaration):
     damping_every: float = Field(0.1, gt=0, le=1)
 
     def make(self, model: RobotModel, timestep: float) -> CartesianImpedanceController:
-        """The controller at work."""
+        """The controller, without torque limits."""
         return CartesianImpedanceController(
             model,
             self.stiffness,
@@ -255,7 +255,7 @@ class CartesianImpedanceController:
         felt = np.linalg.inv(mobility + self._singular)
         symmetric = 0.5 * (felt + felt.T)
         self.damping[:] = design_damping(symmetric, self._in_world(pose), self._ratio)
-        stiffness = np.maximum(self._null_stiffness, _LEAST_STIFFNESS)
+        stiffness = np.maximum(self._null_stiffness, _MIN_STIFFNESS)
         inertia = np.diagonal(self.model.mass())
         self._null_damping[:] = 2.0 * self._null_ratio * np.sqrt(inertia * stiffness)
 

@@ -30,17 +30,17 @@ FAULT = "#8E3B8A"
 
 A4_WIDTH = 190.0  # mm, within its margins
 _A4_HEIGHT = 265.0
-_ROW, _LEAST_ROW = 27.0, 14.0  # mm
+_ROW, _MIN_ROW = 27.0, 14.0  # mm
 _HEAD, _FOOT = 12.0, 20.0  # mm, of the title and the legend; of headings and the time axis
 _NAMES = 27.0  # mm, left of the panels
 _TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans stand beneath the title
 _MM = 1.0 / 25.4  # inch
-_LEAST_MM = 60.0, 40.0
-_MOST_MM = 2000.0, 20000.0
+_MIN_MM = 60.0, 40.0
+_MAX_MM = 2000.0, 20000.0
 _DPI = 300
 _POINTS = 1500  # bins of an envelope, more than a panel has printed dots
 # A panel shows this share of the joint's limit at least, so that noise does not look like torque.
-LEAST_SHARE = 0.01
+MIN_SHARE = 0.01
 
 _STYLE: Any = {
     "font.family": ["DejaVu Sans"],
@@ -75,7 +75,7 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Span:
-    """Something that happens for a while, shown as a band behind the panels.
+    """An event of a run, shown as a band behind the panels.
 
     Attributes:
         name: what.
@@ -142,10 +142,10 @@ class Figure:
     ) -> None:
         from matplotlib import figure as matplotlib_figure
 
-        row = float(np.clip((_A4_HEIGHT - _HEAD - _FOOT) / len(rows), _LEAST_ROW, _ROW))
+        row = float(np.clip((_A4_HEIGHT - _HEAD - _FOOT) / len(rows), _MIN_ROW, _ROW))
         width, height = size_mm or (A4_WIDTH, _HEAD + _FOOT + row * len(rows))
         for value, least, most, what in (
-            (width, _LEAST_MM[0], _MOST_MM[0], "wide"), (height, _LEAST_MM[1], _MOST_MM[1], "high"),
+            (width, _MIN_MM[0], _MAX_MM[0], "wide"), (height, _MIN_MM[1], _MAX_MM[1], "high"),
         ):  # fmt: skip
             if not least <= value <= most:
                 expected = f"expected {least:g} mm to {most:g} mm"
@@ -181,11 +181,26 @@ class Figure:
                        color=GREY, linespacing=1.25)  # fmt: skip
 
     def line(self, panel: Axes, times: Array, values: Array, label: str, **look: Any) -> None:
-        """Draws values (T,) over time; of many rows their smallest and largest."""
+        """Draws values over time; of many rows their smallest and largest.
+
+        Args:
+            panel: which one.
+            times: (T,), s.
+            values: (T,), NaN where nothing is known.
+            label: of the line.
+            **look: matplotlib's properties of a line.
+        """
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
     def signed_area(self, panel: Axes, times: Array, values: Array, label: str) -> None:
-        """Draws a difference: orange above zero, blue below, as the arrows are."""
+        """Draws a difference: orange above zero, blue below, as the arrows are.
+
+        Args:
+            panel: which one.
+            times: (T,), s.
+            values: (T,), NaN where nothing is known.
+            label: of the line.
+        """
         at, shown = envelope(times, values, _POINTS)
         for colour, side in ((ORANGE, np.maximum(shown, 0.0)), (BLUE, np.minimum(shown, 0.0))):
             panel.fill_between(at, side, 0.0, color=colour, alpha=0.45, linewidth=0.0)
@@ -230,7 +245,7 @@ class Figure:
                    fontsize=5.5, color=GREY)  # fmt: skip
 
     def spans(self, spans: Sequence[Span]) -> None:
-        """Shows what happened behind all panels, with names above the first row."""
+        """Draws events as bands behind all panels, with names above the first row."""
         begin, end = self.axes[0][0].get_xlim()
         shown = [span for span in spans if span.begin < end
                  and (span.end is None or span.end > begin)]  # fmt: skip

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError, did_you_mean
-from ..runs.run_log import RunLog
-from ..runs.torques import compared_signal, torque_error
+from ..runs.run_log import RunLog, compared_signal, torque_error
 from .figure import (
     BLUE,
     FAULT,
     GREY,
     INK,
-    LEAST_SHARE,
+    MIN_SHARE,
     ORANGE,
     Figure,
     Span,
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _IN_VIEW = 0.6  # share of its limit from which on a torque is shown together with it
-_LEAST_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
+_MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
 _MARKERS = {
     "torque_error": "v",
     "external_torque": "D",
@@ -221,15 +220,15 @@ def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) 
                  and (side * known).max() >= _IN_VIEW * limit]  # fmt: skip
         for bound in shown:
             panel.axhline(bound, color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="limit")
-    figure.fit(panel, curves, least=LEAST_SHARE * limit, floor=_LEAST_TORQUE, also=shown)
+    figure.fit(panel, curves, least=MIN_SHARE * limit, floor=_MIN_TORQUE, also=shown)
 
 
 def _draw_error(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) -> None:
     error = torque_error(log, robot)[:, k]
     figure.signed_area(panel, log.times, error, "torque_error")
     limit = float(log.torque_limits(robot)[k])
-    least = 0.5 * LEAST_SHARE * limit
-    if figure.fit(panel, [error], least=least, floor=_LEAST_TORQUE, also=[0.0]):
+    least = 0.5 * MIN_SHARE * limit
+    if figure.fit(panel, [error], least=least, floor=_MIN_TORQUE, also=[0.0]):
         row = peak(error)
         assert row is not None  # `fit` has found something
         text = f"peak {error[row]:+.3g}".replace("-", "−")

@@ -13,7 +13,7 @@ from ..errors import UsageError, did_you_mean
 from ..runs.run_log import RunLog
 from .align import Pair, align
 from .compare import unit_of
-from .figure import BLUE, LEAST_SHARE, ORANGE, Figure, check_suffix, styled
+from .figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, styled
 from .reduction import peak, rms
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_LEAST_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
-_LEAST_ANGLE = 0.02  # deg or mm
+_MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
+_MIN_ANGLE = 0.02  # deg or mm
 
 
 def plot_comparison(
@@ -35,7 +35,21 @@ def plot_comparison(
     joints: Sequence[str] | None = None,
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws two runs of a robot: `align`, then `plot_pair`; arguments and errors are theirs."""
+    """Aligns two runs of a robot and draws them.
+
+    Args:
+        a: a run.
+        b: another one.
+        path: where to: .png (300 dpi), .pdf or .svg.
+        robot: see `align`.
+        offset: s, added to the times of `b`, or `auto`; see `align`.
+        joints: their names; all when None.
+        size_mm: width and height; the width of A4 when None.
+
+    Raises:
+        RenderError: the file cannot be written.
+        UsageError: see `align` and `plot_pair`.
+    """
     check_suffix(path)
     plot_pair(align(a, b, robot, offset), path, joints=joints, size_mm=size_mm)
 
@@ -118,9 +132,9 @@ def _about(pair: Pair) -> str:
 def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:
     """How much a panel shows at least, and that without limits."""
     if signal == "joint_angles":
-        return np.inf, _LEAST_ANGLE
+        return np.inf, _MIN_ANGLE
     limits = pair.robot.torque_limits
-    return (np.inf if limits is None else LEAST_SHARE * float(limits[k])), _LEAST_TORQUE
+    return (np.inf if limits is None else MIN_SHARE * float(limits[k])), _MIN_TORQUE
 
 
 def _draw_both(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> None:

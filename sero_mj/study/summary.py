@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runs.run_log import RunLog
-from ..runs.torques import torque_error
+from ..runs.run_log import RunLog, torque_error
 from .compare import shown_as, unit_of
 from .reduction import peak, rms
 
@@ -109,7 +108,7 @@ def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
 
 
 def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
-    """For the terminal; angles in degrees. Columns of which nothing is known are left out."""
+    """A table for the terminal; angles in degrees. Empty columns are left out."""
     from rich import box
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""One variant of a sweep: what came of it, in a few numbers."""
+"""Runs one variant of a sweep."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "find
 
 
 def outcome_columns(scenario: Scenario) -> list[str]:
-    """Names of what is known of a variant, in the order in which a table has them.
+    """Columns of the results of a variant.
 
     `held`: whether all that is expected did and nothing stopped the run. `error`: what stopped it.
     `ended`: s of simulated time. For every expectation whether it held and the value found;
@@ -36,7 +36,7 @@ def outcome_columns(scenario: Scenario) -> list[str]:
 
 
 class VariantRunner:
-    """Runs variants of one scenario, one after the other; keeps nothing of them.
+    """Runs variants of one scenario, one after the other, and keeps no logs.
 
     Args:
         file: the scenario's.
