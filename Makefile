@@ -1,12 +1,14 @@
 # make demo   a film and a picture of an LWR mirrored from UDP packets, under out/
 # make test   the tests
+# make quick  those of logic: without windows, browsers, films and what else is slow
 # make lint   style and types
+# make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
 # make wheel  dist/*.whl, with models and scenes inside
 
 BIN := .venv/bin
 
-.PHONY: demo test lint bench wheel clean
+.PHONY: demo test quick lint docs bench wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -15,12 +17,18 @@ demo: .venv/.run
 	@$(BIN)/sero-mj demo --out out
 
 test: .venv/.test
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n auto --dist loadgroup $(PYTEST)
+
+quick: .venv/.test
+	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"
 
 lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: .venv/.test
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs out/docs
 
 bench: .venv/.test
 	$(BIN)/python benchmarks/run.py

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sero_mj.show.headless.gl import choose_backend
+from sero_mj.show.headless.backend import choose_backend
 
 choose_backend()
 
@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, ShmReader, UdpReceiver
-from sero_mj.drive.mirror import load_scene
+from sero_mj.load import load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout, no_command
 from sero_mj.receive.receiver import Receiver

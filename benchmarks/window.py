@@ -25,8 +25,8 @@ FRAMES = 200
 _FIRST = """
 import os, time
 os.environ["MUJOCO_GL"] = "glfw"
-from sero_mj.cli.arguments import read_scene_or_model
-scene = read_scene_or_model("lwr_udp")
+from sero_mj.load import load_scene
+scene = load_scene("lwr_udp")
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.window.host import Window
 with Mirror(scene) as mirror, Window(mirror, size=(1280, 800)) as window:

@@ -35,24 +35,24 @@ if TYPE_CHECKING:
     from .assemble.objects import Object as Object
     from .assemble.robot import SerialRobot as SerialRobot
     from .assemble.scene import Scene as Scene
-    from .assemble.scene_toggles import SceneToggles as SceneToggles
+    from .assemble.scene import SceneToggles as SceneToggles
     from .assemble.world import World as World
     from .drive.mirror import Mirror as Mirror
-    from .drive.mirror import load_scene as load_scene
     from .drive.place import Placer as Placer
     from .drive.record_sources import record_sources as record_sources
     from .environment.make import make_environment as make_environment
     from .errors import DeclarationError as DeclarationError
     from .errors import SeroError as SeroError
     from .errors import SimulationError as SimulationError
+    from .load import load_scene as load_scene
     from .receive.fri import FriReceiver as FriReceiver
     from .receive.shm import ShmReader as ShmReader
     from .receive.structure import Structure as Structure
     from .receive.udp import UdpReceiver as UdpReceiver
     from .record.recording import Recording as Recording
     from .record.replay import Replay as Replay
-    from .show.headless.capture import render_film as render_film
-    from .show.headless.capture import render_picture as render_picture
+    from .show.headless.render import render_film as render_film
+    from .show.headless.render import render_picture as render_picture
     from .show.headless.renderer import HeadlessRenderer as HeadlessRenderer
     from .show.overlay import Overlay as Overlay
     from .show.overlay import overlay as overlay
@@ -65,8 +65,8 @@ if TYPE_CHECKING:
     from .simulate.sensors import Sensors as Sensors
     from .simulate.simulation import Simulation as Simulation
 
-from .show.display import has_display as _has_display
-from .show.headless.gl import choose_backend as _choose_backend
+from .show.headless.backend import choose_backend as _choose_backend
+from .show.headless.backend import has_display as _has_display
 
 if not _has_display():
     _choose_backend()
@@ -85,10 +85,10 @@ _HOME = {
     "Light": "assemble.looks",
     "Scene": "assemble.scene",
     "View": "assemble.looks",
-    "SceneToggles": "assemble.scene_toggles",
+    "SceneToggles": "assemble.scene",
     "World": "assemble.world",
     "Mirror": "drive.mirror",
-    "load_scene": "drive.mirror",
+    "load_scene": "load",
     "Placer": "drive.place",
     "record_sources": "drive.record_sources",
     "make_environment": "environment.make",
@@ -107,8 +107,8 @@ _HOME = {
     "Simulation": "simulate.simulation",
     "SensorErrors": "simulate.sensors",
     "Sensors": "simulate.sensors",
-    "render_film": "show.headless.capture",
-    "render_picture": "show.headless.capture",
+    "render_film": "show.headless.render",
+    "render_picture": "show.headless.render",
     "HeadlessRenderer": "show.headless.renderer",
     "Overlay": "show.overlay",
     "overlay": "show.overlay",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, TypeVar
 
 from .errors import DeclarationError, Problem, did_you_mean
@@ -13,23 +13,30 @@ T = TypeVar("T")
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
     """Builds the declaration that a table's `kind` names; one of class `base` is one already.
 
+    Args:
+        table: as a file has it.
+        kinds: name to class; each has a field `kind`.
+        base: of all of these classes.
+
     Raises:
         DeclarationError: there is no such kind, or fields are wrong.
     """
-    if isinstance(table, base):
-        return table
+    return table if isinstance(table, base) else kinds[kind_of(table, kinds)](**table)
+
+
+def kind_of(table: Any, kinds: Collection[str]) -> str:
+    """The `kind` that a table names.
+
+    Raises:
+        DeclarationError: it is no table, or there is no such kind.
+    """
     if not isinstance(table, Mapping):
         raise DeclarationError([Problem("", f"found {table!r}; expected a table with `kind`")])
-    fields = dict(table)
-    kind = fields.get("kind")
+    kind = table.get("kind")
+    if isinstance(kind, str) and kind in kinds:
+        return kind
     if kind is None:
-        raise DeclarationError([Problem("kind", f"is required; expected {_listed(kinds)}")])
-    if not isinstance(kind, str) or kind not in kinds:
-        near = did_you_mean(str(kind), kinds)
-        raise DeclarationError([Problem("kind", f"no kind {kind!r}{near}")])
-    return kinds[kind](**fields)
-
-
-def _listed(kinds: Mapping[str, Any]) -> str:
-    names = [repr(kind) for kind in kinds]
-    return f"{', '.join(names[:-1])} or {names[-1]}"
+        *others, last = map(repr, kinds)
+        message = f"is required; expected {', '.join(others)} or {last}"
+        raise DeclarationError([Problem("kind", message)])
+    raise DeclarationError([Problem("kind", f"no kind {kind!r}{did_you_mean(str(kind), kinds)}")])

@@ -12,6 +12,7 @@ A package adds a kind in its pyproject.toml, and no line of sero-mj changes:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -59,7 +60,12 @@ def plugin_name(group: str, item: type) -> str:
         UnknownName: it is none.
     """
     value = f"{item.__module__}:{item.__qualname__}"
-    for name, point in plugins(group).items():
+    found = plugins(group)
+    for name, point in found.items():
         if point.value == value:
             return name
+    for name, point in found.items():  # its package may export it from another module
+        with suppress(Exception):
+            if not is_own(point) and point.load() is item:
+                return name
     raise UnknownName(f"entry point in {group}", value, [p.value for p in plugins(group).values()])

@@ -1,8 +1,12 @@
-"""Chooses the OpenGL backend before anything imports mujoco, and holds what tests share."""
+"""Chooses the OpenGL backend before anything imports mujoco, and holds what tests share.
+
+`--no-skips` (in `.ci/run`) makes a failure of a test that is skipped because a tool is missing.
+`--hypothesis-profile=thorough` (likewise) runs all examples of property tests; else a quarter.
+"""
 
 from __future__ import annotations
 
-from sero_mj.show.headless.gl import choose_backend
+from sero_mj.show.headless.backend import choose_backend
 
 choose_backend()
 
@@ -11,12 +15,49 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 
+settings.register_profile("quarter", max_examples=25)
+settings.register_profile("thorough", max_examples=100)
+settings.load_profile("quarter")
+
+# Screens, browsers and films take both cores: with several workers these run on one of them.
+# What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
+_MAY_BE_SKIPPED = ("dm-control is not installed", "by hand", "Linux")
+_ON_ONE_WORKER = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_docs")
+
 ROOT = Path(__file__).resolve().parent.parent
+
+
+def examples(thorough: int) -> int:
+    """How many examples a property test has, of those in a thorough run."""
+    return max(thorough * settings().max_examples // 100, 5)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--no-skips", action="store_true", help="a skipped test has failed")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.name.startswith(_ON_ONE_WORKER):
+            item.add_marker(pytest.mark.live)
+            item.add_marker(pytest.mark.xdist_group("screen"))
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    outcome: Any = yield
+    report = outcome.get_result()
+    if report.skipped and item.config.getoption("--no-skips"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        if not any(allowed in str(reason) for allowed in _MAY_BE_SKIPPED):
+            report.outcome = "failed"
+            report.longrepr = f"{item.nodeid} was skipped, and may not be here: {reason}"
 
 
 @pytest.fixture(scope="session")

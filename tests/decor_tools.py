@@ -12,8 +12,8 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind, Pen
+from sero_mj.decor.picture_view import PictureView
 from sero_mj.decor.toggles import Toggles
-from sero_mj.decor.view import View
 
 GEOM = mujoco.mjtGeom
 
@@ -25,11 +25,11 @@ def world_of(**fields: Any) -> World:
 
 def view_at(
     azimuth: float = 0.7, distance: float = 2.5, width: int = 1280, height: int = 800
-) -> View:
+) -> PictureView:
     """A level look at the middle of a standing LWR."""
     forward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.array([0.0, 0.0, 1.0])
-    return View(
+    return PictureView(
         position=np.array([0.0, 0.0, 0.6]) - distance * forward,
         right=np.cross(forward, up),
         up=up,
@@ -48,7 +48,7 @@ def toggles_of(world: World) -> Toggles:
     return toggles
 
 
-def drawn(world: World, view: View | None = None, **shown: bool) -> Any:
+def drawn(world: World, view: PictureView | None = None, **shown: bool) -> Any:
     """The rows that decor draws for a world as declared, features set by name."""
     data = world.make_data()
     toggles = toggles_of(world)
@@ -68,7 +68,7 @@ def labels(rows: Any) -> list[str]:
     return [row["label"].decode() for row in of_kind(rows, GEOM.mjGEOM_LABEL)]
 
 
-def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> View:
+def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> PictureView:
     """A view from one point to another; not for straight up or down."""
     position = np.array(position, float)
     forward = np.array(at, float) - position
@@ -77,7 +77,7 @@ def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> View:
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     tan = float(np.tan(np.deg2rad(22.5)))
-    return View(position, right, up, forward, tan, 0.02, width, height)
+    return PictureView(position, right, up, forward, tan, 0.02, width, height)
 
 
 def turned(axis: Any, angle: float) -> Any:
@@ -102,14 +102,14 @@ def belonging(pen: Pen, kind: Kind, item: int | None = None) -> Any:
     return pen.rows[: pen.count][these]
 
 
-def rectangle(view: View, row: Any) -> tuple[Any, Any]:
+def rectangle(view: PictureView, row: Any) -> tuple[Any, Any]:
     """Lower left and upper right pixel of a panel."""
     half = row["mat"][:, :2] @ row["size"][:2]
     corners, _ = view.project(np.array([row["pos"] - half, row["pos"] + half], float))
     return corners[0], corners[1]
 
 
-def texts_in(view: View, rows: Any, panel: Any) -> list[str]:
+def texts_in(view: PictureView, rows: Any, panel: Any) -> list[str]:
     """What is written on one panel, top first."""
     low, high = rectangle(view, panel)
     found = []

@@ -10,8 +10,8 @@ from sero_mj.assemble.world import World
 NOTHING_YET = {
     "age": -1,
     "fault_age": -1,
-    "state": -1,
-    "quality": -1,
+    "robot_state": -1,
+    "link_quality": -1,
     "link_age": -1,
     "foreign_age": -1,
 }

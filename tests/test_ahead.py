@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from sero_mj.drive.mirror import load_scene
+from sero_mj.load import load_scene
 from sero_mj.receive.structure import Structure
-from sero_mj.send.ahead import Ahead
+from sero_mj.send.packet_buffer import PacketBuffer
 from sero_mj.send.play import MotionPackets
 from sero_mj.send.sender import paced, send
 
@@ -33,12 +33,12 @@ class Kept:
 
 
 def test_up_to_a_kilohertz_every_packet_is_the_computed_one() -> None:
-    ahead = Ahead(parabola, PARABOLA, rate=1000)
+    ahead = PacketBuffer(parabola, PARABOLA, rate=1000)
     assert [ahead.at(k / 1000) for k in range(50)] == [parabola(k / 1000) for k in range(50)]
 
 
 def test_above_it_numbers_lie_on_lines_between_computed_ones() -> None:
-    ahead = Ahead(parabola, PARABOLA, rate=4000)
+    ahead = PacketBuffer(parabola, PARABOLA, rate=4000)
     packets = [PARABOLA.decode(ahead.at(k / 4000)) for k in range(9)]
     np.testing.assert_allclose(
         [p["at"][0] for p in packets], np.interp(np.arange(9) / 4, [0, 1, 2], [0, 1e-6, 4e-6])
@@ -49,8 +49,9 @@ def test_above_it_numbers_lie_on_lines_between_computed_ones() -> None:
     assert {p["tag"][0] for p in packets} == {7.0}
 
 
+@pytest.mark.slow
 def test_packets_are_numbered_and_stamped_and_counters_wrap() -> None:
-    ahead = Ahead(parabola, PARABOLA, rate=100, sequence="n", time="t", time_scale=1e-6)
+    ahead = PacketBuffer(parabola, PARABOLA, rate=100, sequence="n", time="t", time_scale=1e-6)
     packets = [PARABOLA.decode(ahead.at(k / 100)) for k in range(65_540)]
     assert [p["n"][0] for p in packets[:3]] == [1, 2, 3]
     assert [p["n"][0] for p in packets[65_533:65_537]] == [65_534, 65_535, 0, 1]
@@ -58,7 +59,7 @@ def test_packets_are_numbered_and_stamped_and_counters_wrap() -> None:
 
 
 def test_packets_that_are_skipped_are_skipped() -> None:
-    ahead = Ahead(parabola, PARABOLA, rate=1000)
+    ahead = PacketBuffer(parabola, PARABOLA, rate=1000)
     assert ahead.at(0.2) == parabola(0.2)
     assert ahead.at(0.2) == parabola(0.2)
     assert ahead.at(0.7) == parabola(0.7)
@@ -72,7 +73,7 @@ def test_idle_time_is_used_but_no_more_than_there_is() -> None:
         time.sleep(0.002)
         return parabola(t)
 
-    ahead = Ahead(slow, PARABOLA, rate=1000)
+    ahead = PacketBuffer(slow, PARABOLA, rate=1000)
     ahead.at(0.0)
     assert not ahead.idle(0.001)
     assert ahead.idle(0.1)
@@ -86,7 +87,7 @@ def test_idle_time_is_used_but_no_more_than_there_is() -> None:
 def test_an_lwr_is_played_at_an_exact_rate(rate: int) -> None:
     packets = MotionPackets(load_scene("lwr_udp"))
     for _ in range(3):  # a busy machine may stall one run
-        ahead, kept = Ahead(packets.at, packets.structure, rate=rate), Kept()
+        ahead, kept = PacketBuffer(packets.at, packets.structure, rate=rate), Kept()
         report = send(paced(ahead.at, rate, 0.5), kept, idle=ahead.idle)
         assert len(set(kept.packets)) == report.packets == rate // 2
         late = np.array(kept.times) - kept.times[0] - np.arange(rate // 2) / rate

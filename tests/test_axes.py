@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import belonging, drawn, look, rigid, toggles_of, turned, view_at, world_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -115,7 +116,7 @@ def test_between_one_place_and_two_the_sizes_change_gradually(distance, shared) 
     assert sizes(pen, 1)[1] == pytest.approx(0.0044 * (1 + 0.35 * shared), rel=1e-3)
 
 
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 @given(seed=st.integers(0, 2**31), count=st.integers(1, 12), step=st.floats(0, 1e-3))
 def test_ranks_change_little_when_frames_move_little(seed: int, count: int, step: float) -> None:
     rng = np.random.default_rng(seed)

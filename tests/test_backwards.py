@@ -13,13 +13,13 @@ from sero_mj.assemble.double import Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.drive._router import Router
 from sero_mj.drive.place import Placer
 from sero_mj.drive.route import wire
-from sero_mj.drive.router import Router
 from sero_mj.errors import UsageError
-from sero_mj.receive.checks import are_frames
+from sero_mj.receive._checks import are_frames
 from sero_mj.receive.source import Packet
-from sero_mj.send.motion import InverseDynamics, SineMotion
+from sero_mj.send._motion import InverseDynamics, SineMotion
 from sero_mj.send.play import LEAD, MotionPackets
 
 Array = NDArray[np.float64]

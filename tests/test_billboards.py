@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import GEOM, drawn, labels, of_kind, rectangle, view_at, world_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,17 +12,17 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.picture_view import PictureView
 from sero_mj.decor.quantities import joint_values
 from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.decor.toggles import Toggles
-from sero_mj.decor.view import View
 from sero_mj.drive.place import Placer, follow
 from sero_mj.errors import UnknownName
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
 
 
-def text_boxes(view: View, rows) -> list[tuple[np.ndarray, np.ndarray]]:
+def text_boxes(view: PictureView, rows) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pixel rectangle of every label, from its position and the font's widths."""
     boxes = []
     for row in of_kind(rows, GEOM.mjGEOM_LABEL):
@@ -83,7 +84,7 @@ def test_a_prismatic_joint_shows_newton_and_metres() -> None:
         assert labels(rows) == [text]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     seed=st.integers(0, 2**31),
     size=st.sampled_from([(1280, 800), (640, 480), (3840, 2160), (901, 333)]),
@@ -154,7 +155,9 @@ def test_a_leader_runs_from_its_panel_to_its_joint(billboard_world) -> None:
 
 def test_a_joint_out_of_the_picture_has_no_billboard(billboard_world) -> None:
     behind = view_at()
-    turned = View(behind.position, -behind.right, behind.up, -behind.forward, 0.4, 0.02, 1280, 800)
+    turned = PictureView(
+        behind.position, -behind.right, behind.up, -behind.forward, 0.4, 0.02, 1280, 800
+    )
     assert len(drawn(billboard_world, turned)) == 0
 
 

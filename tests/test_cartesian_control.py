@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ def target_at(model: RobotModel, angles: Array) -> Target:
     return target
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(seeds, st.sampled_from(["world", "flange"]))
 def test_the_wrench_is_minus_the_slope_of_the_energy(seed: int, axes: str) -> None:
     rng = np.random.default_rng(seed)
@@ -65,7 +66,7 @@ def test_the_wrench_is_minus_the_slope_of_the_energy(seed: int, axes: str) -> No
     np.testing.assert_allclose(torques, -np.array(slope), atol=1e-3, rtol=1e-5)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(seeds, st.sampled_from(["world", "flange"]), st.booleans())
 def test_at_rest_torques_are_those_of_the_wrench(seed: int, axes: str, coupled: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -108,7 +109,7 @@ def total_energy(loop: Loop, control: CartesianImpedanceController, pose: Array)
     return float(0.5 * dq @ loop.robot.mass() @ dq) + control.energy(pose)
 
 
-@settings(deadline=None, max_examples=6)
+@settings(deadline=None, max_examples=examples(6))
 @given(seeds, st.floats(0, 1.5), st.sampled_from(["world", "flange"]))
 def test_without_null_space_spring_it_never_makes_energy(
     seed: int, ratio: float, axes: str
@@ -205,7 +206,7 @@ def test_the_null_space_moves_the_elbow_and_leaves_the_flange() -> None:
     assert spun < 5e-3
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=examples(20))
 @given(seeds)
 def test_null_space_torques_do_not_accelerate_the_flange(seed: int) -> None:
     rng = np.random.default_rng(seed)

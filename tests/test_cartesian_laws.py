@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ def start_pose() -> Array:
     return MODEL.flange()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(st.lists(st.tuples(places, angles), min_size=2, max_size=4))
 def test_it_is_at_every_pose_at_its_time_and_twists_are_slopes(
     rows: list[tuple[tuple[float, ...], tuple[float, ...]]],

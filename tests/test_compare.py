@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import record_run, simulated, sine_run, two_joints
@@ -24,7 +25,7 @@ def shifted(log: RunLog, **signals: float) -> RunLog:
     return RunLog(log.robots, changed, log.times, "other")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     delay=st.floats(-1.2, 1.2),
     start=st.floats(-50.0, 50.0),
@@ -298,7 +299,7 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
 def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
     from PIL import Image
 
-    from sero_mj.show.headless.capture import render_picture
+    from sero_mj.show.headless.render import render_picture
 
     log = simulated().log
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,7 +71,7 @@ def test_a_part_of_a_recording(tmp_path: Path) -> None:
     assert columns["values0[0]"].tolist() == [8.0, 9.0, 10.0, 11.0]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(rows=st.lists(st.tuples(st.floats(), st.floats()), min_size=1, max_size=20))
 def test_numbers_are_read_back_as_they_were(
     tmp_path_factory: pytest.TempPathFactory, rows: list[tuple[float, float]]

@@ -14,8 +14,8 @@ from recordings import record
 
 from sero_mj import Mirror
 from sero_mj.cli import main
-from sero_mj.drive.mirror import load_scene
 from sero_mj.errors import SourceError
+from sero_mj.load import load_scene
 from sero_mj.receive.structure import Structure
 from sero_mj.record.recording import Recording
 

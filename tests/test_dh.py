@@ -10,6 +10,7 @@ from math import cos, pi, sin
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -120,7 +121,7 @@ def body_poses(data, bodies):
     convention=st.sampled_from(CONVENTIONS),
     joints=st.lists(st.tuples(ROWS, st.booleans(), ANGLES), min_size=1, max_size=8),
 )
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 def test_numpy_frames_equal_products_of_elementary_matrices(convention, joints):
     rows, revolute, q = zip(*joints, strict=True)
     table = DhTable.from_rows(rows, convention, revolute=revolute)
@@ -130,7 +131,7 @@ def test_numpy_frames_equal_products_of_elementary_matrices(convention, joints):
 
 
 @given(robots())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_numpy_frames_equal_those_of_the_compiled_model(case):
     robot, q = case
     world, data = compiled(robot, q)
@@ -143,7 +144,7 @@ def test_numpy_frames_equal_those_of_the_compiled_model(case):
 
 
 @given(robots(max_joints=12))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_jacobian_and_joint_axes_equal_those_of_the_compiled_model(case):
     robot, q = case
     world, data = compiled(robot, q)
@@ -161,7 +162,7 @@ def test_jacobian_and_joint_axes_equal_those_of_the_compiled_model(case):
 
 
 @given(robots(max_joints=10))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_jacobian_equals_finite_differences(case):
     robot, q = case
     n, step = robot.n, 1e-6
@@ -180,7 +181,7 @@ def test_jacobian_equals_finite_differences(case):
 @given(
     joints=st.lists(st.tuples(ROWS, st.booleans(), ANGLES), min_size=1, max_size=6),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_standard_table_equals_modified_table_with_its_links_shifted_by_one(joints):
     rows, revolute, q = zip(*joints, strict=True)
     standard = np.array(rows)

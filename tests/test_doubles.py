@@ -14,9 +14,10 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.drive.place import Placer
 from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
 from sero_mj.send.play import LEAD, MotionPackets
 from sero_mj.show.camera import bounding_sphere
 from sero_mj.show.picking import pick

@@ -7,6 +7,7 @@ import re
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from newton_euler import inverse_dynamics
@@ -150,7 +151,7 @@ lengths = st.sampled_from([0.0, 0.001, 0.05, 0.4, 12.0])
 angles = st.sampled_from([0.0, 1.5707963267948966, -1.5707963267948966, 0.7, 3.0])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     rows=st.lists(st.tuples(angles, lengths, angles, lengths), min_size=1, max_size=5),
     convention=st.sampled_from(["craig", "standard"]),

@@ -27,6 +27,7 @@ structure = "2F"
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
 @pytest.mark.parametrize("command", ["status", "record"])
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])

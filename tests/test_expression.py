@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import ast
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from sero_mj.assemble.route_text import names_in
+from sero_mj.drive._expression import Value, constant, evaluate, numbers_of
+from sero_mj.drive._syntax import parse
+from sero_mj.drive._units import UNITS
 from sero_mj.drive.affine import Affine, Origin
-from sero_mj.drive.expression import Value, constant, evaluate, numbers_of
-from sero_mj.drive.syntax import parse
-from sero_mj.drive.units import UNITS
 from sero_mj.errors import RouteError
 
 Array = NDArray[np.float64]
@@ -38,7 +41,8 @@ DATA = {
 
 
 def value_of(text: str) -> Value:
-    return evaluate(parse(text)[1], text, NAMES)
+    expression = parse(text)
+    return evaluate(expression, {name: NAMES[name] for name in names_in(text)})
 
 
 def computed(text: str, data: dict[str, Array] = DATA) -> Array:
@@ -150,7 +154,7 @@ FOURS = st.recursive(
 ENTRIES = st.one_of(st.floats(-1e3, 1e3, allow_subnormal=False), st.just(np.nan))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(FOURS, arrays(np.float64, 4, elements=ENTRIES), arrays(np.float64, 4, elements=ENTRIES))
 def test_any_expression_means_what_it_means_to_numpy(text: str, one: Array, two: Array) -> None:
     data = {**DATA, "udp.values0": one, "my-udp.values0": two}
@@ -179,6 +183,28 @@ def test_any_words_have_a_meaning_or_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "text", ["udp.values0", "udp.values0[::-1] * 2 + 1", "udp.values0 - my-udp.values0[0]"]
+)
+def test_values_over_time_are_those_of_every_moment(text: str) -> None:
+    random = np.random.default_rng(2)
+    times = {origin: random.normal(size=(5, 4)) for origin in ORIGINS.values()}
+    affine = value_of(text).compile(4)
+    rows = [affine.evaluate(lambda o, k=k: times[o][k]) for k in range(5)]  # type: ignore[misc]
+    np.testing.assert_array_equal(affine.evaluate(times.__getitem__), rows)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["- " * 1900 + "udp.values0", " + ".join(["udp.values0"] * 1000), "udp.values0" + " * 1" * 900],
+)
+def test_long_expressions_are_compiled_quickly(text: str) -> None:
+    begin = time.process_time()
+    expected = DATA["udp.values0"] * (text.count("+") + 1)
+    np.testing.assert_allclose(computed(text), expected, rtol=1e-12)
+    assert time.process_time() - begin < 2.0
+
+
+@pytest.mark.parametrize(
     "text", ["udp.values0", "udp.values0[0:4]", "[udp.values0]", "1 * udp.values0"]
 )
 def test_what_changes_nothing_is_a_copy(text: str) -> None:
@@ -195,7 +221,7 @@ def test_pieces_of_one_event_are_one_term() -> None:
     affine = value_of("[udp.values0[3], 0, -udp.values0[1], udp.values0[0], 1]").compile(5)
     (term,) = affine.terms
     assert term.take.tolist() == [3, 1, 0]
-    assert term.times is not None and term.times.tolist() == [1.0, -1.0, 1.0]
+    assert term.times.tolist() == [1.0, -1.0, 1.0]
     assert affine.offset.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0]
 
 
@@ -268,7 +294,7 @@ def test_infinity_minus_infinity_is_quiet() -> None:
         ("-udp.matrices0", "character 1: found '-', expected no frames beside it"),
         ("[udp.matrices0]", "character 1: found '[', expected no frames beside it"),
         ("udp.matrices0[0][1]", "character 17: found '[', expected none: udp.matrices0[0] is a "
-         "frame and goes whole"),
+         "frame, which cannot be indexed"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_pointed_at(text: str, message: str) -> None:

@@ -15,8 +15,8 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene, View
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import RenderError
-from sero_mj.show.headless.capture import _states, render_film, render_picture
 from sero_mj.show.headless.film import FilmWriter, default_fps, save_picture
+from sero_mj.show.headless.render import _states, render_film, render_picture
 
 # The default view depends on where the scene declares the robot.
 VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])
@@ -164,6 +164,7 @@ def udp_scene(port: int) -> Scene:
     )
 
 
+@pytest.mark.slow
 def test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is() -> None:
     """The joint angle is the sender's clock: frames must be a tenth of a second apart."""
     sender_code = (

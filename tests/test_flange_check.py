@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import (
     GEOM,
     belonging,
@@ -18,8 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.scene_toggles import SceneToggles
+from sero_mj.assemble.scene import Scene, SceneToggles
 from sero_mj.assemble.world import World
 from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor
@@ -80,7 +80,7 @@ def bars_and_line(rows):
     return solid[:3], solid[3:]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(mm=st.floats(0, 500), deg=st.floats(0, 180), seed=st.integers(0, 2**31))
 def test_the_difference_is_that_of_the_displacement(
     world: World, mm: float, deg: float, seed: int

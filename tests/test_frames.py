@@ -7,6 +7,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -204,7 +205,7 @@ def test_wrong_frame_is_refused_with_what_was_found_and_what_is_right(value, tex
     )
 )
 @example([1e200, 1e200, 0, 0, -1e200, 1e200, 0, 0, 0, 0, 1e200, 0])
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_any_sixteen_numbers_are_a_rigid_frame_or_refused(twelve):
     try:
         T = read([*twelve, 0, 0, 0, 1])
@@ -218,7 +219,7 @@ def test_any_sixteen_numbers_are_a_rigid_frame_or_refused(twelve):
 
 @given(st.lists(st.floats(), min_size=4, max_size=4))
 @example([1e200, 0.0, 0.0, 0.0])
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_any_four_numbers_are_a_rotation_or_refused(quat):
     try:
         T = read({"quat": quat})

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from fri_packets import FORMAT, TABLE, UPRIGHT, give, measurement
 
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.load import load_scene
+from sero_mj.receive._sequence import SequenceTracker
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout
-from sero_mj.receive.kinds import make_source
-from sero_mj.receive.order import SequenceTracker
+from sero_mj.receive.source import make_source
 
 
 @pytest.fixture
@@ -112,7 +113,7 @@ def test_what_is_left_out_is_as_fri_has_it() -> None:
     assert source.about == "KUKA FRI 1.0 on UDP 127.0.0.1:49938, listens only"
     source.answer = True
     assert source.about.endswith("49938, answers, commands nothing")
-    with pytest.raises(DeclarationError, match=r"kind: found 'fir'; .*did you mean 'fri'"):
+    with pytest.raises(DeclarationError, match=r"kind: no kind 'fir'; did you mean 'fri'"):
         make_source("arm", {"kind": "fir"})
     with pytest.raises(UnknownName, match="did you mean 'tcp_force'"):
         source.allow_nan(["tpc_force"])

@@ -18,23 +18,22 @@ from polling import until
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.cli import main
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import SourceError, UsageError
+from sero_mj.load import load_scene
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import FriLayout, no_command
-from sero_mj.send.fri_answers import AnswerStatistics
-from sero_mj.send.fri_controller import Faults, FriController
-from sero_mj.send.fri_signals import FriSignals
+from sero_mj.send.fri_controller import AnswerStatistics, FriController, FriSignals, NetworkFaults
 from sero_mj.send.sender import UdpSink
 
 # A controller in a process of its own; it prints what it did when it has sent its packets.
 ROBOT = """
 import json, sys
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.send.fri_controller import Faults, FriController
+from sero_mj.send.fri_controller import NetworkFaults, FriController
 from sero_mj.send.sender import UdpSink
 options = json.loads(sys.argv[2])
-faults = Faults(**options.pop("faults", {}))
+faults = NetworkFaults(**options.pop("faults", {}))
 controller = FriController(SerialRobot.from_model("lwr"), faults=faults, **options)
 with UdpSink("127.0.0.1", int(sys.argv[1])) as sink:
     report = controller.run(sink, duration=float(sys.argv[3]))
@@ -190,7 +189,7 @@ def test_a_quality_can_be_told_whatever_is_answered(lwr: SerialRobot, name: str)
 
 def test_the_network_fails_the_same_way_for_one_seed() -> None:
     def outcome(**shares: Any) -> list[bytes]:
-        faults = Faults(**shares)
+        faults = NetworkFaults(**shares)
         return [out for k in range(500) for out in faults.pass_on(b"%d" % k)]
 
     assert outcome() == [b"%d" % k for k in range(500)]
@@ -202,6 +201,7 @@ def test_the_network_fails_the_same_way_for_one_seed() -> None:
     assert swapped[:4] == [1, 0, 3, 2]
 
 
+@pytest.mark.slow
 def test_a_client_in_another_process_counts_what_was_withheld() -> None:
     faults = {"loss": 0.1, "duplicates": 0.05, "swaps": 0.05, "seed": 5}
     with FriReceiver(udpport=0, only_latest_packet=False, buffer_size=4_000_000) as receiver:
@@ -221,6 +221,7 @@ def test_a_client_in_another_process_counts_what_was_withheld() -> None:
         assert (counters.malformed, counters.restarts, answers) == (0, 0, 0)
 
 
+@pytest.mark.slow
 def test_a_client_that_answers_has_a_perfect_link_and_commands_nothing() -> None:
     with FriReceiver(udpport=0, answer=True) as receiver:
         made, *_, answers, flags, rate, quality, latency = play(receiver, 1.5, cycle=0.01)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from sero_mj import World
-from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.decor.pen import GREY
+from sero_mj.load import load_scene
 from sero_mj.show.web.greying import Greying, greyed
 
 
 def test_greyed_models_differ_in_colour_only() -> None:
-    world = World(read_scene_or_model("lwr"))
+    world = World(load_scene("lwr"))
     model = world.model
     grey = np.zeros(model.ngeom, bool)
     grey[-1] = True
@@ -61,7 +61,7 @@ def test_browsers_have_time_to_fetch_a_model_and_flapping_changes_nothing(
 ) -> None:
     now = [100.0]
     monkeypatch.setattr("sero_mj.show.web.greying.time.monotonic", lambda: now[0])
-    model = World(read_scene_or_model("lwr")).model
+    model = World(load_scene("lwr")).model
     viewer = FakeViewer(model)
     greying = Greying(viewer)  # type: ignore[arg-type]
     grey = np.ones(model.ngeom, bool)
@@ -84,7 +84,7 @@ def test_browsers_have_time_to_fetch_a_model_and_flapping_changes_nothing(
 
 
 def test_what_is_grey_from_the_start_is_at_once() -> None:
-    model = World(read_scene_or_model("lwr")).model
+    model = World(load_scene("lwr")).model
     viewer = FakeViewer(model)
     Greying(viewer).show(np.ones(model.ngeom, bool))  # type: ignore[arg-type]
     assert len(viewer.changes) == 1

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from packet_oracle import FORMAT, LENGTHS, TEXT, bad_packet, cause, good_packet, values_of
@@ -76,14 +77,14 @@ def test_wrong_packets_are_counted_by_cause_and_good_ones_applied_whole() -> Non
     assert expected["received"] - sum(expected[name] for name in CAUSES) > COUNT / 5
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.binary(max_size=KEPT) | st.binary(min_size=216, max_size=216), max_size=8))
 def test_any_bytes_are_sorted_as_the_slow_opinion_has_them(packets: list[bytes]) -> None:
     if packets:
         check(Intake(Structure(TEXT)), packets, Counter())
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500), deadline=None)
 @given(st.text(alphabet="0123456789FVMTxfdhHiIqQ?<>!=:., sizeabc_-+e\n", max_size=40) | st.text())
 def test_any_text_is_a_structure_or_an_error_that_points_into_it(text: str) -> None:
     try:

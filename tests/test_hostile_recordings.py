@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError
-from sero_mj.record.mcap_chunk import MAX_CHUNK_BYTES
+from sero_mj.record._mcap_reader import MAX_CHUNK_BYTES
 from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 
@@ -160,12 +160,11 @@ def test_many_small_bombs_take_little_memory_each(tmp_path: Path) -> None:
     [
         (
             {"kind": "upd"},
-            "kind of source 'arm': found 'upd'; expected 'fri' or 'shm' or 'udp'; "
-            "did you mean 'udp'?",
+            "source 'arm': no kind 'upd'; did you mean 'udp'?",
         ),
         (
             {"kind": "replay"},
-            "kind of source 'arm': found 'replay'; expected 'fri' or 'shm' or 'udp'",
+            "source 'arm': no kind 'replay'; available: fri, shm, udp",
         ),
         (
             {"declared": {"structre": "2F"}},

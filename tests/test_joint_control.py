@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ def target_at(angles: Array) -> Target:
     return target
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(seeds, st.integers(1, 9), st.floats(0.05, 1.5))
 def test_every_mode_has_the_ratio_that_was_asked_for(seed: int, n: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)
@@ -122,7 +123,7 @@ def energies(loop: Loop, angles: Array, stiffness: Array) -> float:
     return float(0.5 * dq @ loop.robot.mass() @ dq + 0.5 * e @ stiffness @ e)
 
 
-@settings(deadline=None, max_examples=6)
+@settings(deadline=None, max_examples=examples(6))
 @given(seeds, st.floats(0, 1.5))
 def test_an_impedance_never_makes_energy(seed: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -111,7 +112,7 @@ def test_a_trapezoid_takes_the_time_that_it_is_given(duration: float, more: floa
         trapezoid_blend(duration, rate / more / 1.5)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(
     st.lists(st.tuples(*[st.floats(-0.4, 0.6)] * 3), min_size=1, max_size=4),
     st.sampled_from(["quintic", "trapezoidal"]),

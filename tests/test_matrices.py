@@ -10,15 +10,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from polling import until
 
 from sero_mj.errors import DeclarationError, UnknownName
 from sero_mj.frames import nearest_rotation, rotation_from_rpy
-from sero_mj.receive.checks import are_frames, find_not_frame
-from sero_mj.receive.kinds import make_source
-from sero_mj.receive.source import Counters, Packet
+from sero_mj.receive._checks import are_frames, find_not_frame
+from sero_mj.receive.source import Counters, Packet, make_source
 from sero_mj.receive.udp import UdpReceiver
 
 NAN, INF = math.nan, math.inf
@@ -290,7 +290,7 @@ def runs(name: str) -> bool:
     return any(thread.name == f"udp {name}" for thread in threading.enumerate())
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(packets)
 @example(struct.pack("<2d", 1.7e308, 1.7e308))
 @example(struct.pack("<2d", math.inf, -math.inf))
@@ -318,7 +318,7 @@ def test_any_bytes_are_applied_whole_or_counted(packet: bytes) -> None:
         assert receiver.counters.not_finite == (len(packet) == 16 and not good)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     st.lists(any_double, min_size=4, max_size=4),
     st.sampled_from([IDENTITY, BY_COLUMNS, QUARTER_TURN, changed(IDENTITY, m01=NAN)])

@@ -25,8 +25,9 @@ from source_slots import get_source
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
-from sero_mj.drive.mirror import Mirror, load_scene, restore
+from sero_mj.drive.mirror import Mirror, restore
 from sero_mj.errors import SourceError
+from sero_mj.load import load_scene
 from sero_mj.receive.source import Packet, age
 from sero_mj.receive.udp import UdpReceiver
 
@@ -328,6 +329,7 @@ def test_waiting_names_the_silent_and_ends_in_time(sender: Send) -> None:
         assert 0.1 <= time.monotonic() - start < 0.19
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow(sender: Send) -> None:
     with mirror_of(arm()) as mirror:
 

@@ -14,13 +14,13 @@ import sero_mj
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind, Pen
+from sero_mj.decor.picture_view import PictureView
 from sero_mj.decor.toggles import Toggles
-from sero_mj.decor.view import View
 
 EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
 
 
-def drawn(overlay: Any, view: View = EVERYWHERE) -> Pen:
+def drawn(overlay: Any, view: PictureView = EVERYWHERE) -> Pen:
     """What decor draws of an overlay."""
     return Decor(overlay.world).draw(overlay.data, overlay.toggles, view)
 

@@ -16,7 +16,7 @@ from PIL import Image
 import sero_mj
 from sero_mj.assemble.world import World
 from sero_mj.errors import RenderError
-from sero_mj.show.headless.picture import Picture
+from sero_mj.show.headless.film import Picture
 from sero_mj.show.headless.renderer import HeadlessRenderer
 
 pytestmark = pytest.mark.gl

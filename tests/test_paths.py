@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -260,7 +261,7 @@ def only_declaration_errors(contents: bytes, overrides=None) -> None:
 @example({"robots": {"arm": {"dh_convention": "craig", "velocity_limits_deg": {}}}}, None)
 @example({"cameras": 5, "view": {"camera": "a"}}, None)
 @example({"robots": 5, "routes": 5}, {"arm.torques": 1})
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_tables_are_read_or_refused_as_a_declaration(scene, overrides):
     text = "\n".join(f"{key} = {toml(value)}" for key, value in scene.items())
     tomllib.loads(text)  # or this would only test the TOML parser
@@ -268,13 +269,13 @@ def test_any_tables_are_read_or_refused_as_a_declaration(scene, overrides):
 
 
 @given(st.text(max_size=60) | st.text("[]{}=.\"'#\n ab1-", max_size=60))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_any_text_is_read_or_refused_as_a_declaration(text):
     only_declaration_errors(text.encode("utf-8", "surrogatepass"))
 
 
 @given(st.binary(max_size=40))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_any_bytes_are_read_or_refused_as_a_declaration(contents):
     only_declaration_errors(contents)
 
@@ -302,7 +303,7 @@ SOUND_SCENES = st.fixed_dictionaries(
 
 
 @given(SOUND_SCENES)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_scene_without_problems_compiles_or_says_which_part_does_not(scene):
     with TemporaryDirectory() as folder:
         file = Path(folder) / "s.toml"

@@ -18,10 +18,11 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.flange_check import flange_difference
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.drive.place import Placer
 from sero_mj.errors import DeclarationError
 from sero_mj.frames import frame_from, inverse
+from sero_mj.load import load_scene
 from sero_mj.send.play import MotionPackets
 
 Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])

@@ -60,6 +60,7 @@ def loaded(dynamics: RobotDynamics, mass: float, center) -> RobotDynamics:
     return replace(dynamics, masses=copies[0], centers=copies[1], tensors=copies[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True])
 @pytest.mark.parametrize("payload", [0.0, 3.0])
 def test_sensors_read_what_moves_the_links(elastic, payload):
@@ -95,6 +96,7 @@ def test_sensors_read_what_moves_the_links(elastic, payload):
     assert largest > 1.0  # a sensor at the motor would have been found out
 
 
+@pytest.mark.slow
 def test_contacts_and_stops_are_outer_torques_that_sensors_feel():
     table = Object(name="table", shape="box", size=[0.4, 0.8, 0.3], frame={"xyz": [-0.55, 0, 0.05]})
     lwr = make_lwr()
@@ -206,6 +208,7 @@ def test_stiff_joints_are_rigid_joints():
     assert np.ptp(rigid[0], axis=0).max() > 0.02
 
 
+@pytest.mark.slow
 def test_elastic_joints_at_1_khz_are_near_a_hundred_times_smaller_steps():
     # Also the error that the docstring of the joint model names.
     fine = trajectory(plant_of(make_lwr(elastic=True), timestep=1e-5))
@@ -252,6 +255,7 @@ def test_viscous_friction_is_before_the_sensor_as_well():
     assert plant.actual[2, 0] == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_nothing_drifts_in_a_minute_of_gravity_torques():
     plant = plant_of(make_lwr())
     gravity = plant.actual[2].copy()

@@ -69,6 +69,7 @@ def share_of(pixels: np.ndarray, colour: str) -> float:
     return float((np.abs(pixels - wanted).max(axis=-1) < 12).mean())
 
 
+@pytest.mark.slow
 def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, figures: list[Figure]) -> None:
     log = simulated().log
     path = tmp_path / "run.png"
@@ -210,6 +211,7 @@ def test_it_is_as_wide_as_a4_and_sharp_enough_for_print(tmp_path: Path) -> None:
         assert picture.info["dpi"][0] == pytest.approx(300.0, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
 def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -> None:
     one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
@@ -220,6 +222,7 @@ def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -
     assert dict(mpl.rcParams) == before
 
 
+@pytest.mark.slow
 def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path: Path) -> None:
     code = (
         "import sys; import sero_mj.study.plot, sero_mj.study.plot_comparison;"
@@ -234,6 +237,7 @@ def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path:
     assert done.stdout.split() == ["False", "False"]
 
 
+@pytest.mark.slow
 def test_a_comparison_shows_both_torques_and_both_differences(
     tmp_path: Path, figures: list[Figure]
 ) -> None:

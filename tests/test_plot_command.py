@@ -61,6 +61,7 @@ def test_joints_and_times_are_chosen(folder: Path, tmp_path: Path) -> None:
     assert 0.1 <= float(peak.split()[3]) <= 0.3
 
 
+@pytest.mark.slow
 def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
     run = folder / "swing.mcap"
     for files, pages in (([run], 1), ([run, run, folder / "swing.csv"], 3)):
@@ -70,6 +71,7 @@ def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
     assert plot(run, run, "-o", tmp_path / "x.png") == 2
 
 
+@pytest.mark.slow
 def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
     for name, more in (("swing.mcap", []), ("swing.csv", ["--scene", "lwr"])):
         assert plot(folder / name, "-o", tmp_path / f"{name}.png", *more) == 0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -16,9 +17,9 @@ from recordings import DECLARED, EVENTS, begin, record
 
 from sero_mj.errors import UnknownName
 from sero_mj.receive.structure import Structure
-from sero_mj.record.mcap_file import SHORT_ENDING
+from sero_mj.record._mcap_stream import SHORT_ENDING
+from sero_mj.record._recording_format import RecordingClock
 from sero_mj.record.recording import Recording
-from sero_mj.record.recording_format import Clock
 from sero_mj.record.recording_writer import RecordingWriter
 from sero_mj.record.replay import Replay
 
@@ -62,7 +63,7 @@ def test_a_source_without_packets_is_there(tmp_path: Path) -> None:
         assert recording.last_before("arm", 1.0) is None
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     packets=st.lists(
         st.tuples(st.sampled_from(["a", "b"]), st.binary(max_size=60), st.floats(-5.0, 1e5)),
@@ -102,10 +103,10 @@ def check_packets(recording: Recording, packets: list[tuple[str, bytes, float]])
 
 
 def test_times_are_exact_to_the_nanosecond() -> None:
-    clock = Clock(epoch_ns=1_700_000_000_123_456_789, monotonic_ns=5_000_000_001)
+    clock = RecordingClock(epoch_ns=1_700_000_000_123_456_789, monotonic_ns=5_000_000_001)
     assert clock.log_time(5.000000001) == clock.epoch_ns
     assert clock.log_time(5.000000002) == clock.epoch_ns + 1
-    assert Clock.from_metadata(clock.to_metadata()) == clock
+    assert RecordingClock.from_metadata(clock.to_metadata()) == clock
     for arrival in (math.nan, math.inf):
         with pytest.raises(ValueError, match=r"expected seconds on time\.monotonic"):
             clock.log_time(arrival)

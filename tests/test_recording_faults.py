@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import McapError
@@ -35,6 +36,7 @@ def test_what_is_not_closed_is_a_whole_file_without_an_index(tmp_path: Path) -> 
         assert len(list(NonSeekingReader(file).iter_messages())) == 50
 
 
+@pytest.mark.slow
 def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
     path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
     expected = record(path, numbered(12), chunk_bytes=150)
@@ -62,7 +64,7 @@ def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
     assert "Message" in kinds
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     flips=st.lists(st.tuples(st.floats(0.0, 0.999999), st.integers(1, 255)), min_size=1, max_size=4)
 )

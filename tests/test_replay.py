@@ -17,9 +17,9 @@ from polling import until
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
 from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
-from sero_mj.drive.mirror import load_scene
 from sero_mj.drive.record_sources import record_sources
 from sero_mj.errors import DeclarationError, SourceError
+from sero_mj.load import load_scene
 from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 
@@ -207,6 +207,7 @@ def test_a_file_that_goes_away_is_told(recorded: tuple[Path, list[tuple]], tmp_p
         replay.open()
 
 
+@pytest.mark.slow
 def test_the_commands_record_render_and_export(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,8 +13,8 @@ from recordings import record
 from sero_mj import Mirror, Scene, SerialRobot
 from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
-from sero_mj.drive.mirror import load_scene
 from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
 from sero_mj.receive.structure import Structure
 from sero_mj.record.replay import Replay
 
@@ -58,6 +58,7 @@ def refused(*arguments: object) -> None:
     assert caught.value.code == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", ["", "speed = 2\nloop = true"])
 def test_status_plays_it(recording: Path, more: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ def state(seed: int) -> tuple[Array, Array]:
 CACHE = lwr_mujoco()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(seeds)
 def test_bias_and_mass_are_those_of_the_whole_pipeline(seed: int) -> None:
     q, dq = state(seed)
@@ -51,7 +52,7 @@ def mass_at(q: Array) -> Array:
     return MODEL.mass().copy()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=examples(20))
 @given(seeds)
 def test_coriolis_terms_are_those_of_the_christoffel_symbols(seed: int) -> None:
     q, dq = state(seed)
@@ -76,7 +77,7 @@ def test_coriolis_terms_are_those_of_the_christoffel_symbols(seed: int) -> None:
     np.testing.assert_allclose(MODEL.coriolis(), matrix @ dq, atol=1e-7)  # in any order
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=examples(20))
 @given(seeds)
 def test_the_jacobian_is_the_slope_of_the_flange(seed: int) -> None:
     q, dq = state(seed)

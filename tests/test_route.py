@@ -16,16 +16,17 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive._router import Router
+from sero_mj.drive.mirror import Mirror
 from sero_mj.drive.route import wire
-from sero_mj.drive.router import Router
 from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
 from sero_mj.plugins import SOURCES, plugins
-from sero_mj.receive.kinds import make_source
-from sero_mj.receive.source import Packet
+from sero_mj.receive.source import Packet, make_source
 from sero_mj.receive.udp import UdpReceiver
 
-ANY = " or ".join(map(repr, plugins(SOURCES)))
+KINDS = [*plugins(SOURCES)]
+LISTED = ", ".join(sorted(KINDS))
 
 INPUTS = ("joint_angles", *VALUE_INPUTS)
 ROBOT = """\
@@ -76,12 +77,12 @@ def test_a_source_is_made_from_its_table() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({}, f"kind: is required; expected {ANY}"),
-        ({"kind": "tcp"}, f"kind: found 'tcp'; expected {ANY}"),
-        ({"kind": "upd"}, f"kind: found 'upd'; expected {ANY}; did you mean 'udp'?"),
-        ({"kind": 5}, f"kind: found 5; expected {ANY}"),
-        ({"kind": ["udp"]}, f"kind: found ['udp']; expected {ANY}"),
-        ({"kind": {"udp": 1}}, f"kind: found {{'udp': 1}}; expected {ANY}"),
+        ({}, f"kind: is required; expected {', '.join(map(repr, KINDS[:-1]))} or {KINDS[-1]!r}"),
+        ({"kind": "tcp"}, f"kind: no kind 'tcp'; available: {LISTED}"),
+        ({"kind": "upd"}, "kind: no kind 'upd'; did you mean 'udp'?"),
+        ({"kind": 5}, f"kind: no kind 5; available: {LISTED}"),
+        ({"kind": ["udp"]}, "kind: no kind ['udp']; did you mean 'udp'?"),
+        ({"kind": {"udp": 1}}, f"kind: no kind {{'udp': 1}}; available: {LISTED}"),
     ],
 )
 def test_another_kind_of_source_is_refused(table: dict[str, Any], message: str) -> None:
@@ -311,7 +312,11 @@ structure = "3F"
         ("[robots]\narm = 5\n", SOURCE, "scene.toml:2: robots.arm: found 5; expected a table"),
         ("robots = 5\n", SOURCE, "scene.toml:1: robots: found 5; expected a table [robots]"),
         (ROBOT, "[sources]\nudp = 5\n", "scene.toml:5: sources.udp: found 5; expected a table"),
-        (ROBOT, '[sources.udp]\nkind = ["udp"]\n', "scene.toml:5: sources.udp.kind: found ['udp']"),
+        (
+            ROBOT,
+            '[sources.udp]\nkind = ["udp"]\n',
+            "scene.toml:5: sources.udp.kind: no kind ['udp']",
+        ),
     ],
     ids=["file", "no file", "entry", "section", "source", "kind"],
 )

@@ -73,9 +73,10 @@ from sero_mj.drive.route import wire
         ("push.vector", "push.vektor + 1", "no output 'vektor' of push; did you mean 'vector'?"),
         ("lwr.torques", "ledaer.torques", "no source or robot 'ledaer'; did you mean 'leader'?"),
         ("lwr.torques", "2 * udp.values0 * Mn", "no unit 'Mn'; did you mean 'mN'?"),
-        ("lwr.torques", "2 * lwr/flange", "lwr/flange is a 4 x 4 frame, which only goes whole"),
+        ("lwr.torques", "2 * lwr/flange", "lwr/flange is a 4 x 4 frame, which cannot be "
+         "indexed or combined"),
         ("lwr.torques", "lwr.fwd_kin_base_to_flange + 1",
-         "lwr.fwd_kin_base_to_flange is a 4 x 4 frame, which only goes whole"),
+         "lwr.fwd_kin_base_to_flange is a 4 x 4 frame, which cannot be indexed or combined"),
         ("lwr.torques", "udp.values0 *", "'udp.values0 *', character 14: found the end, expected "
          "an event such as udp.values0, a number, ( or ["),
     ],

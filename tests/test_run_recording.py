@@ -11,9 +11,10 @@ from mcap.writer import Writer
 from runs import HOME, in_old_words, record_packets, record_run, simulated
 
 from sero_mj.assemble.scene_file import read_scene
-from sero_mj.cli.arguments import replay_instead
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.cli._arguments import replay_instead
+from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import RecordingError, UsageError
+from sero_mj.load import load_scene
 from sero_mj.record.recording import Recording
 from sero_mj.record.recording_writer import FLUSH_AFTER
 from sero_mj.runs.run_csv import read_run_csv, write_run_csv

@@ -8,6 +8,7 @@ from math import pi
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -63,7 +64,7 @@ def in_world(T, points):
 @example(zeros(1), (0.0, 0.0, 0.0))
 @example(zeros(64, "standard"), (0.0, 0.0, 0.0))
 @example(zeros(3, revolute=False), (0.0, 0.0, 0.0))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 def test_every_size_is_positive_and_finite_and_every_link_with_a_joint_shows(table, point):
     links = grow_links(table, flange_at(point))
     assert len(links) == len(table) + 1
@@ -78,7 +79,7 @@ def test_every_size_is_positive_and_finite_and_every_link_with_a_joint_shows(tab
 
 
 @given(TABLES, POINTS, st.integers(0, 2**32 - 1))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, point, seed):
     # A turn never opens a gap. A rod that slides does, so those joints stay at zero.
     q = np.random.default_rng(seed).uniform(-pi, pi, len(table)) * table.revolute
@@ -110,7 +111,7 @@ def _distances(points, others):
 
 
 @given(TABLES)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_every_joint_has_a_housing_about_its_axis(table):
     frames = table.frames(np.zeros(len(table)))
     axes, points = table.joint_axes(frames)
@@ -133,7 +134,7 @@ def test_every_joint_has_a_housing_about_its_axis(table):
 
 
 @given(TABLES)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_housings_get_thinner_so_that_nested_joints_share_no_surface(table):
     links = grow_links(table, np.eye(4))
     radii = [shape.size[0] for link in links[1:] for shape in link if shape.kind != "capsule"]
@@ -163,7 +164,7 @@ def test_capsule_before_a_turning_joint_ends_at_its_anchor(convention):
 @given(TABLES, POINTS)
 @example(zeros(64), (0.0, 0.0, 0.0))
 @example(zeros(2, "standard", revolute=False), (0.0, 0.0, 0.0))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_any_table_compiles_into_geoms_where_the_shapes_are(table, point):
     robot = robot_of(table, flange_at(point))
     world = World(Scene(robots=[robot], floor=False))

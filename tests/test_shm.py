@@ -9,17 +9,20 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 from polling import until
 from shm_tools import block, make, needs_posix, remove
 
+from sero_mj.drive.record_sources import record_sources
 from sero_mj.receive import shm_block
 from sero_mj.receive.report import describe, report
 from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import Block
 from sero_mj.receive.structure import Structure
+from sero_mj.record.replay import Replay
 from sero_mj.send.shm_writer import ShmWriter
 
 __all__ = ["block"]  # a fixture
@@ -331,3 +334,17 @@ def test_status_says_why_nothing_comes(block: str) -> None:
         remove(made)
         gone = f": shared memory {block} is gone"
         assert until(lambda: "for" in told(reader) and told(reader).endswith(gone))
+
+
+def test_what_was_read_can_be_replayed(block: str, tmp_path: Path) -> None:
+    reader = ShmReader(name="arm", block=block, **LOCKED)
+    with (
+        ShmWriter(block, reader.layout, "lock") as writer,
+        reader,
+        record_sources({"arm": reader}, tmp_path / "arm.mcap"),
+    ):
+        writer.put(locked(0, 1.0, 2.0))
+        assert reader.wait(5.0)
+    with Replay(file=tmp_path / "arm.mcap") as replay:
+        replay.advance_to(10.0)
+        assert replay.latest().values["v"].tolist() == [1.0, 2.0]

@@ -14,9 +14,9 @@ from shm_tools import block, needs_posix
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, SourceError
 from sero_mj.receive import shm, shm_block
-from sero_mj.receive.kinds import make_source
 from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import block_path
+from sero_mj.receive.source import make_source
 from sero_mj.receive.structure import Structure
 from sero_mj.send.shm_writer import ShmWriter
 

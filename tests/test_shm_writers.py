@@ -19,8 +19,9 @@ from polling import until
 from shm_tools import block, compile_c, make, needs_posix, remove, unlink
 
 from sero_mj.decor.staleness import Staleness
-from sero_mj.drive.mirror import Mirror, load_scene
+from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import SourceError
+from sero_mj.load import load_scene
 from sero_mj.paths import find_scene
 from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import Block
@@ -135,6 +136,7 @@ def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
                 assert Staleness(mirror.world).find(mirror.data) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "pause", "between", "settle", "fields"),
     [

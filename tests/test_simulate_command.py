@@ -182,6 +182,7 @@ def test_a_film_and_the_log_show_the_same(scenario: Path) -> None:
 # ---- streams
 
 
+@pytest.mark.slow
 def test_one_process_simulates_and_another_mirrors(scenario: Path, tmp_path: Path) -> None:
     robot = SerialRobot.from_model("lwr")
     source = {"kind": "udp", "port": 0, "structure": "7F7F", "only_latest_packet": False}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import GEOM, belonging, of_kind, rigid, toggles_of, turned, view_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -225,7 +226,7 @@ def both() -> World:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     direction=st.one_of(
         st.sampled_from([tuple(row) for row in AXIS_ALIGNED]),

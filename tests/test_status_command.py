@@ -86,6 +86,7 @@ def while_sending(port: int, work: Callable[[], tuple[int, str]]) -> tuple[int, 
         sender.join()
 
 
+@pytest.mark.slow
 def test_every_cause_is_told_with_its_number(scene: Callable[[], tuple[Path, int]]) -> None:
     file, port = scene()
     status, text = while_sending(port, lambda: watch(file))
@@ -115,6 +116,7 @@ def test_what_may_be_lost_or_unread_is_said_so() -> None:
         assert told["lost"] == why
 
 
+@pytest.mark.slow
 def test_json_has_the_same(scene: Callable[[], tuple[Path, int]]) -> None:
     file, port = scene()
     status, text = while_sending(port, lambda: watch(file, "--json"))

@@ -12,6 +12,7 @@ import struct
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from polling import until
@@ -372,7 +373,7 @@ def test_an_event_that_is_not_there_is_refused_by_name() -> None:
         Structure("7F7F").encode({"values2": np.zeros(7)})
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32 - 1) | st.sampled_from([0x7F800001, 0xFF800000, 1, 0x7F7FFFFF]))
 def test_any_float32_is_applied_or_counted(bits: int) -> None:
     packet = struct.pack("<I", bits)

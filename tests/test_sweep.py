@@ -183,6 +183,7 @@ def test_a_key_that_no_variant_can_have_is_told_at_once(file: Path) -> None:
         sweep(file, "run.seed=0:3", fixed={"run.seed": 1})
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=log:50:9000", "run.seed=0:99", samples=7)
     for jobs in (1, 3):
@@ -198,6 +199,7 @@ def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Pat
 KILLED = "its process was killed, or ran out of memory; expected an answer"
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_costs_its_variant_only(file: Path) -> None:
     runs = sweep(
         file, "run.seed=0:9", samples=6, fixed={"run.duration": 1.0, "expect.it_holds.below": 1.0}
@@ -236,6 +238,7 @@ def filled(runs: Sweep, path: Path, count: int) -> None:
                 break
 
 
+@pytest.mark.slow
 def test_what_was_interrupted_goes_on(file: Path, tmp_path: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=log:50:9000", samples=6)
     whole, broken = tmp_path / "whole.csv", tmp_path / "broken.csv"
@@ -308,6 +311,7 @@ def test_the_summary_says_where_values_are_lowest_and_highest(file: Path) -> Non
 # --- the command
 
 
+@pytest.mark.slow
 def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -403,6 +407,7 @@ def wait_for(happens: Any, seconds: float = 30.0) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_processes_load_no_opengl(file: Path) -> None:
     code = (
         "import sys; from multiprocessing import Pipe; from pathlib import Path\n"

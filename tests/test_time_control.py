@@ -8,7 +8,7 @@ import pytest
 from mujoco.studio import messages, sim
 
 from sero_mj import Mirror
-from sero_mj.cli.arguments import read_scene_or_model
+from sero_mj.load import load_scene
 from sero_mj.show.clock import Clock
 from sero_mj.show.web.time_control import TimeControl
 
@@ -39,7 +39,7 @@ def step_control(*, paused: bool, speed: float) -> messages.StepControlSnapshot:
 
 
 def test_studios_controls_drive_the_clock_of_a_simulation() -> None:
-    with Mirror(read_scene_or_model("impedance_push")) as mirror:
+    with Mirror(load_scene("impedance_push")) as mirror:
         control, clock, _ = controlled(mirror)
         step = messages.StepEvent(model=mirror.world.model, data=mirror.data)
         control.on_step_control(step_control(paused=False, speed=50.0))
@@ -58,7 +58,7 @@ def test_studios_controls_drive_the_clock_of_a_simulation() -> None:
 
 
 def test_a_moment_of_the_history_is_gone_on_from() -> None:
-    with Mirror(read_scene_or_model("impedance_push")) as mirror:
+    with Mirror(load_scene("impedance_push")) as mirror:
         control, clock, _ = controlled(mirror)
         step = messages.StepEvent(model=mirror.world.model, data=mirror.data)
         clock.seek(2.0)

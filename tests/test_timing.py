@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.receive.timing import Timing
+from sero_mj.receive._timing import Timing
 
 _GAPS = st.floats(0.0, 0.1) | st.sampled_from([0.0, 1.9, 2.1, 11.0])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     st.lists(st.tuples(_GAPS, _GAPS), max_size=40),
     st.booleans(),

@@ -12,8 +12,7 @@ from decor_tools import belonging, labels, rectangle, toggles_of, view_at
 from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
 from sero_mj.assemble.double import Double
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.scene_toggles import SceneToggles
+from sero_mj.assemble.scene import Scene, SceneToggles
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind

@@ -7,10 +7,10 @@ import pytest
 from source_slots import set_source
 
 from sero_mj import World
-from sero_mj.cli.arguments import read_scene_or_model
+from sero_mj.load import load_scene
 from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, runs
 from sero_mj.show.web.plots import thin_out
-from sero_mj.show.window.plot import TorquePlot, y_range
+from sero_mj.show.window.torque_plot import TorquePlot, y_range
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
 
 
 def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
-    scene = read_scene_or_model("lwr_udp")
+    scene = load_scene("lwr_udp")
     fed = World(scene)
     history, plot, data = TorqueHistory(fed), TorquePlot(fed), fed.make_data()
     fed.set_input(data, "lwr.torques", np.full(7, 5.0))

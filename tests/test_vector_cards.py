@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import (
     GEOM,
     belonging,
@@ -265,7 +266,7 @@ def test_the_legend_follows_what_is_switched_live() -> None:
         assert scales(decor.draw(data, toggles, view_at())) == said
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(scale=st.floats(1e-4, 50), turns=st.booleans())
 def test_what_the_legend_states_is_what_is_drawn(scale: float, turns: bool) -> None:
     kind = "torque" if turns else "force"

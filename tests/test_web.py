@@ -125,7 +125,7 @@ def test_billboards_stay_clear_of_the_panel(served: Served, page: Visitor) -> No
     edges = served.ask(
         "(lambda pen, rows: (w.decor.view.project((rows['pos'] - rows['size'][:, :1] *"
         " rows['mat'][:, :, 0]).astype(float))[0][:, 0]))(w.decor.pen,"
-        " w.decor.pen.rows[:w.decor.count][w.decor._decor.pen.kinds[:w.decor.count] == 2])"
+        " w.decor.pen.rows[:w.decor.count][w.decor.pen.kinds[:w.decor.count] == 2])"
         ".tolist()"
     )
     assert len(edges) == 7

@@ -24,8 +24,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from sero_mj import Mirror
-from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.errors import RenderError
+from sero_mj.load import load_scene
 from sero_mj.show.web.guard import is_loopback
 from sero_mj.show.web.host import WebHost
 
@@ -46,14 +46,14 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def page(home: None) -> Iterator[WebHost]:
-    with Mirror(read_scene_or_model("lwr")) as mirror, WebHost(mirror) as page:
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page:
         yield page
 
 
 @pytest.fixture
 def open_page(home: None) -> Iterator[WebHost]:
     """A page for everybody who has its address."""
-    with Mirror(read_scene_or_model("lwr")) as mirror, WebHost(mirror, host="0.0.0.0") as page:
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, host="0.0.0.0") as page:
         yield page
 
 
@@ -206,12 +206,12 @@ def test_beyond_this_machine_a_token_is_needed(open_page: WebHost) -> None:
 
 
 def test_a_token_can_be_had_on_this_machine_too(home: None) -> None:
-    with Mirror(read_scene_or_model("lwr")) as mirror, WebHost(mirror, token=True) as page:
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, token=True) as page:
         assert page.is_private
         assert get(page.port)[0] == 403
         assert get(page.port, page.url.partition(str(page.port))[2])[0] == 200
         first = page.url
-    with Mirror(read_scene_or_model("lwr")) as mirror, WebHost(mirror, token=True) as page:
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, token=True) as page:
         assert page.url.partition("token=")[2] != first.partition("token=")[2]
 
 
@@ -257,7 +257,7 @@ def test_a_studio_that_cannot_be_guarded_serves_nothing(
     monkeypatch.setattr(web_server, "_run_server", other)
     monkeypatch.setattr("sero_mj.show.web.guard.GuardedRun.wait.__defaults__", (0.1,), raising=True)
     with (
-        Mirror(read_scene_or_model("lwr")) as mirror,
+        Mirror(load_scene("lwr")) as mirror,
         pytest.raises(RenderError, match="requests of other sites could not be refused"),
     ):
         WebHost(mirror)

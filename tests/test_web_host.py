@@ -17,8 +17,8 @@ from polling import until
 from websockets.sync.client import connect
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
-from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.errors import RenderError
+from sero_mj.load import load_scene
 from sero_mj.show.web.host import WebHost
 
 # Studio's server ends without closing the connection of its user interface.
@@ -37,7 +37,7 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def page() -> Iterator[WebHost]:
-    with Mirror(read_scene_or_model("impedance_push")) as mirror, WebHost(mirror) as page:
+    with Mirror(load_scene("impedance_push")) as mirror, WebHost(mirror) as page:
         yield page
 
 
@@ -123,7 +123,7 @@ def test_a_page_is_for_this_machine_only(page: WebHost) -> None:
 
 def test_a_simulation_waits_for_the_first_browser() -> None:
     with (
-        Mirror(read_scene_or_model("impedance_push")) as mirror,
+        Mirror(load_scene("impedance_push")) as mirror,
         WebHost(mirror, waits=True) as page,
     ):
         for _ in range(10):
@@ -142,7 +142,7 @@ def test_a_simulation_waits_for_the_first_browser() -> None:
 
 
 def test_one_page_at_a_time_and_another_after_it() -> None:
-    with Mirror(read_scene_or_model("lwr")) as mirror:
+    with Mirror(load_scene("lwr")) as mirror:
         for _ in range(3):
             with WebHost(mirror) as page:
                 for _ in range(5):
@@ -152,7 +152,7 @@ def test_one_page_at_a_time_and_another_after_it() -> None:
 
 
 def test_a_port_that_is_taken_is_told() -> None:
-    with Mirror(read_scene_or_model("lwr")) as mirror, socket.socket() as taken:
+    with Mirror(load_scene("lwr")) as mirror, socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
@@ -180,7 +180,9 @@ def test_what_a_browser_has_no_room_for_is_said(caplog: pytest.LogCaptureFixture
             page.frame()
     said = [record.getMessage() for record in caplog.records if "no room" in record.getMessage()]
     assert len(said) == 1
-    assert said[0].endswith("decor geoms found no room and are not shown: has room for 1024")
+    assert said[0].endswith(
+        "decor geoms found no room and are not shown: the scene has room for 1024"
+    )
 
 
 def test_doubles_that_are_off_are_out_of_sight_in_browsers_only(page: WebHost) -> None:

@@ -18,7 +18,7 @@ from sero_mj.cli.view import wants_page
 from sero_mj.decor.font import DEFAULT_FONT, Font
 from sero_mj.decor.panels import labels_at
 from sero_mj.decor.pen import MAX_GEOMS
-from sero_mj.decor.view import View as PictureView
+from sero_mj.decor.picture_view import PictureView
 from sero_mj.errors import RenderError, UsageError
 from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
 from sero_mj.show.web import app
@@ -181,19 +181,19 @@ def options(**given: Any) -> argparse.Namespace:
 
 
 def test_there_is_a_page_where_there_is_no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: True)
+    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: True)
     assert not wants_page(options())
     assert wants_page(options(web=True))
     assert wants_page(options(port=8081))
     assert wants_page(options(host="0.0.0.0"))
-    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: False)
     assert wants_page(options())
 
 
 def test_it_says_why_it_is_a_page_once_there_is_a_scene(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: False)
     monkeypatch.setattr("sero_mj.cli.view._serve", lambda scene, options: None)
     for scene, said in (("lwr", True), ("lrw", False)):
         with pytest.raises(SystemExit):
@@ -217,7 +217,7 @@ def test_it_says_why_it_is_a_page_once_there_is_a_scene(
 def test_options_of_the_other_host_are_refused(
     monkeypatch: pytest.MonkeyPatch, given: dict[str, Any], expected: str
 ) -> None:
-    monkeypatch.setattr("sero_mj.show.display.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: False)
     with pytest.raises(UsageError, match=expected):
         wants_page(options(**given))
 

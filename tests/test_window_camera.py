@@ -8,9 +8,9 @@ import pytest
 
 from sero_mj import Scene, SerialRobot, View, World
 from sero_mj.assemble.looks import Camera as SceneCamera
-from sero_mj.decor.view import View as PictureView
+from sero_mj.decor.picture_view import PictureView
 from sero_mj.errors import UnknownName
-from sero_mj.show.window.camera import Navigator, axes
+from sero_mj.show.window.navigator import Navigator, axes
 
 
 @pytest.fixture

@@ -11,18 +11,17 @@ import numpy as np
 import pytest
 
 from sero_mj import Mirror, World
-from sero_mj.cli.arguments import read_scene_or_model
 from sero_mj.decor.toggles import Toggles
+from sero_mj.load import load_scene
 from sero_mj.show.clock import SPEEDS, Clock, time_text
-from sero_mj.show.events import LEFT, MIDDLE, RIGHT, Event
+from sero_mj.show.input import LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
 from sero_mj.show.keys import Keys
-from sero_mj.show.mouse import Clicked, Mouse, Moved
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
-from sero_mj.show.window.film import due_frames, free_name
+from sero_mj.show.window.arrange import arrange
+from sero_mj.show.window.capture import due_frames, free_name
 from sero_mj.show.window.help import help_columns, pages
-from sero_mj.show.window.layout import arrange
 from sero_mj.show.window.timeline import TimeLine
 
 # ---- clock
@@ -30,7 +29,7 @@ from sero_mj.show.window.timeline import TimeLine
 
 @pytest.fixture(scope="module")
 def simulated() -> Any:
-    with Mirror(read_scene_or_model("impedance_push")) as mirror:
+    with Mirror(load_scene("impedance_push")) as mirror:
         yield mirror
 
 
@@ -135,7 +134,7 @@ def test_speeds_have_ends(simulated: Mirror) -> None:
 
 
 def test_what_is_live_cannot_be_wound_back() -> None:
-    mirror = Mirror(read_scene_or_model("lwr_udp"))  # never opened: no port is taken
+    mirror = Mirror(load_scene("lwr_udp"))  # never opened: no port is taken
     clock = Clock(mirror)
     assert clock.is_live
     assert clock.end is None
@@ -298,8 +297,8 @@ def test_keys_do_what_the_tables_say_in_every_host(lwr_world: World) -> None:
     ]  # fmt: skip
     for key in ("3", "f", "h", "[", "]", "]", "l", "p", "y", "escape"):
         keys.press(key)  # p is not of this host, y of none
-    assert said == ["camera 3", "follows", "selected: lwr/A6", "selected: lwr/A1", "selected: lwr/A2",
-                    "legend: off"]  # fmt: skip
+    selected = [f"selected: lwr/{joint}" for joint in ("A6", "A1", "A2")]
+    assert said == ["camera 3", "follows", *selected, "legend: off"]
     assert (host.joint, own, host.toggles.legend) == (1, ["help"], False)
     clock.asked.clear()
     for key in (".", " ", "l"):

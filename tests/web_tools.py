@@ -34,7 +34,7 @@ ARGUMENTS = [
 # Serves frames, and answers what is asked about the page on its standard input.
 _PROGRAM = """
 from mujoco.studio.dear_imgui import dear_imgui as imgui
-from sero_mj.cli.arguments import read_scene_or_model, replay_instead
+from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.live import open_page
 from sero_mj.show.web import panels
@@ -64,7 +64,7 @@ def looked(build):
 imgui.BeginMainMenuBar = looked(imgui.BeginMainMenuBar)
 
 scene, settings, replay, options = json.loads(sys.argv[1])
-scene = read_scene_or_model(scene, settings)
+scene = read_scene(scene, settings)
 if replay:
     replay_instead(scene, Path(replay), None)
 clicks = []

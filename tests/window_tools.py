@@ -19,12 +19,12 @@ MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"
-from sero_mj.cli.arguments import read_scene_or_model, replay_instead
+from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.window.host import Window
 from pathlib import Path
 scene, settings, size, options, replay = json.loads(sys.argv[1])
-scene = read_scene_or_model(scene, settings)
+scene = read_scene(scene, settings)
 if replay:
     replay_instead(scene, Path(replay), None)
 clicks = []

@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from .robot_parts import VALUE_INPUTS
-from .scene import Scene
-from .scene_toggles import SceneToggles
+from .scene import Scene, SceneToggles
 
 # What a source's slot holds.
 SOURCE_FIELDS = (
@@ -22,8 +21,8 @@ SOURCE_FIELDS = (
     "fault_age",  # s since the last malformed packet, -1 when there was none
     "not_frames",  # of the malformed
     "wrong_constant",  # of the malformed
-    "state",  # of a robot's controller and of the link to it, numbers as FRI has them; -1 for
-    "quality",  # sources that have none, and before the first packet
+    "robot_state",  # of a robot's controller, and of the link to it, as numbers that the kind of
+    "link_quality",  # source defines; -1 for those that define none, and before the first packet
     "lost",  # numbers that never came
     "late",  # came after a later one
     "duplicates",

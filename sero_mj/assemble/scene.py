@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..toml_file import key_lines, located
 from .cartesian import ReceivedFrame, SmartArrow
@@ -16,7 +17,6 @@ from .objects import Object
 from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
 from .route_text import names_in, origin_text
-from .scene_toggles import SceneToggles
 
 # What a scene holds at most; it is compiled in seconds, and not in minutes.
 MOST_ENTRIES = {
@@ -30,6 +30,22 @@ MOST_ENTRIES = {
     "sources": 1000,
     "routes": 10000,
 }
+
+
+class SceneToggles(Declaration):
+    """What is shown of the whole scene; every robot declares its own `show_arrows` and so on.
+
+    Attributes:
+        legend: whether it is written what arrows show.
+        status: whether faults of the sources are written into the picture.
+        frame_names: whether all axes show their names.
+        flange_checks: whether received flange frames are compared with the robots' own.
+    """
+
+    legend: bool = True
+    status: bool = True
+    frame_names: bool = False
+    flange_checks: bool = True
 
 
 class Scene:

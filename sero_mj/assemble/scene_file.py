@@ -17,20 +17,25 @@ from .looks import Camera, Light, View
 from .objects import Object, set_directory
 from .robot import SerialRobot, build_robot
 from .route_text import origin_text
-from .scene import Scene
-from .scene_toggles import SceneToggles
+from .scene import Scene, SceneToggles
 
 T = TypeVar("T")
 
 
 def read_scene(
-    path: Path, overrides: Mapping[str, Any] | None = None
+    path: Path,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    tables: dict[str, Any] | None = None,
+    known: Collection[str] = (),
 ) -> tuple[Scene, list[Problem]]:
     """Reads a scene file, as far as it can be understood.
 
     Args:
         path: a TOML file.
         overrides: `robot.field` to its value, over what the file says; routes to it are dropped.
+        tables: those of the file that are of a scene; all of them when None.
+        known: other sections of such files, which are meant when one is mistyped.
 
     Returns:
         the scene without the parts that are wrong, and every problem. Sources and routes are
@@ -39,18 +44,7 @@ def read_scene(
     Raises:
         DeclarationError: the file cannot be read at all.
     """
-    return read_scene_tables(path, read_toml(path), overrides)
-
-
-def read_scene_tables(
-    path: Path,
-    tables: dict[str, Any],
-    overrides: Mapping[str, Any] | None = None,
-    *,
-    known: Collection[str] = (),
-) -> tuple[Scene, list[Problem]]:
-    """The same from the tables of a file; sections in `known` are meant when one is mistyped."""
-    reader = _Reader(path, tables, known)
+    reader = _Reader(path, read_toml(path) if tables is None else tables, known)
     for target, value in (overrides or {}).items():
         reader.override(target, value)
     scene = reader.scene()

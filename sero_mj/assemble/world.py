@@ -23,14 +23,13 @@ from ..declaration import numbers
 from ..errors import DeclarationError, Problem
 from ..frames import frame_from
 from .frame_table import arrow_table, frame_table
-from .ghost import Ghost
 from .inputs import BLANKABLE, list_inputs, userdata_slots
 from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
 from .mjcf import build_spec, moved_body
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
 from .mjcf_dynamics import smooth
-from .parts import DoublePart, RobotPart
+from .parts import DoublePart, Ghost, RobotPart
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene

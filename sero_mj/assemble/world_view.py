@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from ..errors import UnknownName
 from ..frames import inverse
 from .frame_table import ArrowTable, FrameTable
-from .ghost import Ghost
 from .inputs import Input
 from .joint_table import JointTable
-from .parts import DoublePart, Owner, RobotPart
+from .parts import DoublePart, Ghost, Owner, RobotPart
 from .scene import Scene
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import sys
 
 from .. import __version__
 from ..errors import DeclarationError, SeroError
-from ..show.headless.gl import choose_backend
+from ..show.headless.backend import choose_backend
 from . import (
     check,
     compare,
@@ -29,7 +29,7 @@ from . import (
     sweep,
     view,
 )
-from .arguments import OneLineParser, join_negative_values
+from ._arguments import OneLineParser, join_negative_values
 
 _DESCRIPTION = """\
 sero-mj shows what a torque-controlled robot feels.

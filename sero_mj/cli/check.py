@@ -7,7 +7,7 @@ from collections.abc import Set
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from .arguments import Commands, add_command, read_scene_or_model
+from ._arguments import Commands, add_command, read_scene
 
 if TYPE_CHECKING:
     from ..receive.source import Source
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from ..drive.route import wire
     from ..show.camera import list_cameras
 
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     world = World(scene)
     print(f"{scene.name}: {scene.file or 'robot'} is right")
     if scene.description:
@@ -79,11 +79,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
     """A line about what no route takes of a source; it is received all the same."""
-    from ..receive.fri import FriReceiver
-
     if not any(of == name for of, _ in taken):
         return "            no route leads from it\n"
-    if not getattr(source, "structure", "") or isinstance(source, FriReceiver):
+    if "structure" not in getattr(source, "model_fields_set", ()):
         return ""  # nobody has asked for all that is in these packets
     known = {getattr(source, key, "") for key in ("sequence", "time", "lock")}
     unused = [e for e in source.events if (name, e) not in taken and e not in known]

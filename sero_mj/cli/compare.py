@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..errors import RecordingError, UsageError
-from .arguments import Commands, add_command, not_negative, read_scene_or_model, size
+from ._arguments import Commands, add_command, not_negative, read_scene, size
 
 if TYPE_CHECKING:
     from ..runs.run_log import RunLog
@@ -143,7 +143,7 @@ def _angle(options: argparse.Namespace) -> float | None:
 def _read(options: argparse.Namespace) -> list[RunLog]:
     from ..runs.run_recording import read_run
 
-    scene = None if options.scene is None else read_scene_or_model(options.scene)
+    scene = None if options.scene is None else read_scene(options.scene)
     of_a, _, of_b = (options.source or "").partition(",")
     runs = []
     for path, source in ((options.a, of_a), (options.b, of_b or of_a)):

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from .arguments import Commands, add_command, positive, size
+from ._arguments import Commands, add_command, positive, size
 
 _SCENE = "lwr_udp"
 _CAMERA = "150,-12,2.0"
@@ -31,8 +31,8 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
     from .. import paths
-    from ..drive.mirror import load_scene
-    from ..show.headless.capture import render_picture
+    from ..load import load_scene
+    from ..show.headless.render import render_picture
     from .render import film_with_progress
 
     shown = {"lwr.show_billboards": True}

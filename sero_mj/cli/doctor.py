@@ -12,9 +12,8 @@ import subprocess
 import sys
 from typing import Any
 
-from ..show.display import has_display
-from ..show.headless.gl import BACKENDS, PACKAGES, osmesa_is_there
-from .arguments import Commands, add_command
+from ..show.headless.backend import BACKENDS, PACKAGES, has_display, osmesa_is_there
+from ._arguments import Commands, add_command
 
 _EPILOG = """\
 Renders a small picture with every backend, each in a process of its own, because a backend is

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, read_scene_or_model
+from ._arguments import Commands, add_command, read_scene
 
 _EPILOG = """\
 example:
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.output.suffix.lower() != ".xml":
         raise UsageError(f"{options.output}: expected a name that ends in .xml")
-    world = World(read_scene_or_model(options.scene))
+    world = World(read_scene(options.scene))
     try:
         written = world.export(options.output)
     except OSError as error:

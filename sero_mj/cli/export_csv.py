@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from ..errors import UsageError, did_you_mean
-from .arguments import Commands, add_command, check_span, not_negative
+from ._arguments import Commands, add_command, check_span, not_negative
 
 _EPILOG = """\
 examples:

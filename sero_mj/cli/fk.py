@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, numbers
+from ._arguments import Commands, add_command, numbers
 
 _EPILOG = """\
 examples:
@@ -34,9 +34,9 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
-    from ..simulate.named_scene import read_model
+    from ..load import load_robot
 
-    robot = read_model(options.robot)
+    robot = load_robot(options.robot)
     q = robot.home
     if options.joint_angles is not None:
         q = numbers(options.joint_angles, "--joint-angles")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from .. import paths
 from ..plugins import DECOR, SOURCES, is_own, plugins
-from .arguments import Commands, add_command
+from ._arguments import Commands, add_command
 
 if TYPE_CHECKING:
     from ..declaration import Declaration
@@ -88,11 +88,22 @@ def _print_fields() -> None:
 
 def _print_scenario_fields() -> None:
     """Every table of a scenario with its kinds, keys, defaults and meanings."""
+    from ..runs.measures import MEASURES
+    from ..runs.monitor import KINDS
+
+    for k, (title, declaration) in enumerate(scenario_tables().items()):
+        print(f"{chr(10) if k else ''}{title}")
+        _print_declaration(declaration)
+    print("\nmeasures: " + ", ".join(f"{name} ({unit})" for name, (unit, _) in MEASURES.items()))
+    print("kinds of faults that are found: " + ", ".join(KINDS))
+
+
+def scenario_tables() -> dict[str, type[Declaration]]:
+    """The tables that a scenario file has beside those of a scene, by their headers."""
     from ..control.cartesian_laws import CARTESIAN_LAWS
     from ..control.controllers import CONTROLLERS
     from ..control.laws import LAWS
-    from ..runs.measures import MEASURES
-    from ..runs.monitor import KINDS, Monitor
+    from ..runs.monitor import Monitor
     from ..simulate.disturbances import DISTURBANCES
     from ..simulate.expect import Expect
     from ..simulate.faults import FAULTS
@@ -105,24 +116,25 @@ def _print_scenario_fields() -> None:
         "disturbances.NAME": DISTURBANCES,
         "faults.NAME": FAULTS,
     }
-    print("[run]")
-    _print_declaration(Run)
+    tables: dict[str, type[Declaration]] = {"[run]": Run}
     for section, found in kinds.items():
-        for kind, declaration in found.items():
-            print(f'\n[{section}] kind = "{kind}"')
-            _print_declaration(declaration)
-    print(f"\n[sensors.ROBOT] {', '.join(f'{signal} = {{ ... }}' for signal in SIGNALS)}")
-    _print_declaration(SensorErrors)
-    print("\n[monitor]")
-    _print_declaration(Monitor)
-    print("\n[expect.NAME]")
-    _print_declaration(Expect)
-    print("\nmeasures: " + ", ".join(f"{name} ({unit})" for name, (unit, _) in MEASURES.items()))
-    print("kinds of faults that are found: " + ", ".join(KINDS))
+        tables |= {f'[{section}] kind = "{kind}"': each for kind, each in found.items()}
+    signals = ", ".join(f"{signal} = {{ ... }}" for signal in SIGNALS)
+    tables[f"[sensors.ROBOT] {signals}"] = SensorErrors
+    return {**tables, "[monitor]": Monitor, "[expect.NAME]": Expect}
 
 
 def _print_declaration(declaration: type[Declaration]) -> None:
-    """Prints the fields of a declaration, those of its bases included."""
+    for name, default, about in field_rows(declaration):
+        print(f"{name} = {default or 'required'}")
+        print(f"    {about}")
+
+
+def field_rows(declaration: type[Declaration]) -> list[tuple[str, str, str]]:
+    """Name, default and meaning of the fields of a declaration, those of its bases included.
+
+    The default is empty for a field that is required; a `kind` is left out.
+    """
     import inspect
     import re
 
@@ -130,12 +142,10 @@ def _print_declaration(declaration: type[Declaration]) -> None:
     for kind in reversed(declaration.__mro__):
         text = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
         about |= dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", text, re.MULTILINE))
+    rows = []
     for name, field in declaration.model_fields.items():
-        if name == "kind":
-            continue
-        default = (
-            "required" if field.is_required() else field.get_default(call_default_factory=True)
-        )
-        shown = " ".join(str(default).split())
-        print(f"{name} = {shown}")
-        print("    " + re.sub(r"\s+", " ", about.get(name, "")))
+        if name != "kind":
+            default = "" if field.is_required() else field.get_default(call_default_factory=True)
+            meaning = re.sub(r"\s+", " ", about.get(name, ""))
+            rows.append((name, " ".join(str(default).split()), meaning))
+    return rows

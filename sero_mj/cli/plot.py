@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import RecordingError, UsageError
-from .arguments import Commands, add_command, not_negative, positive, read_scene_or_model
+from ._arguments import Commands, add_command, not_negative, positive, read_scene
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.begin is not None and options.end is not None and options.end <= options.begin:
         raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
-    scene = None if options.scene is None else read_scene_or_model(options.scene)
+    scene = None if options.scene is None else read_scene(options.scene)
     logs = [_read(path, scene, options) for path in options.recordings]
     from ..show.headless.film import check_writable
     from ..study.plot import plot_runs

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
-from .arguments import Commands, add_command, not_negative, positive, read_scene_or_model
-from .ending import until_ended
+from ._arguments import Commands, add_command, not_negative, positive, read_scene, until_ended
 
 if TYPE_CHECKING:
     from ..record.recorder import Recorder
@@ -57,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.output.suffix.lower() != ".mcap":
         raise UsageError(f"{options.output}: expected a name that ends in .mcap")
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     wiring = wire(scene)
     if wiring.problems:
         raise DeclarationError(scene.located(wiring.problems))

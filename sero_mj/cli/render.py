@@ -9,8 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, not_negative, positive, replay_instead, size
-from .scene_options import add_scene_options, read_scene
+from ._arguments import (
+    Commands,
+    add_command,
+    add_scene_options,
+    not_negative,
+    positive,
+    read_shown_scene,
+    replay_instead,
+    size,
+)
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -106,8 +114,8 @@ def run(options: argparse.Namespace) -> int:
     if not is_film and (options.duration or options.fps):
         raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
     if options.clicks:  # what was hit is worth a line
-        logging.getLogger("sero_mj.show.headless.capture").setLevel(logging.INFO)
-    scene = read_scene(options)
+        logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
+    scene = read_shown_scene(options)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
     elif options.start is not None:
@@ -125,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
             clicks=options.clicks,
         )
     else:
-        from ..show.headless.capture import render_picture
+        from ..show.headless.render import render_picture
 
         silent = render_picture(
             scene,
@@ -171,7 +179,7 @@ def film_with_progress(
     from rich import progress as bars
     from rich.console import Console
 
-    from ..show.headless.capture import render_film
+    from ..show.headless.render import render_film
 
     columns = (
         bars.TextColumn("{task.description}"),

@@ -6,9 +6,9 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ..errors import UsageError
-from . import send_fri, send_play
-from .arguments import Commands, add_command, not_negative, port, positive, read_scene_or_model
-from .sink import make_sink
+from . import _send_fri, _send_play
+from ._arguments import Commands, add_command, not_negative, port, positive, read_scene
+from ._sink import make_sink
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -63,8 +63,8 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--amplitude", type=not_negative, metavar="A", help="0 still to 1 (default)"
     )
-    send_play.add_options(parser)
-    send_fri.add_options(parser)
+    _send_play.add_options(parser)
+    _send_fri.add_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -77,21 +77,21 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("--shm and --host or --port: packets go to one of the two; choose")
     if options.structure is not None:
         Structure(options.structure)  # its own error is clearer than what would follow from it
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     if not scene.sources and len(scene.robots) == 1:
         _declare_source(scene, options)
     if options.play is not None:
-        return send_play.send_file(options, scene, make_sink)
-    send_play.refuse_options(options)
-    controller = send_fri.source_of(scene, options.source)
+        return _send_play.send_file(options, scene, make_sink)
+    _send_play.refuse_options(options)
+    controller = _send_fri.source_of(scene, options.source)
     if controller is not None:
-        return send_fri.send(options, scene, controller)
-    send_fri.refuse_options(options)
+        return _send_fri.send(options, scene, controller)
+    _send_fri.refuse_options(options)
     return _send_motion(options, scene)
 
 
 def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
-    from ..send.ahead import Ahead
+    from ..send.packet_buffer import PacketBuffer
     from ..send.play import MotionPackets
     from ..send.sender import paced, send
 
@@ -100,7 +100,7 @@ def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
     packets = MotionPackets(scene, options.source, options.structure, amplitude)
     structure, source = packets.structure, packets.source
     has = structure.events
-    ahead = Ahead(
+    ahead = PacketBuffer(
         packets.at,
         structure,
         rate=rate,

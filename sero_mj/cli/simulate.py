@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SimulationError, UsageError
-from . import simulate_send
-from .arguments import Commands, add_command, not_negative, overrides, positive, size
+from . import _simulate_send
+from ._arguments import Commands, add_command, not_negative, overrides, positive, size
 from .render import check_picture_or_film, film_with_progress
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def add_to(commands: Commands) -> None:
         help="set anything over the file's: controllers.lwr.stiffness=200; may be repeated",
     )  # fmt: skip
     parser.add_argument("--real-time", action="store_true", help="no faster than a real robot")
-    simulate_send.add_options(parser)
+    _simulate_send.add_options(parser)
     parser.add_argument("--overwrite", action="store_true", help="record over a file that exists")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress bar, no table")
@@ -168,10 +168,10 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
         )
         task = progress.add_task("", total=simulation.steps)
         if options.send is not None:
-            sender = stack.enter_context(simulate_send.Sender(simulation, options))
+            sender = stack.enter_context(_simulate_send.Sender(simulation, options))
             batches = sender.run()
         elif options.real_time:
-            batches = simulate_send.in_real_time(simulation)
+            batches = _simulate_send.in_real_time(simulation)
         else:
             batches = simulation.run()
         try:
@@ -188,7 +188,7 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
 
 
 def _render(simulation: Simulation, options: argparse.Namespace) -> None:
-    from ..show.headless.capture import render_picture
+    from ..show.headless.render import render_picture
     from ..simulate.simulated_scene import simulated_scene
 
     scene = simulated_scene(simulation)

@@ -10,11 +10,10 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DeclarationError, UsageError
-from .arguments import Commands, add_command, positive, read_scene_or_model
-from .ending import until_ended
+from ._arguments import Commands, add_command, positive, read_scene, until_ended
 
 if TYPE_CHECKING:
-    from ..receive.receiver import Receiver
+    from ..receive.source import Source
 
 _EPILOG = """\
 examples:
@@ -45,19 +44,19 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Watches; returns 0 when every source has received something good, else 1."""
     from ..drive.route import wire
-    from ..receive.receiver import Receiver
     from ..receive.report import report
 
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     wiring = wire(scene)
     if wiring.problems:
         raise DeclarationError(scene.located(wiring.problems))
-    sources = [source for source in wiring.sources.values() if isinstance(source, Receiver)]
+    sources = list(wiring.sources.values())
     if not sources:
         raise UsageError(f"scene '{scene.name}' has no source to watch")
     with ExitStack() as stack:
         for source in sources:
-            stack.enter_context(source)
+            source.open()
+            stack.callback(source.close)
         with until_ended():
             _watch(sources, options.duration, live=not options.json)
         found = [report(source) for source in sources]
@@ -68,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     return 0 if all(entry["good"] for entry in found) else 1
 
 
-def _watch(sources: list[Receiver], duration: float | None, *, live: bool) -> None:
+def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None:
     """Waits, and shows the table where somebody can see it change."""
     from rich.live import Live
 

@@ -9,8 +9,8 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from ..errors import StructureError, UsageError
-from .arguments import Commands, add_command, port, positive, read_scene_or_model
-from .layout_table import as_json, make_console, print_layout
+from ._arguments import Commands, add_command, port, positive, read_scene
+from ._layout_table import as_json, make_console, print_layout
 
 if TYPE_CHECKING:
     from ..receive.structure import Structure
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         return _print_scene(options)
     layout = None if options.structure is None else _read(options)
     if options.sniff:
-        from .sniff import sniff
+        from ._sniff import sniff
 
         return sniff(options, layout)
     if layout is None:
@@ -118,7 +118,7 @@ def _read(options: argparse.Namespace) -> Structure:
 def _print_scene(options: argparse.Namespace) -> int:
     from ..drive.route import wire
 
-    scene = read_scene_or_model(options.scene)
+    scene = read_scene(options.scene)
     layouts = {
         name: source.layout
         for name, source in wire(scene).sources.items()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from .arguments import Commands, add_command, overrides
+from ._arguments import Commands, add_command, overrides
 
 if TYPE_CHECKING:
     from ..study.sweep import Sweep

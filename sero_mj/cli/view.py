@@ -9,9 +9,17 @@ from pathlib import Path
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
-from .arguments import Commands, add_command, not_negative, port, replay_instead, size
-from .ending import until_ended
-from .scene_options import add_scene_options, read_scene
+from ._arguments import (
+    Commands,
+    add_command,
+    add_scene_options,
+    not_negative,
+    port,
+    read_shown_scene,
+    replay_instead,
+    size,
+    until_ended,
+)
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
@@ -69,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
         os.environ["MUJOCO_GL"] = "glfw"
-    scene = read_scene(options)
+    scene = read_shown_scene(options)
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
     if options.replay is not None:
@@ -95,7 +103,7 @@ def wants_page(options: argparse.Namespace) -> bool:
         raise UsageError(f"--{of_window[0]} is for the window; a page is as large as its browser's")
     if options.web or of_page:
         return True
-    from ..show.display import has_display
+    from ..show.headless.backend import has_display
 
     if has_display():
         return False

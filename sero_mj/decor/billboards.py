@@ -12,7 +12,7 @@ from .feature import Feature, Frame
 from .lines import Line, billboard_lines, declared_lines, detail_lines
 from .panels import PANEL_RGBA, panel_sizes
 from .pen import Kind
-from .view import View
+from .picture_view import PictureView
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class Billboards(Feature):
             rgba=np.where(stale[index, None], _STALE_RGBA, self._rgba[index]),
         )
 
-    def _sizes(self, view: View, lines: list[list[Line]], texts: list[list[bytes]]) -> Array:
+    def _sizes(self, view: PictureView, lines: list[list[Line]], texts: list[list[bytes]]) -> Array:
         """Panel sizes that do not change with the digits, unless a number is unusually long."""
         font, known = view.font, self._widths
         widths = np.empty(len(lines))

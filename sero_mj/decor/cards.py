@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .layout import columns
 from .panels import PANEL_RGBA, Panels, draw_leaders
 from .pen import Kind, Pen
-from .view import View
+from .picture_view import PictureView
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -48,7 +48,7 @@ class Cards:
 
 def lay_out(
     pen: Pen,
-    view: View,
+    view: PictureView,
     groups: list[Cards],
     points: Array,
     corners: list[Panels],
@@ -114,7 +114,7 @@ def _bounds(panels: Panels) -> tuple[Array, Array]:
     return (panels.centres - half).min(axis=0), (panels.centres + half).max(axis=0)
 
 
-def _span(view: View, points: Array, anchors: Array) -> tuple[float, float]:
+def _span(view: PictureView, points: Array, anchors: Array) -> tuple[float, float]:
     """First and last column of pixels that the robots take, of those that the host leaves free."""
     pixels, depth = view.project(points)
     across = np.concatenate([pixels[depth > view.near, 0], anchors[:, 0]])

@@ -12,11 +12,11 @@ from .feature import Feature, Frame, make_features
 from .hover import hover_panel
 from .panels import draw_panels
 from .pen import CAPACITY, Pen
+from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
 from .round_arrows import MAX_SEGMENTS
 from .staleness import Staleness
 from .toggles import Toggles
-from .view import View
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class Decor:
         self._max_segments = max_segments
         self._staleness = Staleness(world)
 
-    def draw(self, data: mujoco.MjData, toggles: Toggles, view: View) -> Pen:
+    def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Pen:
         """Lays out one frame and returns the pen that holds it.
 
         Args:

@@ -21,8 +21,8 @@ from ..plugins import DECOR, load_plugin, plugins
 from .cards import Cards
 from .panels import Panels
 from .pen import Pen
+from .picture_view import PictureView
 from .toggles import Shown, Toggles
-from .view import View
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ class Frame:
 
     pen: Pen
     data: Any
-    view: View
+    view: PictureView
     toggles: Toggles
     shown: Shown
     values: dict[str, Array]

@@ -20,8 +20,8 @@ from .feature import Feature, Frame
 from .layout import RIGHT
 from .panels import Panels, panel_sizes
 from .pen import Kind, Pen
+from .picture_view import PictureView
 from .smart_arrows import frames_along
-from .view import View
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,12 @@ class FlangeCheck(Feature):
             frame.corners.append(_corner(view, right, unseen))
 
     def _cards(
-        self, view: View, items: list[int], anchors: Array, texts: list[list[bytes]], clear: float
+        self,
+        view: PictureView,
+        items: list[int],
+        anchors: Array,
+        texts: list[list[bytes]],
+        clear: float,
     ) -> Cards:
         widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
         top = len(self.world.joints.names)  # above all billboards
@@ -154,7 +159,7 @@ class FlangeCheck(Feature):
         return np.asarray(T[:3, 3])
 
 
-def _corner(view: View, lines: list[bytes], off: bool) -> Panels:
+def _corner(view: PictureView, lines: list[bytes], off: bool) -> Panels:
     """A panel in the upper right corner, red where one is off."""
     widest = np.array([max(view.font.width(line) for line in lines)])
     size = panel_sizes(widest, len(lines), view)

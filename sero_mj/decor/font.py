@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assemble.world_view import WorldView
+
 Widths = NDArray[np.intp] | NDArray[np.float64]
 
 # MjrContext.charWidth[32:127] at font scale 150 %, read from MuJoCo 4.0.0; a test compares.
@@ -69,3 +71,12 @@ def _default() -> Font:
 
 
 DEFAULT_FONT = _default()
+
+
+_TEXT_OF_SCALE = 0.7  # text height over picture height per unit of billboard_scale
+
+
+def font_scale(world: WorldView, height: int) -> int:
+    """Returns MuJoCo's font scale, percent, for a picture of `height` pixels."""
+    scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
+    return nearest_font_scale(_TEXT_OF_SCALE * max(scales) * height)

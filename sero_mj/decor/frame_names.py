@@ -10,8 +10,8 @@ from ..assemble.world_view import WorldView
 from .feature import Feature, Frame
 from .panels import Panels, labels_at
 from .pen import Kind
+from .picture_view import PictureView
 from .toggles import Bools
-from .view import View
 
 _SPACED = 1.05  # distance of two names that stand under each other, over their height
 
@@ -28,7 +28,9 @@ class FrameNames(Feature):
             frame.panels.append(panels)
 
 
-def name_panels(world: WorldView, data: mujoco.MjData, named: Bools, view: View) -> Panels | None:
+def name_panels(
+    world: WorldView, data: mujoco.MjData, named: Bools, view: PictureView
+) -> Panels | None:
     """Returns a panel under the origin of every frame whose name is shown (M,), or None."""
     shown = named.nonzero()[0]
     if not len(shown):

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.ghost import Ghost
+from ..assemble.parts import Ghost
 from .geoms import GEOM, set_geom, struct_view
 
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)

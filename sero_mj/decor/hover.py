@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from .panels import Panels, labels_at, panel_sizes
+from .picture_view import PictureView
 from .toggles import Toggles
-from .view import View
 
 _BESIDE = 0.6  # of a line's height
 # Below to the right, where pointers do not cover it; else above, else on the left.
@@ -14,7 +14,7 @@ _CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
 _RGBA = (0.20, 0.20, 0.16, 0.90)
 
 
-def hover_panel(toggles: Toggles, view: View, others: list[Panels]) -> list[Panels]:
+def hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> list[Panels]:
     """Returns the panel beside the pointer; none when nothing is under it.
 
     Args:

@@ -34,9 +34,9 @@ def spread(centres: Array, heights: Array, gap: float, low: float, high: float) 
     if not len(centres):
         return centres
     room = high - low
-    needed = heights.sum() + gap * (len(heights) - 1)
+    needed = float(heights.sum()) + gap * (len(heights) - 1)
     if needed > room and len(heights) > 1:
-        gap = (room - heights.sum()) / (len(heights) - 1)
+        gap = (room - float(heights.sum())) / (len(heights) - 1)
         needed = room
     below = np.concatenate([[0.0], np.cumsum(heights[:-1] + gap)])  # packed from zero
     start = centres - heights / 2 - below

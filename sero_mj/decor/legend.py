@@ -9,8 +9,8 @@ from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
 from .feature import Feature, Frame
 from .panels import Panels, panel_sizes
+from .picture_view import PictureView
 from .toggles import Toggles
-from .view import View
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Legend(Feature):
         if panels is not None:
             frame.corners.append(panels)
 
-    def _shown(self, toggles: Toggles, view: View, limit: Array) -> Panels | None:
+    def _shown(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
         if not toggles.legend or not (toggles.arrows.any() or toggles.vectors.any()):
             return None
         key = (
@@ -68,7 +68,7 @@ class Legend(Feature):
         centres = panels.centres[:kept] + view.free[0]
         return Panels(centres, panels.sizes[:kept], panels.texts[:kept], _RGBA)
 
-    def _laid_out(self, toggles: Toggles, view: View, limit: Array) -> Panels:
+    def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels:
         margin = _MARGIN * view.font.height
         scales = self._scales(toggles)
         texts: list[list[bytes]] = [scales] if scales else []

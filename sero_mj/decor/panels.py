@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .pen import Kind, Pen
-from .view import View
+from .picture_view import PictureView
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ _LEADER_BASE = 0.22  # of a line's height
 PADDING = 0.35  # of a line's height, on every side
 
 
-def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: View) -> Array:
+def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: PictureView) -> Array:
     """Width and height (k, 2) of panels for so many lines of that width (k,), pixels."""
     line = view.font.height
     sizes = np.empty((len(text_widths), 2))
@@ -55,7 +55,7 @@ class Panels:
     in_front: bool = False
 
 
-def labels_at(view: View, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
+def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
     """Centres and sizes of panels, moved into the picture where they stand out.
 
     Args:
@@ -70,7 +70,7 @@ def labels_at(view: View, centres: Array, texts: list[list[bytes]]) -> tuple[Arr
     return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
 
 
-def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
+def draw_panels(pen: Pen, view: PictureView, groups: list[Panels]) -> None:
     """Draws all panels of a frame at once, for every array write costs as much for one as for all.
 
     Args:
@@ -132,7 +132,7 @@ def draw_panels(pen: Pen, view: View, groups: list[Panels]) -> None:
 
 
 def _covered(
-    view: View, starts: Array, lines: list[bytes], centres: Array, sizes: Array
+    view: PictureView, starts: Array, lines: list[bytes], centres: Array, sizes: Array
 ) -> NDArray[np.bool_]:
     """Which lines (k,) of text, by their lower left pixels (k, 2), are under panels (m, 2)."""
     text = np.stack(
@@ -144,7 +144,7 @@ def _covered(
 
 
 def draw_leaders(
-    pen: Pen, view: View, starts: Array, ends: Array, rgba: Array | tuple[float, ...]
+    pen: Pen, view: PictureView, starts: Array, ends: Array, rgba: Array | tuple[float, ...]
 ) -> None:
     """Draws slender pointers in the picture plane, one triangle each.
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.ghost import Ghost
+from ..assemble.parts import Ghost
 from .geoms import GEOM, set_geom, struct_view
 from .ghosts import GhostPainter
 

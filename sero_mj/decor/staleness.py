@@ -14,7 +14,7 @@ from ..assemble.world_view import WorldView
 from ..receive.source import QUIET_AFTER
 from .panels import Panels, labels_at
 from .pen import Pen
-from .view import View
+from .picture_view import PictureView
 
 _AGE = SOURCE_FIELDS.index("age")
 _FAULT_AGE = SOURCE_FIELDS.index("fault_age")
@@ -105,7 +105,7 @@ class Staleness:
         return np.array([*of_owner.values()], np.float64)[self._owner]
 
     def panels(
-        self, pen: Pen, data: mujoco.MjData, view: View, stale: dict[str, str]
+        self, pen: Pen, data: mujoco.MjData, view: PictureView, stale: dict[str, str]
     ) -> list[Panels]:
         """Greys stale robots and doubles and returns their labels.
 

@@ -15,9 +15,9 @@ from ..receive import fri_layout as fri
 from .cards import below
 from .feature import Feature, Frame
 from .panels import Panels, panel_sizes
+from .picture_view import PictureView
 from .quantities import implausible_torques
 from .toggles import Toggles
-from .view import View
 
 FAULT_RGBA = (0.32, 0.03, 0.03, 0.88)
 _MARGIN = 0.5  # of a line's height
@@ -76,10 +76,12 @@ def _packets(count: float) -> str:
 def _controller_complaints(name: str, state: Any, answers: bool) -> list[str]:
     """What a robot's controller says is not good, now or when it was last heard of."""
     # Where nothing was received yet, all is 0, which here would mean something.
-    if not state.received or state.quality < 0 or fri.is_good(state.state, state.quality):
+    if not state.received or state.link_quality < 0:
         return []
-    quality = fri.QUALITIES.get(int(state.quality), f"{state.quality:.0f}")
-    of_robot = fri.STATES.get(int(state.state), f"{state.state:.0f}")
+    if fri.is_good(state.robot_state, state.link_quality):
+        return []
+    quality = fri.QUALITIES.get(int(state.link_quality), f"{state.link_quality:.0f}")
+    of_robot = fri.STATES.get(int(state.robot_state), f"{state.robot_state:.0f}")
     lines = [f"{name}: quality {quality}, state {of_robot}"]
     if quality == "unacceptable" and not answers:
         lines.append("  it gets no answers: answer = false")
@@ -119,7 +121,7 @@ class Status(Feature):
             frame.corners.append(panel)
 
     def panels(
-        self, data: mujoco.MjData, toggles: Toggles, view: View, more: Sequence[str] = ()
+        self, data: mujoco.MjData, toggles: Toggles, view: PictureView, more: Sequence[str] = ()
     ) -> Panels | None:
         """Returns the panel in the upper left corner, or None when there is nothing to say.
 

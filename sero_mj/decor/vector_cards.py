@@ -11,7 +11,7 @@ from .cards import Cards, heights_in_order
 from .lines import NO_DATA
 from .panels import panel_sizes
 from .pen import Kind
-from .view import View
+from .picture_view import PictureView
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -29,7 +29,7 @@ class VectorCards:
         self,
         data: mujoco.MjData,
         shown: Bools,
-        view: View,
+        view: PictureView,
         components: Array,
         reach: Array,
         stale: list[str],

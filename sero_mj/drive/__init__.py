@@ -2,6 +2,6 @@
 
 In: packets of sources and the scene's routes. Out: joint angles, frames and `userdata`, with every
 follower and double in its place.
-Open first: `mirror.py`; `route.py` says what a route means, `router.py` applies them, `place.py`
+Open first: `mirror.py`; `route.py` says what a route means, `_router.py` applies them, `place.py`
 moves what depends on them.
 """

@@ -5,48 +5,26 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
-from ..assemble.scene_file import read_scene
 from ..assemble.world import World
 from ..assemble.world_view import WorldView
 from ..errors import DeclarationError
-from ..paths import find_scene
 from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
+from ._router import Router
+from ._source_states import SourceStates
 from .place import Placer, follow
 from .route import wire
-from .router import Router
-from .source_state import SourceStates
 from .wiring import Route
 
 Array = NDArray[np.float64]
 Listener = Callable[[str, Packets], None]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-
-
-def load_scene(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Scene:
-    """Reads and checks a scene file, opening nothing.
-
-    Args:
-        path: a TOML file, or a shipped scene's name.
-        overrides: `robot.field` to its value, over what the file says. An input that is set so
-            (`lwr.joint_angles`) is no longer routed to.
-
-    Raises:
-        DeclarationError: everything that is wrong in the file, at once.
-        UnknownName: there is no such scene.
-    """
-    scene, problems = read_scene(find_scene(str(path)), overrides)
-    problems += scene.located(wire(scene).problems)
-    if problems:
-        raise DeclarationError(problems)
-    return scene
 
 
 class LiveWorld(Protocol):

@@ -13,8 +13,8 @@ from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
 from ..errors import DeclarationError
 from ..frames import frame, rotation_from_quat
+from ._router import LateRouter, LatestValues
 from .route import wire
-from .router import LateRouter, Packets
 from .wiring import FrameRoute, Wiring
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ class Placer:
         later = {name for level in self._levels for name in level}
         self._at_once = [name for name in world.scene.frames if name not in later]
 
-    def place(self, data: mujoco.MjData, packets: Packets | None = None) -> None:
+    def place(self, data: mujoco.MjData, packets: LatestValues | None = None) -> None:
         """Computes all frames from joint angles and what was received; time does not pass.
 
         Before, robots get what other robots' outputs lead to them.

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..assemble.scene import Scene
-from ..receive.receiver import Receiver
 from ..receive.source import Source
 from ..record.recorder import SIGNALS_RATE, Recorder
 from .route import wire
@@ -48,7 +47,7 @@ def record_sources(
         routes = [] if scene is None else wire(scene).routes
         try:
             for name, source in sources.items():
-                if isinstance(source, Receiver) and source.is_live:
+                if source.is_live:
                     _add(recorder, name, source, scene, routes)
                     recorded.append(source)
             for file in [] if scene is None else _files_of(scene):
@@ -62,7 +61,7 @@ def record_sources(
 
 
 def _add(
-    recorder: Recorder, name: str, source: Receiver, scene: Scene | None, routes: list[Route]
+    recorder: Recorder, name: str, source: Source, scene: Scene | None, routes: list[Route]
 ) -> None:
     routed = None if scene is None else RoutedSignals(scene, routes, name, source.events)
 

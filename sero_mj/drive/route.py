@@ -3,11 +3,11 @@
 route  = target "=" origin
 target = name "." input          lwr.joint_angles, contact.vector, toggles.legend
 origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
-                                 `not` turns a switch round
+                                 `not` negates a toggle
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
 
-`syntax` has the grammar of expressions, `expression` their meaning.
+`_syntax` has the grammar of expressions, `_expression` their meaning.
 """
 
 from __future__ import annotations
@@ -19,15 +19,12 @@ from ..assemble.named_frames import WORLD
 from ..assemble.route_text import NOT, names_in
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
-from ..receive.kinds import make_source
-from ..receive.source import Source
-from .expression import Value, evaluate
-from .fit import misfit
-from .names import Names
-from .order import allow_blanks, levels_of_frames, routes_in_order
-from .syntax import Name, Node, parse
-from .units import dimension_of
-from .wiring import FrameRoute, Route, Wiring
+from ..receive.source import Source, make_source
+from ._expression import Value, evaluate
+from ._names import Names
+from ._syntax import Expression, parse
+from ._units import Exponents, describe, dimension_of
+from .wiring import FrameRoute, Route, Wiring, allow_blanks, levels_of_frames, routes_in_order
 
 
 def wire(scene: Scene) -> Wiring:
@@ -113,13 +110,14 @@ def _route(
     """A checked route, or None where what is wrong with it is known already."""
     problems = [item] if isinstance(item, Problem) else []
     try:
-        negated, tree = parse(origin)
+        expression = parse(origin)
     except RouteError as error:
         raise DeclarationError([*problems, Problem("", str(error))]) from None
-    if isinstance(item, Input) and negated and item.kind != "toggle":
+    if isinstance(item, Input) and expression.negated and item.kind != "toggle":
         problems.append(Problem("", f"'{NOT}' is for switches; {target} takes {item.meaning}"))
-    if isinstance(tree, Name) and (names.is_frame(tree.text) or names.is_fwd_kin(tree.text)):
-        route = _frame_route(scene, names, problems, item, tree.text)
+    name = expression.name
+    if name is not None and (names.is_frame(name) or names.is_fwd_kin(name)):
+        route = _frame_route(scene, names, problems, item, name)
         if problems:
             raise DeclarationError(problems)
         return route
@@ -130,23 +128,63 @@ def _route(
     known = {name: value for name, value in found.items() if isinstance(value, Value)}
     if len(known) < len(found) or not isinstance(item, Input):
         return None  # its own declaration is wrong and already reported
-    return _number_route(scene, item, (origin, negated, tree), known)
+    return _number_route(scene, item, expression, known)
 
 
 def _number_route(
-    scene: Scene, item: Input, parsed: tuple[str, bool, Node], names: Mapping[str, Value]
+    scene: Scene, item: Input, expression: Expression, names: Mapping[str, Value]
 ) -> Route:
-    origin, negated, tree = parsed
-    text = origin.strip()
-    text = text.removeprefix(NOT).lstrip() if negated else text
+    text = expression.text.strip()
+    text = text.removeprefix(NOT).lstrip() if expression.negated else text
     try:
-        value = evaluate(tree, origin, names)
+        value = evaluate(expression, names)
     except RouteError as error:
         raise DeclarationError([Problem("", str(error))]) from None
-    message = misfit(value, text, item, dimension_of(scene, item))
+    message = _misfit(value, text, item, dimension_of(scene, item))
     if message:
         raise DeclarationError([Problem("", message)])
-    return Route(item, text, value.compile(item.count), negated)
+    return Route(item, text, value.compile(item.count), expression.negated)
+
+
+def _misfit(value: Value, text: str, item: Input, taken: Exponents) -> str:
+    """Says why a value does not fit an input; empty when it does.
+
+    Args:
+        value: what the route computes.
+        text: its expression.
+        item: the input.
+        taken: the exponents of the input's units, (count, 4); zero takes any.
+    """
+    return _wrong_shape(value, text, item) or _wrong_unit(value, text, item, taken)
+
+
+def _wrong_shape(value: Value, text: str, item: Input) -> str:
+    count, shape = value.offset.size, value.shape
+    many = "1 value" if count == 1 else f"{count} values"
+    if item.shape == (4, 4):
+        if value.is_frames and count == 16:
+            return ""
+        found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
+        return f"{text} {found}; {item.target} takes {item.meaning}: 1M in the structure"
+    if value.is_constant and not shape:
+        return ""  # one number for all
+    if count != item.count:
+        return f"{text} has {many}; {item.target} takes {item.meaning}"
+    if value.is_frames:
+        return f"{text} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+    return ""
+
+
+def _wrong_unit(value: Value, text: str, item: Input, taken: Exponents) -> str:
+    found = value.dimensions.reshape(-1, 4)
+    for i, want in enumerate(taken):
+        have = found[i if len(found) > 1 else 0]
+        if have.any() and want.any() and (have != want).any():
+            where = ""
+            if (found != found[0]).any() or (taken != taken[0]).any():
+                where = f" at number {i}, counted from 0"
+            return f"{text} is {describe(have)}; {item.target} takes {describe(want)}{where}"
+    return ""
 
 
 def _frame_route(

@@ -11,7 +11,7 @@ from ..assemble.inputs import Input
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..record.signals_json import Signals
-from .units import robot_of
+from ._units import robot_of
 from .wiring import Route
 
 Array = NDArray[np.float64]

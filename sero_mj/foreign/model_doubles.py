@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE, PATH_FADE
-from ..assemble.ghost import Ghost
-from ..assemble.parts import DoublePart
+from ..assemble.parts import DoublePart, Ghost
 
 Array = NDArray[np.float64]
 

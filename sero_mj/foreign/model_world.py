@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
 from ..assemble.frame_table import arrow_table, frame_table
-from ..assemble.ghost import Ghost
 from ..assemble.inputs import BLANKABLE, list_inputs, userdata_slots
 from ..assemble.joint_table import joint_table
 from ..assemble.looks import View
 from ..assemble.named_frames import NamedFrame
-from ..assemble.parts import DoublePart
-from ..assemble.scene import Scene
-from ..assemble.scene_toggles import SceneToggles
+from ..assemble.parts import DoublePart, Ghost
+from ..assemble.scene import Scene, SceneToggles
 from ..assemble.world_view import WorldView
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName

@@ -7,19 +7,16 @@ measurements all the same, with the quality `unacceptable`.
 
 from __future__ import annotations
 
-import sys
-import threading
 from collections.abc import Callable, Collection
 from functools import cached_property
 from typing import Any
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from .datagrams import OnArrival
+from ._datagrams import OnArrival
+from ._scheduling import short_turns
 from .fri_layout import FRAMES, MEASUREMENT, PORT, FriLayout, counter_of, no_command
 from .udp import UdpReceiver
-
-_TURN = 5e-4  # s
 
 
 class FriReceiver(UdpReceiver):
@@ -91,15 +88,16 @@ class FriReceiver(UdpReceiver):
         """Binds the socket and starts the thread; raises SourceError as `UdpReceiver.open` does."""
         super().open()
         if self.answer:
-            _short_turns.begin(self)
+            short_turns.begin(self)
 
     def close(self) -> None:
         """Stops the thread and closes the socket; harmless when it is not open."""
-        _short_turns.end(self)
+        short_turns.end(self)
         super().close()
 
-    def _start_afresh(self) -> None:
-        super()._start_afresh()
+    def reset(self) -> None:
+        """Forgets all packets and counters, and takes a changed declaration into account."""
+        super().reset()
         self._answers = 0
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
@@ -119,33 +117,3 @@ class FriReceiver(UdpReceiver):
             self._answers += 1
 
         return answer
-
-
-class _ShortTurns:
-    """Lets threads that compute in Python run for less at a time, as long as somebody answers.
-
-    Who answers has to wait until the interpreter switches to it: up to 5 ms by default, of which
-    a controller's cycle of 1 ms knows nothing.
-    """
-
-    def __init__(self) -> None:
-        self._answering: set[int] = set()
-        self._usual = 0.0
-        self._lock = threading.Lock()
-
-    def begin(self, receiver: FriReceiver) -> None:
-        with self._lock:
-            if not self._answering:
-                self._usual = sys.getswitchinterval()
-                sys.setswitchinterval(min(self._usual, _TURN))
-            self._answering.add(id(receiver))
-
-    def end(self, receiver: FriReceiver) -> None:
-        with self._lock:
-            was_answering = id(receiver) in self._answering
-            self._answering.discard(id(receiver))
-            if was_answering and not self._answering:
-                sys.setswitchinterval(self._usual)
-
-
-_short_turns = _ShortTurns()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import are_frames
+from ._checks import are_frames
 from .structure import Rows, Structure
 
 Array = NDArray[np.float64]
@@ -86,6 +86,14 @@ class FriLayout(Structure):
         if events is not None and "commanded_angles" in events:
             events = {*events, *_COMMANDED}
         return self._derive(super().decode_rows(rows, events))
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """A packet's `state` and `quality`, as `STATES` and `QUALITIES` have them.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return float(values["state"][0]), float(values["quality"][0])
 
     @property
     def required_frames(self) -> tuple[str, ...]:

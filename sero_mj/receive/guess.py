@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from .checks import are_frames
+from ._checks import are_frames
 from .fri_layout import COMMAND, MEASUREMENT
 from .structure import Structure
 

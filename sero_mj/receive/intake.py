@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import are_frames, blank_not_finite, find_not_finite, find_not_frame
-from .order import Place, SequenceTracker, StampTracker
-from .senders import MOST, Senders
+from ._checks import are_frames, blank_not_finite, find_not_finite, find_not_frame
+from ._senders import MOST, Senders
+from ._sequence import Position, SequenceTracker, StampTracker
+from ._timing import Timing
 from .source import Counters
 from .structure import Structure
-from .timing import Timing
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.uint8]
@@ -25,8 +25,27 @@ Places = NDArray[np.int8]
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
 _DUPLICATE, _LATE, _RESTARTED = (
-    place.value for place in (Place.DUPLICATE, Place.LATE, Place.RESTARTED)
+    position.value for position in (Position.DUPLICATE, Position.LATE, Position.RESTARTED)
 )
+
+_MOST_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
+
+
+def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
+    """Puts packets of any length into the rows that `Intake.take` and recorders take.
+
+    Args:
+        packets: bytes of each, n >= 1.
+        size: bytes of a right one.
+
+    Returns:
+        rows (n, `size` or more), with zeros behind a shorter packet; a longer one ends after 2048
+        bytes or `size`; and the lengths that the packets had, (n,).
+    """
+    lengths = np.array([len(packet) for packet in packets], np.intp)
+    width = max(size, min(int(lengths.max()), _MOST_KEPT))
+    text = b"".join(packet[:width].ljust(width, b"\0") for packet in packets)
+    return np.frombuffer(text, np.uint8).reshape(len(packets), width), lengths
 
 
 class Intake:
@@ -228,7 +247,7 @@ class Intake:
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Addresses | None
     ) -> Places:
-        """What the packets' numbers or time stamps say, as `Place`'s numbers, (n,)."""
+        """What the packets' numbers or time stamps say, as `Position`'s numbers, (n,)."""
         places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
             return places

@@ -7,7 +7,7 @@ import threading
 import time as clock
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Self
 
@@ -18,19 +18,16 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 from ..declaration import Declaration
 from ..errors import StructureError, UnknownName, did_you_mean
 from ..plugins import SOURCES, plugin_name
-from .intake import Intake
-from .source import QUIET_AFTER, Counters, Packet, Packets
+from ._timing import Timing
+from .intake import Intake, pad_packets
+from .source import QUIET_AFTER, Counters, Packet, Packets, Tap
 from .structure import Alignment, Structure
-from .timing import Timing
 
 log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.uint8]
 Ints = NDArray[np.intp]
-# Gets the packets of a batch as they came: rows, lengths (n,), arrivals (n,) s.
-Tap = Callable[[Rows, Ints, Array], None]
-
 # The fields that decide what packets mean; those that say where they come from do not matter.
 DECODING = (
     "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
@@ -41,7 +38,10 @@ _WARN_EVERY = 10.0  # s
 
 
 class Receiver(Declaration):
-    """A source of packets of one structure.
+    """A source of packets of one structure; the base of sources in other packages, too.
+
+    A subclass calls `reset` in `open`, hands packets to `accept` on a thread of its own, and in
+    `close` sets `closing` before it waits for that thread.
 
     Attributes:
         name: the source's name in routes.
@@ -126,8 +126,12 @@ class Receiver(Declaration):
         return plugin_name(SOURCES, type(self))
 
     def decoding_fields(self) -> dict[str, Any]:
-        """The fields that decide what packets mean, as JSON's types; for recordings."""
-        fields = self.model_dump(mode="json", include=set(DECODING), exclude_defaults=True)
+        """The fields that decide what packets mean, as JSON's types; for recordings.
+
+        Those without which none of its kind can be made (`block`, say) are among them.
+        """
+        required = {key for key, field in type(self).model_fields.items() if field.is_required()}
+        fields = self.model_dump(mode="json", include={*DECODING, *required}, exclude_defaults=True)
         return {key: value for key, value in fields.items() if value != ""}
 
     @property
@@ -195,6 +199,24 @@ class Receiver(Declaration):
         """Whether packets come when they like; those of a recording come when they are wanted."""
         return True
 
+    @property
+    def end(self) -> float | None:
+        """Until when there are packets, s on the clock of `advance_to`; None where nothing ends."""
+        return None
+
+    @property
+    def step(self) -> float | None:
+        """Time step of a simulation, whose `advance_to` takes long, s; None for all others."""
+        return None
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """State of the robot's controller and quality of the link to it; -1 where unknown.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return self.layout.link_state(values)
+
     def now(self) -> float:
         """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
         return clock.monotonic()
@@ -225,8 +247,7 @@ class Receiver(Declaration):
         """Decodes one packet by itself; None for one that would not be applied. Counts nothing."""
         judge = self._new_intake(follows=False)
         judge.on_fault = lambda _: None
-        row = np.frombuffer(packet.ljust(self.size, b"\0"), np.uint8)[None, : self.size]
-        rows, _ = judge.take(row, np.array([len(packet)]), np.zeros(1))
+        rows, _ = judge.take(*pad_packets([packet], self.size), np.zeros(1))
         if not len(rows):
             return None
         return {event: array[0] for event, array in judge.decode(rows).items()}
@@ -250,8 +271,13 @@ class Receiver(Declaration):
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _start_afresh(self) -> None:
-        """Forgets all packets, and takes a changed declaration into account."""
+    @property
+    def closing(self) -> threading.Event:
+        """Set while it is being closed: `accept` then no longer waits for room."""
+        return self._closing
+
+    def reset(self) -> None:
+        """Forgets all packets and counters, and takes a changed declaration into account."""
         self.__dict__.pop("layout", None)
         self._intake = self._new_intake()
         self._number = self._looked = self._taken = self._queued_bytes = 0
@@ -306,10 +332,26 @@ class Receiver(Declaration):
         """Waits up to `timeout` s until a good packet has come; returns whether one has."""
         return self._first.wait(timeout)
 
+    def accept(self, packets: Sequence[bytes], arrivals: Sequence[float] | None = None) -> None:
+        """Takes in packets as they came, the malformed too; only for the source's own thread.
+
+        Args:
+            packets: bytes of each, n.
+            arrivals: when each came, n, s on the clock of `now`; now when None.
+
+        Raises:
+            ValueError: not as many arrivals as packets.
+        """
+        times = np.full(len(packets), self.now()) if arrivals is None else np.array(arrivals, float)
+        if len(times) != len(packets):
+            raise ValueError(f"found {len(times)} arrivals for {len(packets)} packets")
+        if len(packets):
+            self._accept(*pad_packets(packets, self.size), times)
+
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> None:
-        """Takes in packets as they came; only for the source's own thread."""
+        """Takes in packets as they came, in rows; only for the source's own thread."""
         if (tap := self._tap) is not None:
             tap(rows, lengths, arrivals)
         intake = self._intake or self.intake

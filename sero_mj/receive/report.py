@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from .receiver import Receiver
-from .source import Counters, age
+from .source import Counters, Source, age
 
 # What each counter means to somebody who looks for a fault; in the order in which to look.
 MEANINGS = {
@@ -25,7 +24,7 @@ MEANINGS = {
 }
 
 
-def report(source: Receiver) -> dict[str, Any]:
+def report(source: Source) -> dict[str, Any]:
     """Everything that is known about what came in.
 
     Returns:

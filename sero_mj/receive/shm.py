@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from ..errors import SourceError
+from ._shm_packets import ShmPackets
 from .receiver import Receiver, log
 from .shm_block import Block, block_path
 from .source import Packet, Packets
-from .whole import WholePackets
 
 _LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
 _BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
@@ -62,7 +62,7 @@ class ShmReader(Receiver):
     _reading: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _wake: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _owes_call_back: bool = PrivateAttr(False)
-    _packets: WholePackets | None = PrivateAttr(None)
+    _packets: ShmPackets | None = PrivateAttr(None)
     _look_next: float = PrivateAttr(0.0)
     _tell_next: float = PrivateAttr(0.0)
     _trouble: str = PrivateAttr("")  # with the block itself
@@ -113,8 +113,8 @@ class ShmReader(Receiver):
             SourceError: this system has no POSIX shared memory, or the block may not be read.
         """
         self.close()
-        self._start_afresh()
-        self._packets = WholePackets(
+        self.reset()
+        self._packets = ShmPackets(
             self.layout,
             self.about,
             lock=self.lock,
@@ -236,10 +236,7 @@ class ShmReader(Receiver):
         if not self._gathered:
             return
         gathered, self._gathered = self._gathered, []
-        text = b"".join(packet.ljust(self.size, b"\0") for packet, _ in gathered)
-        rows = np.frombuffer(text, np.uint8).reshape(len(gathered), self.size)
-        lengths = np.array([len(packet) for packet, _ in gathered])
-        self._accept(rows, lengths, np.array([arrival for _, arrival in gathered]))
+        self.accept(*zip(*gathered, strict=True))
         self._checked = clock.monotonic()
 
     def _look_for_another(self) -> None:

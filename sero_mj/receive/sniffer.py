@@ -11,12 +11,12 @@ from typing import Self
 import numpy as np
 
 from ..errors import SourceError
-from .datagrams import Batch, Datagrams, unpack_address
+from ._datagrams import Batch, Datagrams, unpack_address
+from ._sockets import open_socket
+from ._timing import Timing
 from .guess import Guess, describe_bytes, guess_layouts, is_text
 from .language import MAX_PACKET_BYTES
-from .sockets import open_socket
 from .structure import Rows
-from .timing import Timing
 
 _KEPT = 16  # packets of a stream that guesses are made from
 _MOST_STREAMS = 100  # more senders and sizes than anyone reads

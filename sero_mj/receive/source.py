@@ -1,4 +1,4 @@
-"""What all sources share: packets, counters, and the face they show to the rest.
+"""What all sources share: packets, counters, and the interface by which they are used.
 
 A source reads off the render thread. What is malformed is counted and never handed on.
 """
@@ -8,10 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..errors import DeclarationError, PluginError, Problem
+from ..kinds import kind_of
+from ..plugins import SOURCES, load_plugin, plugins
+from ._timing import Timing
+from .structure import Structure
 
 Array = NDArray[np.float64]
 
@@ -112,24 +118,87 @@ class Counters:
         return self.wrong_size + self.wrong_constant + self.not_finite + self.not_frames
 
 
+# Gets packets as they came: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
+Tap = Callable[[NDArray[np.uint8], NDArray[np.intp], Array], None]
+
+
 class Source(Protocol):
-    """Where packets come from; `Receiver` is the base of all that sero-mj has."""
+    """Where packets come from; `Receiver` is the base of all that sero-mj has.
+
+    A source of another package is a subclass of `Receiver`, too, and hands its packets to
+    `Receiver.accept`.
+    """
 
     @property
     def counters(self) -> Counters:
         """What came in since it was opened."""
 
     @property
+    def timing(self) -> Timing:
+        """Rate, jitter and delay since it was opened."""
+
+    @property
     def name(self) -> str:
         """The source's name in routes."""
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind in files."""
+
+    @property
+    def about(self) -> str:
+        """Kind and place in a few words, for people."""
+
+    @property
+    def trouble(self) -> str:
+        """What keeps packets from coming, for people; empty when nothing is known to."""
 
     @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
         """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
 
     @property
+    def layout(self) -> Structure:
+        """The decoder."""
+
+    @property
     def size(self) -> int:
         """Bytes of a packet."""
+
+    @property
+    def sequence(self) -> str:
+        """Event that numbers the packets; empty for none."""
+
+    @property
+    def time(self) -> str:
+        """Event that says when a packet was sent; empty for none."""
+
+    @property
+    def time_scale(self) -> float:
+        """Seconds per unit of `time`."""
+
+    @property
+    def only_latest_packet(self) -> bool:
+        """Whether the newest packet wins; else every packet is handed on in order."""
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """What a packet says of the robot's controller and of the quality of the link to it.
+
+        Args:
+            values: event name to its array, of one packet.
+
+        Returns:
+            state and quality, as numbers that the kind of source defines; -1 where it says nothing.
+        """
+
+    def decoding_fields(self) -> dict[str, Any]:
+        """The fields of which a replay makes a decoder, as JSON's types; for recordings."""
+
+    def decode(self, packet: bytes) -> Mapping[str, Array] | None:
+        """Decodes one packet by itself; None for one that would not be applied. Counts nothing."""
+
+    def record_to(self, tap: Tap | None) -> None:
+        """Hands all packets, the malformed too, to `tap` as they come; None ends that."""
 
     def allow_nan(self, events: Collection[str]) -> None:
         """Lets NaN and infinity mean `no data` in these events, and in no others.
@@ -160,6 +229,22 @@ class Source(Protocol):
     def is_live(self) -> bool:
         """Whether packets come when they like; those of a recording come when they are wanted."""
 
+    @property
+    def end(self) -> float | None:
+        """Until when there are packets, s on the clock of `advance_to`; None where nothing ends."""
+
+    @property
+    def step(self) -> float | None:
+        """Time step of a simulation, whose `advance_to` takes long, s; None for all others."""
+
+    @property
+    def receiving(self) -> bool:
+        """Whether a good packet came within the last half second."""
+
+    @property
+    def receive_trigger(self) -> int:
+        """How many good packets have come: it changes with every one."""
+
     def now(self) -> float:
         """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
 
@@ -176,3 +261,29 @@ def age(packet: Packet | None, now: float) -> float:
     Infinite without a packet, 0 when it came after `now`.
     """
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
+
+
+def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
+    """Builds a source from a scene's table; a source object is returned as it is.
+
+    Args:
+        name: the source's name in routes.
+        declared: its fields, with `kind`.
+
+    Raises:
+        DeclarationError: no such kind, one that cannot be loaded, or wrong fields.
+    """
+    if not isinstance(declared, Mapping):
+        if hasattr(declared, "events"):
+            return declared
+        message = f"found {declared!r}; expected a table with kind, or a source"
+        raise DeclarationError([Problem("", message)])
+    if "name" in declared:
+        raise DeclarationError([Problem("name", "is what stands in the header; leave it out")])
+    kind = kind_of(declared, plugins(SOURCES))
+    fields = {key: value for key, value in declared.items() if key != "kind"}
+    try:
+        source: Source = load_plugin(SOURCES, kind)(**fields, name=name)
+    except PluginError as error:
+        raise DeclarationError([Problem("kind", str(error))]) from error
+    return source

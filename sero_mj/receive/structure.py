@@ -37,6 +37,7 @@ class Structure:
 
     Attributes:
         text: the structure string.
+        is_double: see above.
         column_major: how matrices come.
         alignment: see above.
         scale: see above.
@@ -65,6 +66,7 @@ class Structure:
         if not 0.0 < scale < math.inf:
             raise ValueError(f"scale: found {scale}; expected a finite number above 0")
         self.text = text
+        self.is_double = is_double
         self.column_major = column_major
         self.alignment = alignment
         self.scale = scale
@@ -139,6 +141,14 @@ class Structure:
                 for name in (self._by_event if events is None else events)
                 if name in self._by_event
             }
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """State of the robot's controller and quality of the link to it; -1: packets tell neither.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return -1.0, -1.0
 
     @property
     def required_frames(self) -> tuple[str, ...]:

@@ -14,10 +14,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 
-from .datagrams import BATCH, Batch, Datagrams, OnArrival, canonical_address, pack_address
+from ._datagrams import BATCH, Batch, Datagrams, OnArrival, canonical_address, pack_address
+from ._scheduling import ask_for_short_slices
+from ._sockets import open_socket
 from .receiver import Receiver, log
-from .short_slices import ask_for_short_slices
-from .sockets import open_socket
 
 # At many packets per second it is cheaper to let some come together; the renderer shares the
 # interpreter with this thread.
@@ -97,7 +97,7 @@ class UdpReceiver(Receiver):
         self._socket = open_socket(
             self.name, self.host, self.udpport, self.interface, self.buffer_size
         )
-        self._start_afresh()
+        self.reset()
         self._allowed = frozenset(
             canonical_address(pack_address(*split_sender(sender))) for sender in self.sender
         )

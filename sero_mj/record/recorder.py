@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError, UnknownName
-from .recording_format import Clock
+from ._recording_format import RecordingClock
 from .recording_writer import RecordingWriter
-from .signals_json import Signals
 
 Decode = Callable[[bytes], Mapping[str, NDArray[np.float64]] | None]
 
@@ -70,8 +69,12 @@ class _Batch:
         return [row[:length].tobytes() for row, length in zip(self.packets, lengths, strict=True)]
 
 
-class _Thinning:
-    """Lets through so many packets per second, a few of them at once."""
+class RateLimiter:
+    """Allows so many packets per second, a few of them at once (a token bucket).
+
+    Args:
+        rate: packets per second; 0 allows none, infinity all.
+    """
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
@@ -79,7 +82,7 @@ class _Thinning:
         self._credit = self._most
         self._last = -math.inf
 
-    def lets_through(self, arrival: float) -> bool:
+    def allow(self, arrival: float) -> bool:
         """Whether a packet that arrived then, in s, is one of them."""
         if not 0.0 < self._rate < math.inf:
             return self._rate > 0.0
@@ -129,7 +132,7 @@ class Recorder:
         self.error: Exception | None = None
         self._queue_bytes = queue_bytes
         self._signals_rate = signals_rate
-        self._decoders: dict[str, tuple[Decode, _Thinning]] = {}
+        self._decoders: dict[str, tuple[Decode, RateLimiter]] = {}
         self._packets = self._bytes = self._signals = 0
         self._not_recorded: dict[str, int] = {}
         self._queue: deque[_Batch] = deque()
@@ -142,41 +145,20 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def add_source(
-        self,
-        name: str,
-        *,
-        kind: str,
-        declared: Mapping[str, Any],
-        events: Mapping[str, tuple[int, ...]],
-        size: int,
-        decode: Decode,
-        signals: Signals | None = None,
-    ) -> None:
+    def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
         """Makes room for a source; before its packets are taken.
 
         Args:
             name: the source's name in routes.
-            kind: its kind, e.g. `udp`.
-            declared: its fields in the scene, of JSON's types; a replay makes its decoder of them.
-            events: event name to its shape, (n,), (n, 3) or (n, 4, 4).
-            size: bytes of a packet.
             decode: a packet to its signals; None, or ValueError, for a malformed one, of which only
                 the bytes are kept. It is called on the recorder's thread.
-            signals: what `decode` returns; the events when None.
-
-        Raises:
-            RecordingError: it cannot be written.
-            TypeError: a field that is not of JSON's types.
-            ValueError: there is a source of this name already.
+            **declaration: what `RecordingWriter.add_source` takes, and raises errors about.
         """
         with self._writing:
-            self._writer.add_source(
-                name, kind=kind, declared=declared, events=events, size=size, signals=signals
-            )
+            self._writer.add_source(name, **declaration)
         with self._changed:
             self._not_recorded[name] = 0
-            self._decoders[name] = (decode, _Thinning(self._signals_rate))
+            self._decoders[name] = (decode, RateLimiter(self._signals_rate))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Puts a file into the recording: the scene, a robot; raises RecordingError."""
@@ -236,7 +218,7 @@ class Recorder:
         return True
 
     @property
-    def clock(self) -> Clock:
+    def clock(self) -> RecordingClock:
         """When the recording began, on both clocks."""
         return self._writer.clock
 
@@ -301,14 +283,14 @@ class Recorder:
                     return None
 
     def _write(self, batch: _Batch) -> None:
-        decode, thinning = self._decoders[batch.name]
+        decode, limiter = self._decoders[batch.name]
         before = self._packets
         try:
             for packet, arrival in zip(batch.as_bytes(), batch.arrivals, strict=True):
                 self._writer.write_raw(batch.name, packet, arrival)
                 self._packets += 1
                 self._bytes += len(packet)
-                values = _decoded(decode, packet) if thinning.lets_through(arrival) else None
+                values = _decoded(decode, packet) if limiter.allow(arrival) else None
                 if values is not None:
                     self._writer.write_signals(batch.name, values, arrival)
                     self._signals += 1

@@ -18,9 +18,24 @@ from mcap.writer import MCAP0_MAGIC
 
 from ..errors import RecordingError, UnknownName
 from ..files import open_file
-from .mcap_chunk import BROKEN, reason_of, unpack_messages
-from .recording_format import ABOUT, CLOCK, FORMAT, LOST, SOURCE_KEY, Clock, SourceDeclaration
-from .recording_index import ChunkPlace, FileIndex, read_index, read_record
+from ._mcap_reader import (
+    BROKEN,
+    ChunkPlace,
+    FileIndex,
+    read_index,
+    read_record,
+    reason_of,
+    unpack_messages,
+)
+from ._recording_format import (
+    ABOUT,
+    CLOCK,
+    FORMAT,
+    LOST,
+    SOURCE_KEY,
+    RecordingClock,
+    SourceDeclaration,
+)
 
 _LATEST_NS = 2**64
 _EXPECTED = "expected a file that sero-mj record wrote"
@@ -139,14 +154,14 @@ class Recording:
         reason = f"is an MCAP file of another program: found the topics {topics}; {_EXPECTED}"
         raise RecordingError(self.path, reason)
 
-    def _read_clock(self, index: FileIndex) -> Clock:
+    def _read_clock(self, index: FileIndex) -> RecordingClock:
         metadata = index.metadata.get(CLOCK)
         if metadata is None:  # other tools may leave it out when they write a file anew
             self.faults.append("does not say when it began; times count from its first packet")
-            return Clock(min(self._earliest, default=0), 0)
+            return RecordingClock(min(self._earliest, default=0), 0)
         try:
             number = int(metadata["format"])
-            clock = Clock.from_metadata(metadata)
+            clock = RecordingClock.from_metadata(metadata)
         except (KeyError, ValueError) as error:
             raise RecordingError(self.path, f"metadata {CLOCK}: {error!r}; {_EXPECTED}") from error
         if number > FORMAT:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import UnknownName
-from .mcap_file import WholeFile, pack_record
-from .recording_format import (
+from ._mcap_stream import McapStream, pack_record
+from ._recording_format import (
     ABOUT,
     CLOCK,
     LOST,
@@ -24,7 +24,7 @@ from .recording_format import (
     SCHEMA_ENCODING,
     SIGNALS_ENCODING,
     SOURCE_KEY,
-    Clock,
+    RecordingClock,
     SourceDeclaration,
     raw_topic,
     signals_topic,
@@ -78,14 +78,14 @@ class RecordingWriter:
         chunk_bytes: int = CHUNK_BYTES,
         flush_after: float = FLUSH_AFTER,
     ) -> None:
-        self.clock = Clock()
+        self.clock = RecordingClock()
         self._channels: dict[str, _Channels] = {}
         self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
         self._waiting = 0  # bytes of the messages that are not yet in the file
         self._oldest = 0.0  # when the first of them came, on time.monotonic
         self._count = 0  # of packets, in the file or not
         self._span = (2**64, 0)  # log times of the first and the last of them, ns
-        self._file = WholeFile(path, overwrite=overwrite)
+        self._file = McapStream(path, overwrite=overwrite)
         self._writer = Writer(self._file, chunk_size=_BY_US)  # type: ignore[arg-type]
         self._writer.start(library=f"sero-mj {__version__}")
         self._writer.add_metadata(CLOCK, self.clock.to_metadata())

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
 
-from ..errors import DeclarationError, RecordingError, SourceError, did_you_mean, nearest
+from ..errors import (
+    DeclarationError,
+    PluginError,
+    RecordingError,
+    SourceError,
+    did_you_mean,
+)
 from ..plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
 from ..receive.receiver import Receiver, log
@@ -181,6 +187,11 @@ class Replay(Receiver):
         """Packets come when they are wanted."""
         return False
 
+    @property
+    def end(self) -> float | None:
+        """How long it plays, s; None where it begins anew."""
+        return None if self.loop else self.duration / self.speed
+
     def now(self) -> float:
         """The time on the recording's clock; where it has ended, it goes on without packets."""
         return self._position + self._beyond
@@ -208,7 +219,7 @@ class Replay(Receiver):
         except RecordingError as error:
             self.close()
             raise SourceError(self.name, str(error)) from error
-        self._start_afresh()
+        self.reset()
         self._paused = False
         self._told = 0
         self._anchor = (0.0, self._begin)
@@ -314,12 +325,8 @@ class Replay(Receiver):
         self._told = len(faults)
 
     def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
-        size = self.layout.size
-        lengths = np.array([len(packet) for _, packet in batch])
-        arrivals = np.array([arrival for arrival, _ in batch])
-        padded = b"".join(packet[: size + 1].ljust(size + 1, b"\0") for _, packet in batch)
-        rows = np.frombuffer(padded, np.uint8).reshape(len(batch), size + 1)
-        self._accept(rows, lengths, arrivals)
+        arrivals, packets = zip(*batch, strict=True)
+        self.accept(packets, arrivals)
 
 
 def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Receiver:
@@ -331,11 +338,11 @@ def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Receiver:
     kind, of = recorded.kind, f"source '{recorded.name}'"
     kinds = [known for known in plugins(SOURCES) if known != "replay"]
     if kind not in kinds:
-        known = " or ".join(map(repr, kinds))
-        near = f"; did you mean '{found}'?" if (found := nearest(kind, kinds)) else ""
-        raise RecordingError(file, f"kind of {of}: found {kind!r}; expected {known}{near}")
+        raise RecordingError(file, f"{of}: no kind '{kind}'{did_you_mean(kind, kinds)}")
     try:
         receiver: Receiver = load_plugin(SOURCES, kind)(**{**recorded.declared, "name": name})
+    except PluginError as error:
+        raise RecordingError(file, str(error)) from error
     except DeclarationError as error:
         wrong = "; ".join(f"{problem.key}: {problem.message}" for problem in error.problems)
         raise RecordingError(file, f"how {of} is decoded: {wrong}") from error

@@ -9,6 +9,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from ..receive.intake import pad_packets
 from ..receive.receiver import Receiver
 from ..receive.source import Packets
 from ..record.recording import Recording
@@ -81,13 +82,11 @@ def receiver_of(recording: Recording, name: str) -> Receiver:
 
 
 def _decoded(recording: Recording, receiver: Receiver, name: str) -> Iterator[Packets]:
-    size, intake, number = receiver.size, receiver.intake, 0
+    intake, number = receiver.intake, 0
     packets = recording.packets(name)
     while batch := list(islice(packets, _AT_ONCE)):
-        lengths = np.array([len(packet) for _, packet in batch])
-        padded = b"".join(packet[:size].ljust(size, b"\0") for _, packet in batch)
-        rows = np.frombuffer(padded, np.uint8).reshape(len(batch), size)
-        rows, arrivals = intake.take(rows, lengths, np.array([arrival for arrival, _ in batch]))
+        times, packed = zip(*batch, strict=True)
+        rows, arrivals = intake.take(*pad_packets(packed, receiver.size), np.array(times))
         intake.count()
         number += len(rows)
         if len(rows):

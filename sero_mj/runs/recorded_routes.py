@@ -12,7 +12,7 @@ from ..assemble.double import Double
 from ..assemble.robot import SerialRobot
 from ..assemble.route_text import names_in, origin_text
 from ..assemble.scene import Scene
-from ..drive.affine import Affine, Origin
+from ..drive.affine import Origin
 from ..drive.route import wire
 from ..drive.wiring import Wiring
 from ..errors import RecordingError
@@ -156,21 +156,12 @@ class _Follower:
     def _compute(self, target: str) -> Array:
         if target not in self._done:
             with np.errstate(over="ignore", invalid="ignore"):
-                self._done[target] = _over_time(
-                    self._routes[target], self._numbers, len(self._times)
-                )
+                values = self._routes[target].evaluate(self._numbers)
+            # What takes nothing received is the same at all times.
+            self._done[target] = np.broadcast_to(values, (len(self._times), values.shape[-1]))
         return self._done[target]
 
     def _numbers(self, origin: Origin) -> Array:
         if origin.is_event:
             return self._series[origin.name].held_at(origin.key, self._times)
         return self._compute(str(origin))
-
-
-def _over_time(value: Affine, numbers_of: Any, count: int) -> Array:
-    """What `Affine.evaluate` computes, for every row: (T, n)."""
-    result = np.tile(value.offset, (count, 1))
-    for term in value.terms:
-        numbers = numbers_of(term.origin)[:, term.take]
-        result[:, term.at] += numbers if term.times is None else numbers * term.times
-    return result

@@ -73,7 +73,7 @@ class RunSource(Receiver):
         run: what is shown.
         error: why it cannot go on; None while it can.
         end: time of the last row, s.
-        timestep: median time between two rows, s.
+        step: median time between two rows, s.
     """
 
     name: str = "simulation"
@@ -108,10 +108,10 @@ class RunSource(Receiver):
         return float(self.run.rows[-1, 0])
 
     @property
-    def timestep(self) -> float:
+    def step(self) -> float | None:
         """Median time between two rows, s."""
         times = self.run.rows[:, 0]
-        return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        return float(np.median(np.diff(times))) if len(times) > 1 else None
 
     @property
     def about(self) -> str:
@@ -129,7 +129,7 @@ class RunSource(Receiver):
 
     def open(self) -> None:
         """Goes to the start."""
-        self._start_afresh()
+        self.reset()
         self._shown = -1
         self.advance_to(0.0)
 
@@ -153,7 +153,7 @@ class RunSource(Receiver):
                 self._warn(str(error))
         row = min(row, run.step)
         if row < self._shown:  # the clock went back: it is a new film, say
-            self._start_afresh()
+            self.reset()
             self._shown = -1
         if row > self._shown:
             rows = np.ascontiguousarray(run.rows[self._shown + 1 : row + 1])

@@ -1,74 +1,47 @@
-"""`FriController`: sends what the controller of an LWR sends, as it sends it."""
+"""`FriController`: sends what the controller of an LWR sends, as it sends it.
+
+`FriSignals` are the robot's values during a motion, `AnswerStatistics` is what the controller makes
+of a client's answers, `NetworkFaults` is a network that loses packets.
+"""
 
 from __future__ import annotations
 
 import select
 import socket
 import time
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
+from ..assemble.scene import Scene
+from ..assemble.world import World
 from ..errors import UsageError, did_you_mean
-from ..receive.fri_layout import COMMAND, CYCLES, QUALITIES, FriLayout
+from ..receive.fri_layout import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
-from .fri_answers import AnswerStatistics
-from .fri_signals import FriSignals
-from .sender import SendReport, UdpSink, wait_until
+from ._motion import SineMotion
+from .sender import SendReport, UdpSink, send
+
+Array = NDArray[np.float64]
 
 _MONITOR, _COMMAND = 1, 2
 _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
 _MOST_BYTES = 65_536
 
-
-@dataclass
-class Faults:
-    """A network that loses, doubles and swaps packets, the same ones for one seed.
-
-    Attributes:
-        loss: share of the packets that are withheld, 0 to 1.
-        duplicates: share that is sent twice.
-        swaps: share that is sent after the one that follows.
-        seed: of the random numbers.
-        withheld: how many were withheld so far.
-        doubled: how many were sent twice.
-        swapped: how many were sent after the one that follows.
-    """
-
-    loss: float = 0.0
-    duplicates: float = 0.0
-    swaps: float = 0.0
-    seed: int = 0
-    withheld: int = 0
-    doubled: int = 0
-    swapped: int = 0
-    _random: np.random.Generator = field(init=False, repr=False)
-    _held: bytes | None = field(init=False, repr=False, default=None)
-
-    def __post_init__(self) -> None:
-        self._random = np.random.default_rng(self.seed)
-
-    def pass_on(self, packet: bytes) -> list[bytes]:
-        """Returns what comes out when a packet goes in."""
-        chance = self._random.random(3)  # always three, so that one share does not change another
-        after = self.flush()
-        if chance[0] < self.loss:
-            self.withheld += 1
-            return after
-        if not after and chance[1] < self.swaps:
-            self._held = packet
-            return []
-        self.swapped += len(after)
-        if chance[2] < self.duplicates:
-            self.doubled += 1
-            return [packet, packet, *after]
-        return [packet, *after]
-
-    def flush(self) -> list[bytes]:
-        """Returns the packet that waits for the one that follows, if one does."""
-        held, self._held = self._held, None
-        return [] if held is None else [held]
+WINDOW = 100  # packets that FRI averages over
+_PATIENCE = 2  # packets that may go out before the answer to one is missed; ours
+# The answer rate from which a quality is reached. FRI says that it grades the link in four steps,
+# not where these are; the thresholds are ours.
+_REACHED_FROM = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
+_LEAD = 0.3  # s; much, so that the commanded position is seen beside the measured one
+_FORCE = 40.0  # N; as when somebody leans on the tool
+_MOMENT = 4.0  # Nm
+_ROOM_TEMPERATURE, _WARM_UP = 28.0, 14.0  # C
+_JOINT_IMPEDANCE = 3
 
 
 class FriController:
@@ -108,7 +81,7 @@ class FriController:
         commands: bool = False,
         counter: int = 0,
         amplitude: float = 1.0,
-        faults: Faults | None = None,
+        faults: NetworkFaults | None = None,
     ) -> None:
         if robot.n != 7:
             raise UsageError(f"FRI is for 7 joints; '{robot.name}' has {robot.n}")
@@ -119,7 +92,7 @@ class FriController:
         if quality is not None and quality not in _QUALITY_NUMBERS:
             raise UsageError(f"no quality '{quality}'{did_you_mean(quality, _QUALITY_NUMBERS)}")
         self.cycle = cycle
-        self.faults = Faults() if faults is None else faults
+        self.faults = NetworkFaults() if faults is None else faults
         self.sent = self.answers = self.wrong_answers = self.command_flags = 0
         self._quality = None if quality is None else _QUALITY_NUMBERS[quality]
         self._commands = commands
@@ -176,42 +149,224 @@ class FriController:
         return True
 
     def run(self, to: UdpSink, duration: float | None = None) -> SendReport:
-        """Sends until the duration (s) is over or the user interrupts, and takes answers."""
-        total = None if duration is None else max(round(duration / self.cycle), 1)
-        late: list[float] = []
-        count = refused = 0
-        to.socket.setblocking(False)
-        start = time.perf_counter()
-        try:
-            while total is None or count < total:
-                due = start + count * self.cycle
-                self._listen(to.socket, due - self.cycle / 2)
-                packets = self.faults.pass_on(self.measure(count * self.cycle, due))
-                self._listen(to.socket, due)  # what came while the packet was made
-                late.append(wait_until(due))
-                count += 1
-                packets += self.faults.flush() if count == total else []
-                for packet in packets:
-                    try:
-                        to.put(packet)
-                    except OSError:  # the network is away: a controller goes on
-                        refused += 1
-                del late[:-100_000]
-            self._listen(to.socket, time.perf_counter() + self.cycle)
-        except KeyboardInterrupt:
-            pass
-        seconds = time.perf_counter() - start
-        p50, p99 = np.percentile(late, [50, 99]) if late else (0.0, 0.0)
-        return SendReport(count, seconds, refused, float(p50), float(p99))
+        """Sends until the duration (s) is over or the user interrupts, and takes answers.
 
-    def _listen(self, sock: socket.socket, until: float) -> None:
-        """Takes answers until a time of `time.perf_counter`, s."""
-        while True:
-            left = until - time.perf_counter()
-            if not select.select([sock], [], [], max(left, 0.0))[0]:
-                return
-            try:
-                packet = sock.recv(_MOST_BYTES)
-            except OSError:
-                continue
-            self.take_answer(packet, time.perf_counter())
+        Args:
+            to: where to; answers come to its socket.
+            duration: s; None goes on for ever.
+
+        Returns:
+            what was achieved; `packets` are those that were made, also where the network lost them.
+        """
+        to.socket.setblocking(False)
+        before = self.sent
+        report = send(
+            self._packets(to.socket, duration),
+            to,
+            idle=lambda left: self._listen(to.socket, time.perf_counter() + left),
+        )
+        return replace(report, packets=self.sent - before)
+
+    def _packets(
+        self, sock: socket.socket, duration: float | None
+    ) -> Iterator[tuple[float, bytes]]:
+        """When each packet that the network lets through is due, and its bytes."""
+        start = time.perf_counter()
+        total = None if duration is None else max(round(duration / self.cycle), 1)
+        count = 0
+        while total is None or count < total:
+            due = count * self.cycle
+            while self._listen(sock, start + due - self.cycle / 2):
+                pass
+            packets = self.faults.pass_on(self.measure(due, start + due))
+            count += 1
+            packets += self.faults.flush() if count == total else []
+            for packet in packets:
+                yield due, packet
+        while self._listen(sock, start + count * self.cycle):
+            pass
+
+    def _listen(self, sock: socket.socket, until: float) -> bool:
+        """Takes an answer, if one comes until a time of `time.perf_counter`, s; has one come?"""
+        left = until - time.perf_counter()
+        if not select.select([sock], [], [], max(left, 0.0))[0]:
+            return False
+        try:
+            packet = sock.recv(_MOST_BYTES)
+        except OSError:  # an earlier packet met no listener, say
+            return True
+        self.take_answer(packet, time.perf_counter())
+        return True
+
+
+class FriSignals:
+    """Values of FRI's events at any time, consistent with each other.
+
+    The flange frame is computed from the DH table and the rest by MuJoCo, so that a flange check
+    compares two computations. The measured torques are what the motion takes less what the
+    external force does; gravity torques hold the robot. FRI gives the wrench and the Jacobian in
+    the task frame of the controller's stiffness; here that is the flange's frame.
+
+    Args:
+        robot: seven joints.
+        amplitude: of the motion, 0 stands still, to 1.
+    """
+
+    def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
+        self._robot = robot
+        self._motion = SineMotion(robot, amplitude)
+        self._world = World(Scene(robots=[robot], floor=False))
+        self._data = self._world.make_data()
+        self._world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        frames = self._world.frames
+        self._site = int(frames.site[frames.names.index(f"{robot.name}/flange")])
+
+    def at(self, t: float) -> Mapping[str, Array]:
+        """Returns event name to value at time t (s)."""
+        model, data = self._world.model, self._data
+        position, velocity, acceleration = self._motion.at(t)
+        commanded = self._motion.at(t + _LEAD)[0]
+        data.qpos[:], data.qvel[:], data.qacc[:] = position, 0.0, 0.0
+        mujoco.mj_inverse(model, data)
+        gravity = data.qfrc_inverse.copy()
+        data.qvel[:], data.qacc[:] = velocity, acceleration
+        mujoco.mj_inverse(model, data)
+        needed = data.qfrc_inverse.copy()
+        jacobian = np.zeros((2, 3, 7))
+        mujoco.mj_jacSite(model, data, jacobian[0], jacobian[1], self._site)
+        turned = data.site_xmat[self._site].reshape(3, 3).T  # the world's axes in the flange's
+        jacobian = (turned @ jacobian).reshape(6, 7)
+        mass = np.zeros((7, 7))
+        mujoco.mj_fullM(model, data, mass)
+        force = _FORCE * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
+        moment = _MOMENT * np.array([np.sin(0.6 * t), np.cos(0.7 * t), np.sin(0.8 * t)])
+        external = jacobian.T @ np.concatenate([force, moment])
+        return {
+            "power": np.array([ALL_DRIVES]),
+            "control": np.array([_JOINT_IMPEDANCE]),
+            "temperatures": self._temperatures(t),
+            "joint_angles": position,
+            "flange_frame": self._robot.fwd_kin_base_to_flange(position),
+            "commanded_angles": commanded,
+            "commanded_frame": self._robot.fwd_kin_base_to_flange(commanded),
+            "torques": needed - external,
+            "external_torques": external,
+            "tcp_force": force,
+            "tcp_moment": moment,
+            "jacobian": jacobian.ravel(),
+            "mass_matrix": mass.ravel(),
+            "gravity_torques": gravity,
+        }
+
+    def _temperatures(self, t: float) -> Array:
+        """Drives warm up within minutes, those near the base more."""
+        warmth = 1.0 - 0.6 * float(np.exp(-t / 300.0))
+        return np.asarray(_ROOM_TEMPERATURE + _WARM_UP * warmth * np.linspace(1.0, 0.6, 7))
+
+
+@dataclass
+class _Sent:
+    """One packet: its counter, when it went, and how long its answer took, s."""
+
+    counter: int
+    time: float
+    latency: float | None = None
+
+
+class AnswerStatistics:
+    """Follows which packets were answered.
+
+    Attributes:
+        miss_counter: packets that were not answered in time, so far.
+    """
+
+    def __init__(self) -> None:
+        self.miss_counter = 0
+        self._sent: deque[_Sent] = deque()
+
+    def send(self, counter: int, time: float) -> None:
+        """Notes that a packet goes out at a time (s)."""
+        self._sent.append(_Sent(counter, time))
+        if len(self._sent) > _PATIENCE and self._sent[-1 - _PATIENCE].latency is None:
+            self.miss_counter += 1
+        if len(self._sent) > WINDOW + _PATIENCE:
+            self._sent.popleft()
+
+    def answer(self, reflected: int, time: float) -> None:
+        """Notes an answer that came at a time (s); one that is late counts as missed."""
+        waiting = list(self._sent)[-_PATIENCE:]
+        for packet in waiting:
+            if packet.counter == reflected and packet.latency is None:
+                packet.latency = max(time - packet.time, 0.0)
+
+    def _latencies(self) -> list[float]:
+        """Of the answers to the last 100 packets that can have been answered."""
+        judged = list(self._sent)[:-_PATIENCE]
+        return [packet.latency for packet in judged if packet.latency is not None]
+
+    def values(self) -> dict[str, float]:
+        """FRI's statistics; packets before the first count as not answered."""
+        latencies = self._latencies()
+        rate = len(latencies) / WINDOW
+        return {
+            "answer_rate": rate,
+            "latency": float(np.mean(latencies)) if latencies else 0.0,
+            "jitter": float(np.std(latencies)) if latencies else 0.0,
+            "miss_rate": 1.0 - rate,
+            "miss_counter": self.miss_counter,
+        }
+
+    @property
+    def quality(self) -> int:
+        """0 unacceptable to 3 perfect, by the answer rate."""
+        rate = len(self._latencies()) / WINDOW
+        return next(quality for quality, least in _REACHED_FROM.items() if rate >= least)
+
+
+@dataclass
+class NetworkFaults:
+    """A network that loses, doubles and swaps packets, the same ones for one seed.
+
+    Attributes:
+        loss: share of the packets that are withheld, 0 to 1.
+        duplicates: share that is sent twice.
+        swaps: share that is sent after the one that follows.
+        seed: of the random numbers.
+        withheld: how many were withheld so far.
+        doubled: how many were sent twice.
+        swapped: how many were sent after the one that follows.
+    """
+
+    loss: float = 0.0
+    duplicates: float = 0.0
+    swaps: float = 0.0
+    seed: int = 0
+    withheld: int = 0
+    doubled: int = 0
+    swapped: int = 0
+    _random: np.random.Generator = field(init=False, repr=False)
+    _held: bytes | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def pass_on(self, packet: bytes) -> list[bytes]:
+        """Returns what comes out when a packet goes in."""
+        chance = self._random.random(3)  # always three, so that one share does not change another
+        after = self.flush()
+        if chance[0] < self.loss:
+            self.withheld += 1
+            return after
+        if not after and chance[1] < self.swaps:
+            self._held = packet
+            return []
+        self.swapped += len(after)
+        if chance[2] < self.duplicates:
+            self.doubled += 1
+            return [packet, packet, *after]
+        return [packet, *after]
+
+    def flush(self) -> list[bytes]:
+        """Returns the packet that waits for the one that follows, if one does."""
+        held, self._held = self._held, None
+        return [] if held is None else [held]

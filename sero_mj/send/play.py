@@ -16,10 +16,10 @@ from ..drive.route import wire
 from ..drive.wiring import Route, Wiring
 from ..errors import DeclarationError, UsageError, did_you_mean
 from ..frames import frame, rotation_about
-from ..receive.receiver import Receiver
+from ..receive.source import Source
 from ..receive.structure import Structure
-from .backwards import Backwards
-from .motion import InverseDynamics, SineMotion
+from ._motion import InverseDynamics, SineMotion
+from ._route_inverse import RouteInverse
 
 Array = NDArray[np.float64]
 LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
@@ -27,29 +27,31 @@ _SWITCHED_AFTER = 4.0  # s
 _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}
 
 
-def choose_source(wiring: Wiring, name: str | None = None) -> Receiver:
-    """The receiver of this name, or the only one.
+def choose_source(wiring: Wiring, name: str | None = None) -> Source:
+    """The source of this name, or the only one.
 
     Raises:
         UsageError: there is none, or several are there to choose from.
     """
-    receivers = {name: one for name, one in wiring.sources.items() if isinstance(one, Receiver)}
-    if name is None and len(receivers) == 1:
-        name = next(iter(receivers))
-    if name in receivers:
-        return receivers[name]
-    if name is not None or not receivers:
+    sources = wiring.sources
+    if name is None and len(sources) == 1:
+        name = next(iter(sources))
+    if name in sources:
+        return sources[name]
+    if name is not None or not sources:
         named = f" '{name}'" if name else ""
-        raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', receivers)}")
-    names = ", ".join(receivers)
+        raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', sources)}")
+    names = ", ".join(sources)
     raise UsageError(f"the scene has several sources; choose with --source: {names}")
 
 
-def structure_for(source: Receiver, text: str | None = None) -> Structure:
+def structure_for(source: Source, text: str | None = None) -> Structure:
     """The structure of packets for a source, or another one of the same types."""
     if text is None:
         return source.layout
-    return Structure(text, is_double=source.is_double, column_major=source.column_major)
+    return Structure(
+        text, is_double=source.layout.is_double, column_major=source.layout.column_major
+    )
 
 
 class Player(Protocol):
@@ -102,7 +104,7 @@ class MotionPackets:
         # Of routes that ask for different things of one event the first ones get them.
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
-        self._backwards = None if all(r.value.whole for r in routes) else Backwards(routes)
+        self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
         self._plain: dict[str, str] = {}  # event to the input that gets all of it
         for route in routes:
             if route.value.whole is not None:
@@ -158,16 +160,16 @@ class MotionPackets:
         for item, negated in self._wanted:
             value = self._value(item, now, t)
             wanted[item.target] = 1.0 - value if negated else value
-        if self._backwards is None:
+        if self._inverse is None:
             values = {event: wanted[target] for event, target in self._plain.items()}
         else:
-            numbers = self._backwards.solve(
+            numbers = self._inverse.solve(
                 {target: np.ravel(value) for target, value in wanted.items()},
                 lambda origin: self._output(str(origin), now, t),
             )
             values = {
                 origin.key: numbers(origin, math.prod(self.structure.events[origin.key]))
-                for origin in self._backwards.origins
+                for origin in self._inverse.origins
                 if origin.name == self.source.name
             }
         shapes = self.structure.events

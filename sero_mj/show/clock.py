@@ -8,8 +8,6 @@ from collections.abc import Callable
 import numpy as np
 
 from ..drive.mirror import LiveWorld
-from ..record.replay import Replay
-from ..runs.run_source import RunSource
 from .torque_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -57,7 +55,7 @@ class Clock:
         self._shown: float | None = None  # what the mirror stands at
         self._simulated = 0.0  # as far as it is simulated
         sources = mirror.sources.values()
-        self._simulates = any(isinstance(source, RunSource) for source in sources)
+        self._simulates = any(source.step is not None for source in sources)
 
     @property
     def is_at_end(self) -> bool:
@@ -164,23 +162,15 @@ class Clock:
 
 def end_of(mirror: LiveWorld) -> float | None:
     """How long its recordings and simulations play, s; None where nothing ends."""
-    ends = []
-    for source in mirror.sources.values():
-        if isinstance(source, Replay):
-            if source.loop:
-                return None
-            ends.append(source.duration / source.speed)
-        elif isinstance(source, RunSource):
-            ends.append(source.end)
-    return max(ends, default=None)
+    ends = [source.end for source in mirror.sources.values()]
+    known = [end for end in ends if end is not None]
+    return max(known, default=None) if len(known) == len(ends) else None
 
 
 def step_of(mirror: LiveWorld) -> float:
     """How long a single step is, s: that of the simulation, or a frame."""
-    for source in mirror.sources.values():
-        if isinstance(source, RunSource):
-            return source.timestep
-    return _STEP
+    steps = [source.step for source in mirror.sources.values() if source.step is not None]
+    return min(steps, default=_STEP)
 
 
 def time_text(time: float) -> str:

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
 from ..decor.toggles import Toggles
+from .input import DOUBLE_CLICK_TIME, Clicked
 from .picking import Picked
 
 Gesture = Literal["click", "shift", "double"]
 GESTURES: tuple[Gesture, ...] = ("click", "shift", "double")
 Action = Callable[[WorldView, Toggles, Picked], None]
 
-DOUBLE_CLICK_TIME = 0.35  # s between the two presses
 _DOUBLE_CLICK_PIXELS = 8.0  # between the two presses
 
 
@@ -300,3 +300,45 @@ HOST_MOUSE: dict[str, str] = {
     "wheel": "nearer, farther",
     "right double click": "turns about that point",
 }
+
+
+OnClick = Callable[[Picked | None, str], None]
+_OF_JOINTS = ("link", "double", "arrow", "billboard")
+
+
+class Clickable(Protocol):
+    """What is clicked on.
+
+    Attributes:
+        joint: the joint of the world whose torques are plotted.
+        on_click: called with what was clicked on and the gesture.
+    """
+
+    joint: int
+    on_click: OnClick | None
+
+
+def take_click(
+    host: Clickable,
+    pointer: Pointer,
+    picked: Picked | None,
+    clicked: Clicked,
+    centre: Callable[[tuple[float, float]], None],
+) -> None:
+    """Does what a click means, by the table of `interaction`.
+
+    Args:
+        host: selects the joint of what was clicked on, and is told.
+        pointer: of the host.
+        picked: what is at the pixel.
+        clicked: where and when it was.
+        centre: lets the view turn about what is at a pixel.
+    """
+    at = (clicked.x, clicked.y)
+    gesture = pointer.press(picked, at, clicked.time, shift=clicked.shift)
+    if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
+        host.joint = picked.index
+    if picked is not None and picked.kind == "object" and gesture == "double":
+        centre(at)
+    if host.on_click is not None:
+        host.on_click(picked, gesture)

@@ -12,8 +12,8 @@ from ..assemble.world_view import WorldView
 from ..decor.toggles import Toggles
 from ..drive.mirror import LiveWorld
 from ..errors import RenderError
-from .clicks import OnClick
 from .clock import Clock
+from .interaction import OnClick
 
 if TYPE_CHECKING:
     from .web.host import WebHost

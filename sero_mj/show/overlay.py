@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
 from ..assemble.mjcf_piece import as_spec, is_mjcf_object
-from ..assemble.scene_toggles import SceneToggles
+from ..assemble.scene import SceneToggles
+from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
-from ..decor.view import View
 from ..errors import UsageError
 from ..foreign.model_world import ModelWorld
 from .camera import find_camera
 from .canvas import canvas_of
-from .headless.picture import Picture
+from .headless.film import Picture
 from .headless.renderer import DEFAULT_SIZE, HeadlessRenderer
 from .interaction import Gesture, click, hover
 from .picking import Picked
@@ -51,7 +51,7 @@ class Overlay:
         return self._decor.toggles
 
     @property
-    def view(self) -> View | None:
+    def view(self) -> PictureView | None:
         """Of the frame drawn last; None before the first."""
         return self._drawn.view
 
@@ -121,7 +121,9 @@ class Overlay:
                 look = find_camera(self.world, look)
             mujoco.mjv_updateCamera(self.model, self.data, look, scene)
         self._drawn = self._decor
-        return self._decor.draw(self.data, View.of_scene(scene, *canvas.size, canvas.font), scene)
+        return self._decor.draw(
+            self.data, PictureView.of_scene(scene, *canvas.size, canvas.font), scene
+        )
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
         """Returns what is seen at a pixel of the frame drawn last, from its upper left corner.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..assemble.parts import RobotPart
 from ..assemble.world_view import WorldView
 from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
-from ..decor.view import View
+from ..decor.picture_view import PictureView
 
 Array = NDArray[np.float64]
 PickedKind = Literal[
@@ -62,7 +62,7 @@ def pick(
     world: WorldView,
     data: mujoco.MjData,
     pen: Pen,
-    view: View,
+    view: PictureView,
     pixel: tuple[float, float],
     tolerance: float = 0.0,
 ) -> Picked | None:
@@ -89,7 +89,7 @@ def pick(
 
 
 def point_at(
-    world: WorldView, data: mujoco.MjData, pen: Pen, view: View, pixel: tuple[float, float]
+    world: WorldView, data: mujoco.MjData, pen: Pen, view: PictureView, pixel: tuple[float, float]
 ) -> Array | None:
     """The point of the world (3,), m, that is seen at a pixel, of the floor too; None for the sky.
 
@@ -111,7 +111,7 @@ def point_at(
 
 
 def _pick_decor(
-    world: WorldView, pen: Pen, view: View, origin: Array, direction: Array, tolerance: float
+    world: WorldView, pen: Pen, view: PictureView, origin: Array, direction: Array, tolerance: float
 ) -> Picked | None:
     rows = pen.rows[: pen.count]
     box, arrow = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ARROW)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ..assemble.world_view import WorldView
 from ..decor.draw import Decor
 from ..decor.pen import CAPACITY, Host, Pen
+from ..decor.picture_view import PictureView
 from ..decor.round_arrows import MAX_SEGMENTS
 from ..decor.toggles import Toggles
-from ..decor.view import View
 from .picking import Picked, pick, point_at
 
 log = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class SceneDecor:
     ) -> None:
         self.world = world
         self.toggles = Toggles(world) if toggles is None else toggles
-        self.view: View | None = None
+        self.view: PictureView | None = None
         self.dropped = 0
         self._decor = Decor(world, capacity, max_segments)
         self._host: tuple[mujoco.MjvScene, Host] | None = None
@@ -57,7 +57,7 @@ class SceneDecor:
         """The geoms of the frame that was laid out last."""
         return self._decor.pen
 
-    def lay_out(self, data: mujoco.MjData, view: View) -> None:
+    def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
         """Lays out one frame.
 
         Args:
@@ -67,7 +67,7 @@ class SceneDecor:
         self.view = view
         self._decor.draw(data, self.toggles, view)
 
-    def draw(self, data: mujoco.MjData, view: View, scene: mujoco.MjvScene) -> int:
+    def draw(self, data: mujoco.MjData, view: PictureView, scene: mujoco.MjvScene) -> int:
         """Lays out one frame and adds it to a scene that MuJoCo has filled.
 
         Returns:

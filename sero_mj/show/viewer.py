@@ -17,11 +17,11 @@ from ..assemble.world_view import WorldView
 from ..drive.mirror import LiveWorld, Mirror
 from ..drive.watch import Watch
 from ..errors import UsageError, did_you_mean
-from ..simulate.named_scene import read_named_scene
-from .clicks import OnClick
-from .display import has_display
-from .headless.picture import Picture
+from ..load import load_scene
+from .headless.backend import has_display
+from .headless.film import Picture
 from .headless.renderer import DEFAULT_SIZE
+from .interaction import OnClick
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
 
@@ -194,7 +194,7 @@ def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> LiveWo
             raise UsageError(f"look: found '{look}'; an overlay looks as its model does")
         return Watch(scene.world)
     if isinstance(scene, str | Path):
-        scene = read_named_scene(str(scene))
+        scene = load_scene(scene)
     elif not isinstance(scene, Scene):
         hint = "; Scene(robots=[...]) holds robots" if isinstance(scene, SerialRobot) else ""
         raise UsageError(

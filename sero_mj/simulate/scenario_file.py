@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..assemble.scene import Scene
-from ..assemble.scene_file import read_scene, read_scene_tables
+from ..assemble.scene_file import read_scene
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ..paths import find_scenario, find_scene
 from ..toml_file import read_toml
@@ -46,7 +46,8 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         if "scene" in own:
             scene, problems = _other_scene(file, own["scene"], tables, of_scene)
         else:
-            scene, problems = read_scene_tables(file, tables, of_scene, known=(*SECTIONS, *OTHERS))
+            known = (*SECTIONS, *OTHERS)
+            scene, problems = read_scene(file, of_scene, tables=tables, known=known)
     except DeclarationError as error:
         problems += error.problems
     if scene is None:

@@ -10,18 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
-from ...decor.font import Font
+from ...decor.font import Font, font_scale
+from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
-from ...decor.view import View
 from ...errors import RenderError
 from ..camera import find_camera
-from ..font_scale import font_scale
 from ..interaction import Gesture, click, hover
 from ..picking import Picked
 from ..scene_decor import SceneDecor
-from .gl import adopt_backend
+from .backend import adopt_backend
+from .film import Picture
 from .offscreen import check_size, offscreen_size
-from .picture import Picture
 
 log = logging.getLogger(__name__)
 
@@ -89,10 +88,10 @@ class HeadlessRenderer:
         pixels: NDArray[np.uint8] = self._renderer.render(out=out)
         return pixels if out is not None else pixels.view(Picture)
 
-    def _look(self, data: mujoco.MjData) -> View:
+    def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
-        return View.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
+        return PictureView.of_scene(renderer.scene, renderer.width, renderer.height, self._font)
 
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0

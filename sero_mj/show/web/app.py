@@ -9,8 +9,7 @@ from mujoco.studio import app as studio_app
 from mujoco.studio import ux
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
-from ..events import LEFT, RIGHT, Event
-from ..mouse import Clicked, Mouse
+from ..input import LEFT, RIGHT, Clicked, Event, Mouse
 
 _FIRST_LETTER, _FIRST_DIGIT = ord("a"), ord("0")
 _BUTTONS = ((LEFT, imgui.MouseButton.Left), (RIGHT, imgui.MouseButton.Right))

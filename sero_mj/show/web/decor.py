@@ -13,8 +13,8 @@ from ...assemble.mjcf_double import OUT_OF_SIGHT
 from ...assemble.world_view import WorldView
 from ...decor.font import Font
 from ...decor.pen import MAX_GEOMS
+from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
-from ...decor.view import View
 from ..scene_decor import SceneDecor
 from .studio import StudioViewer
 
@@ -49,7 +49,7 @@ class WebDecor(SceneDecor):
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
-        self.view: View | None = None
+        self.view: PictureView | None = None
         self.count = 0
         self.grey: NDArray[np.bool_] | None = None
         super().__init__(world, toggles, MAX_GEOMS, _MAX_SEGMENTS)
@@ -70,7 +70,7 @@ class WebDecor(SceneDecor):
         Args:
             viewer: has the camera, and gets the geoms.
             data: the world's state, with frames up to date.
-            inset: what the page's own windows cover, see `View`.
+            inset: what the page's own windows cover, see `PictureView`.
         """
         if viewer.has_ui:  # outside of its frames Studio knows neither the page nor its text
             size = imgui.GetIO().DisplaySize
@@ -81,7 +81,7 @@ class WebDecor(SceneDecor):
         if self._font is None or width < 1 or height < 1:
             return
         mujoco.mjv_updateCamera(self.world.model, data, viewer.camera, self._camera)
-        view = View.of_scene(self._camera, width, height, self._font, inset, _PANEL_ALPHA)
+        view = PictureView.of_scene(self._camera, width, height, self._font, inset, _PANEL_ALPHA)
         self._buffer.ngeom = 0
         self.draw(data, view, self._buffer)
         self.grey = self.pen.grey

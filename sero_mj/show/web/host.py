@@ -15,18 +15,17 @@ from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
 from ...errors import RenderError, SeroError
 from ..camera import find_camera, list_cameras
-from ..clicks import OnClick, take_click
 from ..clock import Clock
-from ..interaction import Pointer, hover
+from ..input import Clicked
+from ..interaction import OnClick, Pointer, hover, take_click
 from ..keys import Keys
-from ..mouse import Clicked
 from ..notice import Notice
 from ..torque_history import TorqueHistory
 from .app import StudioApp
 from .decor import WebDecor
 from .greying import Greying
 from .guard import is_loopback, make_token
-from .panels import Panels
+from .page_windows import PageWindows
 from .studio import LOOPBACK, RATE, StudioViewer, quiet
 from .time_control import TimeControl
 
@@ -90,7 +89,7 @@ class WebHost:
         self._under: tuple[float, float] | None = None
         self._start_camera = camera
         self._app = StudioApp(self)
-        self._panels = Panels(self)
+        self._panels = PageWindows(self)
         is_private = is_loopback(check_address(host))
         self._token = None if is_private and not token else make_token()
         if not (isinstance(port, int) and 0 <= port < 65536):

@@ -12,26 +12,24 @@ from numpy.typing import NDArray
 from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
 from ...errors import SeroError
-from ..clicks import OnClick, take_click
 from ..clock import Clock, time_text
-from ..events import Event
 from ..headless.renderer import DEFAULT_SIZE
-from ..interaction import Pointer, hover
+from ..input import Clicked, Event, Mouse, Moved
+from ..interaction import OnClick, Pointer, hover, take_click
 from ..keys import Keys
-from ..mouse import Clicked, Mouse, Moved
 from ..notice import Notice
 from ..picking import Picked
 from ..status_line import Piece, status_pieces
 from ..torque_history import TorqueHistory
-from .camera import Navigator
-from .film import Camera
-from .frame import Frame
-from .gl import GlWindow
+from .arrange import Layout, arrange
+from .capture import Capture
+from .glfw_window import GlWindow
 from .help import Row, help_columns, pages
 from .hud import Hud
-from .layout import Layout, arrange
-from .plot import TorquePlot
+from .navigator import Navigator
 from .timeline import TimeLine
+from .torque_plot import TorquePlot
+from .viewport import Viewport
 
 _HINT = "H help"
 
@@ -76,7 +74,7 @@ class Window:
         self.toggles = Toggles(world)
         self.clock = Clock(mirror)
         self.navigator = Navigator(world, camera)
-        self.camera = Camera(world.scene.name, folder)
+        self.camera = Capture(world.scene.name, folder)
         self.joint = 0
         self.work = 0.0
         self.on_click: OnClick | None = None
@@ -86,7 +84,7 @@ class Window:
         self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
-        self._frame = Frame(world, self.toggles)
+        self._frame = Viewport(world, self.toggles)
         self._hud = Hud(self.gl)
         self._pointer = Pointer(world, self.toggles)
         self._mouse = Mouse()

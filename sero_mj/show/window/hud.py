@@ -8,7 +8,7 @@ import mujoco
 
 from ...decor.font import Font
 from ..status_line import Mood, Piece
-from .gl import GlWindow
+from .glfw_window import GlWindow
 from .timeline import TimeLine
 
 Rgba = tuple[float, float, float, float]

@@ -1,0 +1,98 @@
+"""How Sphinx makes the site of these pages: `make docs`."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import sero_mj
+
+project = "sero-mj"
+copyright = "The sero-mj authors, Apache-2.0"
+version = release = sero_mj.__version__
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+]
+html_theme = "furo"
+html_title = f"sero-mj {version}"
+exclude_patterns = ["_made/README.md"]
+myst_heading_anchors = 3
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # docstrings give shapes and units
+autodoc_default_options = {"members": True, "exclude-members": "model_config"}
+napoleon_use_ivar = True
+suppress_warnings = ["myst.xref_missing"]
+
+_HERE = Path(__file__).parent
+
+
+def _declarations() -> str:
+    """Every table of robot, scene and scenario files, from the declarations themselves."""
+    from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
+    from sero_mj.assemble.double import Double
+    from sero_mj.assemble.dynamics import Dynamics
+    from sero_mj.assemble.looks import Camera, Light, View
+    from sero_mj.assemble.objects import Object
+    from sero_mj.assemble.robot import SerialRobot
+    from sero_mj.assemble.scene import SceneToggles
+    from sero_mj.cli.listing import field_rows, scenario_tables
+    from sero_mj.plugins import SOURCES, load_plugin, plugins
+
+    kinds = plugins(SOURCES)
+    tables = {
+        "robot.toml, or [robots.NAME]": SerialRobot,
+        "[dynamics] of a robot": Dynamics,
+        "[doubles.NAME]": Double,
+        "[arrows.NAME]": SmartArrow,
+        "[frames.NAME]": ReceivedFrame,
+        "[objects.NAME]": Object,
+        "[cameras.NAME]": Camera,
+        "[lights.NAME]": Light,
+        "[view]": View,
+        "[toggles]": SceneToggles,
+        **{f'[sources.NAME] kind = "{kind}"': load_plugin(SOURCES, kind) for kind in kinds},
+        **scenario_tables(),
+    }
+    lines = ["# Keys of files", ""]
+    for title, declaration in tables.items():
+        lines += [f"## `{title}`", "", "| key | default | |", "|---|---|---|"]
+        for name, default, about in field_rows(declaration):
+            cells = (f"`{name}`", f"`{default}`" if default else "", about)
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _reference() -> str:
+    """The public names of Python, in the order of the rooms."""
+    lines = ["Python", "======", "", ".. automodule:: sero_mj", "   :no-members:", ""]
+    for name, home in sero_mj._HOME.items():
+        item = getattr(sero_mj, name)
+        kind = "class" if inspect.isclass(item) else "function"
+        if kind == "class" and issubclass(item, Exception):
+            kind = "exception"
+        lines += [f".. auto{kind}:: sero_mj.{home}.{name}", ""]
+    return "\n".join(lines)
+
+
+def setup(app: object) -> None:
+    """Writes the pages that are made of declarations and docstrings."""
+    made = _HERE / "_made"
+    made.mkdir(exist_ok=True)
+    structure = (_HERE.parent / "sero_mj" / "receive" / "STRUCTURE.md").read_text("utf-8")
+    rooms = (_HERE.parent / "README.md").read_text("utf-8").partition("## The rooms")[2]
+    pages = {
+        "keys.md": _declarations(),
+        "python.rst": _reference(),
+        "structure.md": structure,
+        "rooms.md": "# The rooms\n" + re.split(r"\n\[CONTRIB", rooms)[0],
+    }
+    for name, text in pages.items():
+        file = made / name
+        if not file.exists() or file.read_text("utf-8") != text:
+            file.write_text(text, encoding="utf-8")

@@ -1,0 +1,261 @@
+"""What several commands have in common: options, the scene they name, and how they end."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import re
+import signal
+import threading
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DeclarationError, Problem, UsageError
+
+if TYPE_CHECKING:
+    from ..assemble.scene import Scene
+    from ..record.recording import Recording
+
+# Subparsers have no public type.
+Commands = Any
+LOOKS = ("light", "dark")
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """A parser whose errors are one line, like all others of this program."""
+
+    def error(self, message: str) -> NoReturn:
+        """Prints the line and exits with 2."""
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def join_negative_values(arguments: list[str]) -> list[str]:
+    """Puts `--camera -90,-20,3` as `--camera=-90,-20,3`, for argparse takes -90 for an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        option = joined[-1] if joined else ""
+        if re.match(r"-[\d.]", argument) and option.startswith("--") and "=" not in option:
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def add_command(commands: Commands, name: str, run: Any, summary: str, epilog: str) -> Any:
+    """Adds a command whose help shows its summary and its epilog as they are written."""
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def positive(text: str) -> float:
+    """A finite number above 0, for argparse."""
+    return _number(text, "a number above 0", lambda value: value > 0)
+
+
+def not_negative(text: str) -> float:
+    """A finite number from 0, for argparse."""
+    return _number(text, "0 or a number above", lambda value: value >= 0)
+
+
+def _number(text: str, expected: str, fits: Callable[[float], bool]) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and fits(value)):
+        raise argparse.ArgumentTypeError(f"found '{text}'; expected {expected}")
+    return value
+
+
+def port(text: str) -> int:
+    """A port from 1 to 65535, for argparse."""
+    if text.isdecimal() and 1 <= int(text) <= 65535:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected a port from 1 to 65535")
+
+
+def size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT in pixels, for argparse."""
+    width, _, height = text.lower().partition("x")
+    if width.isdecimal() and height.isdecimal() and int(width) and int(height):
+        return int(width), int(height)
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected WIDTHxHEIGHT, e.g. 1280x800")
+
+
+def numbers(text: str, what: str) -> NDArray[np.float64]:
+    """Comma-separated finite numbers.
+
+    Raises:
+        UsageError: something is no number.
+    """
+    try:
+        values = np.array([float(part) for part in text.strip("[] ").split(",")])
+    except ValueError:
+        values = np.array([np.nan])
+    if not np.isfinite(values).all():
+        raise UsageError(f"{what}: found '{text}'; expected numbers with commas, e.g. 0,0.5,-1.2")
+    return values
+
+
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """Adds `--camera`, `--look` and `--set`."""
+    parser.add_argument(
+        "--camera",
+        metavar="CAM",
+        help="name of a camera, or azimuth,elevation,distance in degrees and m",
+    )
+    parser.add_argument("--look", choices=LOOKS, help="over the scene's; default light")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="settings",
+        metavar="ROBOT.FIELD=VALUE",
+        help="set a field over the scene's; may be repeated",
+    )
+
+
+def overrides(settings: Sequence[str]) -> dict[str, Any]:
+    """Reads `--set robot.field=value` options; the value is TOML, or numbers with commas.
+
+    Raises:
+        UsageError: one has no `=`, or its key no field.
+    """
+    result: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals or "." not in key:
+            raise UsageError(
+                f"--set {setting}: expected ROBOT.FIELD=VALUE, e.g. lwr.show_axes=true"
+            )
+        result[key.strip()] = _value(text.strip())
+    return result
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        pass
+    try:  # more lenient than TOML, which wants a digit before every point
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return text
+
+
+def read_scene(name: str, settings: Sequence[str] = ()) -> Scene:
+    """Returns the scene that `name` means; see `load.load_scene`.
+
+    Args:
+        name: a file, or the name of a shipped scene, scenario or robot.
+        settings: `--set` options, `robot.field=value`.
+
+    Raises:
+        UnknownName: neither a scene nor a robot.
+        SeroError: what is wrong in the file, or in what is set.
+    """
+    from ..load import load_scene
+
+    given = overrides(settings)
+    try:
+        return load_scene(name, given)
+    except DeclarationError as error:
+        raise DeclarationError([_as_set(problem, given) for problem in error.problems]) from None
+
+
+def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
+    """The problem as one of `--set`, where that is what brought it."""
+    for target in given:
+        field = target.partition(".")[2]
+        # As keys stand in a scene, in a robot's own file, and where there is nothing to set.
+        for key in (rf"\w+\.{re.escape(target)}", re.escape(field), re.escape(target)):
+            if found := re.fullmatch(rf"{key}(\..+)?", problem.key):
+                return Problem(f"--set {target}{found[1] or ''}", problem.message)
+    return problem
+
+
+def read_shown_scene(options: argparse.Namespace) -> Scene:
+    """The scene that a command with `add_scene_options` names, with what these set.
+
+    Raises:
+        SeroError: see `read_scene`.
+    """
+    scene = read_scene(options.scene, options.settings)
+    if options.look is not None:
+        scene.view.look = options.look
+    return scene
+
+
+def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
+    """Lets a recording play every source of a scene that it has.
+
+    Args:
+        scene: is changed.
+        file: the recording.
+        start: where to begin, s since the recording began; at its first packet when None.
+
+    Raises:
+        RecordingError: it cannot be read.
+        UsageError: it has none of the scene's sources, or ends before `start`.
+    """
+    from ..record.recording import Recording
+    from ..runs.run_log import routes_from_recording
+
+    with Recording(file) as recording:
+        recorded = {name: list(source.events) for name, source in recording.sources.items()}
+        check_span(recording, start)
+    both = [name for name in scene.sources if name in recorded]
+    if not both:
+        found = ", ".join(recorded) or "no source"
+        expected = ", ".join(scene.sources) or "none: it has no sources"
+        raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
+    for name in both:
+        scene.sources[name] = {"kind": "replay", "file": str(file), "source": name}
+        scene.routes = routes_from_recording(scene.routes, name, recorded[name])
+        if start is not None:
+            scene.sources[name]["start"] = start
+
+
+def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
+    """Refuses times of `--start` and `--stop` between which a recording has nothing.
+
+    Raises:
+        UsageError: it ends before the start, or the stop is not after the start.
+    """
+    from ..record.replay import check_start
+
+    if start is not None:
+        try:
+            check_start(start, recording)
+        except ValueError as error:
+            raise UsageError(f"--start: {error}") from None
+    if start is not None and stop is not None and stop <= start:
+        raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
+
+
+@contextlib.contextmanager
+def until_ended() -> Iterator[None]:
+    """Ends the context, and not the command, with Ctrl-C or SIGTERM (`kill`, `timeout`)."""
+    if threading.current_thread() is not threading.main_thread():
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

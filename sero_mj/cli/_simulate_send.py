@@ -1,0 +1,106 @@
+"""`sero-mj simulate --send SCENE`: one process simulates, and another one mirrors it."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Self
+
+from ..errors import SimulationError
+from ._arguments import port, read_scene
+
+if TYPE_CHECKING:
+    from ..simulate.simulation import Simulation
+
+_EVERY = 0.05  # s between two looks at the clock, where nobody waits for packets
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds where to send to."""
+    group = parser.add_argument_group("to send it in real time, as a robot would")
+    group.add_argument(
+        "--send", metavar="SCENE", help="what that scene's source expects: its structure and routes"
+    )
+    group.add_argument("--source", metavar="NAME", help="which source of that scene to feed")
+    group.add_argument("--structure", metavar="S", help="packet layout instead of that scene's")
+    group.add_argument("--host", help="where to (default 127.0.0.1)")
+    group.add_argument("--port", type=port, help="UDP port (default: that scene's)")
+    group.add_argument("--shm", metavar="NAME", help="write to this shared memory instead")
+
+
+def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
+    """Runs no faster than the clock; tells which rows are new."""
+    timestep = simulation.scenario.run.timestep
+    begin = time.perf_counter()
+    while not simulation.is_done:
+        time.sleep(_EVERY)
+        first = simulation.step + 1 if simulation.step else 0
+        due = int((time.perf_counter() - begin) / timestep)
+        try:
+            simulation.advance(min(max(due, simulation.step + 1), simulation.steps))
+        finally:
+            if simulation.step >= first:
+                yield first, simulation.step + 1
+
+
+class Sender:
+    """Sends a simulation while it runs.
+
+    Args:
+        simulation: what to send.
+        options: of the command.
+
+    Raises:
+        SeroError: the scene or where it receives is wrong.
+    """
+
+    def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
+        from ..send.play import MotionPackets
+        from ..simulate.log_signals import LogSignals
+        from ._sink import make_sink
+
+        scene = read_scene(options.send)
+        players = {name: LogSignals(simulation, name) for name in simulation.scenario.scene.robots}
+        self._packets = MotionPackets(scene, options.source, options.structure, players=players)
+        self._sink: Any = make_sink(options, self._packets.source, self._packets.structure)
+        self._simulation = simulation
+        self.report: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._sink.close()
+
+    def run(self) -> Iterator[tuple[int, int]]:
+        """Sends a packet for every step; tells which rows are new.
+
+        Raises:
+            SimulationError: it cannot go on.
+        """
+        from ..send.sender import send
+
+        simulation = self._simulation
+        stopped: list[SimulationError] = []
+
+        def packets() -> Iterator[tuple[float, bytes]]:
+            times = simulation.rows[:, 0]
+            for k in range(simulation.steps + 1):
+                try:
+                    simulation.advance(k)
+                except SimulationError as error:
+                    stopped.append(error)
+                    return
+                yield float(times[k]), self._packets.at(float(times[k]))
+
+        print(
+            f"sending {self._packets.structure.text} ({self._packets.structure.size} bytes) to "
+            f"{self._sink.place} in real time; Ctrl-C stops",
+            flush=True,
+        )
+        self.report = send(packets(), self._sink)
+        print(self.report)
+        yield 0, simulation.step + 1
+        if stopped:
+            raise stopped[0]

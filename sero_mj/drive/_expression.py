@@ -1,0 +1,323 @@
+"""What an expression in a route means: numpy's rules for shapes, and units.
+
+A value is an array, each entry of which is a constant plus multiples of received numbers. It is
+computed once, when a scene is read; `Value.compile` makes of it what runs with every packet.
+
+- Entries are picked along the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
+- Operands have one shape, or one of them is a number or can be repeated as in numpy.
+- A list puts the numbers of its entries one after the other.
+- Matrices cannot be indexed or combined, but for one of several that can be picked, and for
+  another unit of length: `udp.matrices0 * mm` and `0.001 * udp.matrices0` scale their positions.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RouteError
+from ._syntax import Expression, first_word, word_after
+from ._units import LENGTH, Exponents, describe
+from .affine import Affine, Origin, Term, make_affine
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Value:
+    """An array of constants plus multiples of received numbers.
+
+    Attributes:
+        entries: an array of the value's shape, with fields: `offset`, the constant; `unit`, the
+            exponents of its unit (4); `index`, which of the received numbers are added (k), -1 for
+            none; `factor`, what each is multiplied by (k).
+        is_frames: whether it is 4 x 4 frames.
+        origins: what the numbers are counted through, each with how many it has.
+    """
+
+    entries: NDArray[np.void]
+    is_frames: bool = False
+    origins: Mapping[Origin, int] = field(default_factory=dict)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the array; () for a number."""
+        return self.entries.shape
+
+    @property
+    def offset(self) -> Array:
+        """The constants, of the value's shape."""
+        return np.asarray(self.entries["offset"])
+
+    @property
+    def dimensions(self) -> Exponents:
+        """Exponents of the unit of each entry, (*shape, 4)."""
+        return np.asarray(self.entries["unit"])
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether nothing received is in it."""
+        return not self.entries["index"].shape[-1]
+
+    def compile(self, count: int) -> Affine:
+        """Returns what runs with every packet; a constant number is repeated `count` times."""
+        entries = np.broadcast_to(self.entries.ravel(), count)
+        origins, starts = list(self.origins), np.cumsum([0, *self.origins.values()])
+        terms = []
+        for index, factor in zip(entries["index"].T, entries["factor"].T, strict=True):
+            owners = np.searchsorted(starts, index, side="right") - 1
+            for owner in np.unique(owners[index >= 0]).tolist():
+                at = np.flatnonzero(owners == owner)
+                take = index[at] - starts[owner]
+                terms.append(Term(origins[owner], at, take, factor[at]))
+        return make_affine(np.array(entries["offset"]), terms, self.origins)
+
+
+def constant(number: float, dimension: tuple[int, ...] = (0, 0, 0, 0)) -> Value:
+    """A number, with the exponents of its unit."""
+    entries = _entries((), 0)
+    entries["offset"], entries["unit"] = number, dimension
+    return Value(entries)
+
+
+def numbers_of(origin: Origin, shape: tuple[int, ...], dimensions: Exponents | None) -> Value:
+    """All numbers of an event or output.
+
+    Args:
+        origin: which.
+        shape: of its array.
+        dimensions: exponents of their units, (count, 4); None for plain numbers.
+    """
+    count = int(np.prod(shape))
+    entries = _entries((count,), 1)
+    entries["index"][:, 0], entries["factor"] = np.arange(count), 1.0
+    if dimensions is not None:
+        entries["unit"] = dimensions
+    return Value(entries.reshape(shape), len(shape) == 3, {origin: count})
+
+
+def _entries(shape: tuple[int, ...], width: int) -> NDArray[np.void]:
+    """Zeros, each entry with room for so many received numbers."""
+    fields: list[Any] = [("offset", np.float64), ("unit", np.int64, (4,))]
+    fields += [("index", np.intp, (width,)), ("factor", np.float64, (width,))]
+    entries = np.zeros(shape, fields)
+    entries["index"] = -1
+    return entries
+
+
+def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
+    """Computes what an expression means.
+
+    Args:
+        expression: what `parse` returned.
+        names: what every name in it stands for.
+
+    Raises:
+        RouteError: points at what has no meaning, and says why.
+    """
+    origins: dict[Origin, int] = {}
+    numbered = {}
+    for name, value in names.items():
+        entries = value.entries.copy()
+        entries["index"] += sum(origins.values())
+        numbered[name] = replace(value, entries=entries)
+        origins |= value.origins
+    with np.errstate(all="ignore"):
+        value = _Evaluator(expression, numbered).evaluate(expression.tree)
+    if not (np.isfinite(value.offset).all() and np.isfinite(value.entries["factor"]).all()):
+        raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
+    return replace(value, origins=origins)
+
+
+class _Evaluator:
+    def __init__(self, expression: Expression, names: Mapping[str, Value]) -> None:
+        self._expression, self._names = expression, names
+        self._refuse = expression.refuse
+
+    def evaluate(self, node: ast.expr) -> Value:
+        chain = []  # a sum of 1,000 terms is as deep a tree; it is evaluated without recursion
+        while True:
+            match node:
+                case (
+                    ast.BinOp(left=inner) | ast.UnaryOp(operand=inner) | ast.Subscript(value=inner)
+                ):
+                    chain.append(node)
+                    node = inner
+                case _:
+                    break
+        value = self._operand(node)
+        for outer in reversed(chain):
+            match outer:
+                case ast.BinOp():
+                    value = self._binary(outer, value, self.evaluate(outer.right))
+                case ast.Subscript():
+                    value = self._pick(outer, value)
+                case ast.UnaryOp(op=ast.USub()):
+                    if value.is_frames:
+                        self._refuse_frames(outer)
+                    value = _scaled(value, np.float64(-1.0))
+        return value
+
+    def _operand(self, node: ast.expr) -> Value:
+        if isinstance(node, ast.List):
+            return self._join(node)
+        word = self._expression.words[first_word(node)]
+        if word.kind == "name":
+            return self._names[word.text]
+        if not np.isfinite(number := float(word.text)):
+            self._refuse(first_word(node), "expected a smaller number", len(word.text))
+        return constant(number)
+
+    def _binary(self, node: ast.BinOp, left: Value, right: Value) -> Value:
+        at = word_after(node.left)  # but for brackets
+        while (sign := self._expression.words[at].text) == ")":
+            at += 1
+        if left.is_frames or right.is_frames:
+            return self._scaled_frames(at, sign, left, right)
+        try:
+            shape = np.broadcast_shapes(left.shape, right.shape)
+        except ValueError:
+            shapes = f"{_amount(left)} and {_amount(right)}"
+            self._refuse(at, f"expected as many on both sides; there are {shapes}")
+        left, right = (
+            replace(value, entries=np.broadcast_to(value.entries, shape)) for value in (left, right)
+        )
+        if sign in "+-":
+            return self._sum(at, left, right if sign == "+" else _scaled(right, np.float64(-1.0)))
+        return self._product(at, sign, left, right)
+
+    def _sum(self, at: int, left: Value, right: Value) -> Value:
+        left_given, right_given = (np.any(v.dimensions, axis=-1) for v in (left, right))
+        other = np.any(left.dimensions != right.dimensions, axis=-1) & left_given & right_given
+        if np.any(other):
+            first = tuple(np.argwhere(other)[0])
+            units = [describe(value.dimensions[first]) for value in (left, right)]
+            reason = f"expected one unit on both sides; there are {units[0]} and {units[1]}"
+            self._refuse(at, reason)
+        parts = [left.entries, right.entries]
+        entries = _entries(left.shape, sum(part["index"].shape[-1] for part in parts))
+        entries["offset"] = left.offset + right.offset
+        entries["unit"] = np.where(
+            np.expand_dims(left_given, -1), left.dimensions, right.dimensions
+        )
+        for key in ("index", "factor"):
+            entries[key] = np.concatenate([part[key] for part in parts], axis=-1)
+        return Value(entries)
+
+    def _product(self, at: int, sign: str, left: Value, right: Value) -> Value:
+        factors, unit = right.offset, right.dimensions
+        if sign == "/":
+            if not right.is_constant:
+                self._refuse(at, "expected a constant behind it")
+            if not right.offset.all():
+                self._refuse(at, "expected no 0 behind it")
+            factors, unit = 1.0 / factors, -unit
+        elif not (left.is_constant or right.is_constant):
+            reason = "expected a constant on one side: a route adds multiples of what is received"
+            self._refuse(at, reason)
+        elif left.is_constant:
+            left, factors, unit = right, left.offset, left.dimensions
+        return _scaled(left, factors, unit)
+
+    def _scaled_frames(self, at: int, sign: str, left: Value, right: Value) -> Value:
+        """Frames whose positions are times a number: another unit of length."""
+        frames, factor = (right, left) if right.is_frames and sign == "*" else (left, right)
+        if sign in "+-" or not factor.is_constant or factor.shape or factor.is_frames:
+            reason = "expected nothing but a number or a length beside frames, as in frames * mm"
+            self._refuse(at, reason)
+        size = float(factor.offset)
+        if not size > 0.0:
+            self._refuse(at, f"expected a number above 0 beside it; found {size:g}")
+        units = np.zeros((4, 4, 4), np.int64)
+        units[:3, 3] = factor.dimensions if sign == "*" else -factor.dimensions
+        given = np.any(frames.dimensions[..., :3, 3, :])
+        if units.any() and (given or tuple(units[0, 3]) != LENGTH):
+            reason = f"expected a length beside frames; found {describe(units[0, 3])}"
+            self._refuse(at, reason)
+        factors = np.ones((4, 4))
+        factors[:3, 3] = size if sign == "*" else 1.0 / size
+        return _scaled(frames, factors, units)
+
+    def _join(self, node: ast.List) -> Value:
+        values = [self.evaluate(item) for item in node.elts]
+        if any(value.is_frames for value in values):
+            self._refuse_frames(node)
+        parts = [value.entries.ravel() for value in values]
+        joined = _entries((sum(map(len, parts)),), max(p["index"].shape[-1] for p in parts))
+        start = 0
+        for part in parts:
+            here, width = joined[start : start + len(part)], part["index"].shape[-1]
+            here["offset"], here["unit"] = part["offset"], part["unit"]
+            here["index"][:, :width], here["factor"][:, :width] = part["index"], part["factor"]
+            start += len(part)
+        return Value(joined)
+
+    def _pick(self, node: ast.Subscript, value: Value) -> Value:
+        bracket, name = word_after(node.value), self._expression.text_of(node.value)
+        while self._expression.words[bracket].text == ")":
+            bracket += 1
+        if not value.shape:
+            self._refuse(bracket, f"expected none: {name} is a single number")
+        if value.is_frames and len(value.shape) == 2:
+            self._refuse(bracket, f"expected none: {name} is a frame, which cannot be indexed")
+        index: Any
+        match node.slice:
+            case ast.Slice(lower=lower, upper=upper, step=step):
+                last = value.shape[0]  # a slice may end behind the last one
+                index = slice(
+                    self._position(lower, value, name, last),
+                    self._position(upper, value, name, last),
+                    None if step is None else self._integer(step),
+                )
+                if step is not None and index.step == 0:
+                    self._refuse(first_word(step), "expected a step other than 0")
+            case ast.Tuple(elts=several):
+                last = value.shape[0] - 1
+                index = [self._position(each, value, name, last) for each in several]
+            case _:
+                index = self._position(node.slice, value, name, value.shape[0] - 1)
+        entries = np.asarray(value.entries[index])
+        if not entries.size:
+            self._refuse(bracket, "expected a slice with something in it")
+        return replace(value, entries=entries)
+
+    def _position(self, node: ast.expr | None, value: Value, name: str, last: int) -> int | None:
+        """An index into the first axis, of which `last` is the greatest."""
+        if node is None:
+            return None
+        number, length = self._integer(node), value.shape[0]
+        if not -length <= number <= last:
+            many = _amount(value) if len(value.shape) == 1 else f"{length} rows"
+            wanted = f"0 to {last}, or -1 to {-length} from the end"
+            reason = f"expected {wanted}: {name} has {many}"
+            self._refuse(first_word(node), reason, len(str(number)))
+        return number
+
+    def _integer(self, node: ast.expr) -> int:
+        if isinstance(node, ast.UnaryOp):
+            return -self._integer(node.operand)
+        return int(self._expression.words[first_word(node)].text)
+
+    def _refuse_frames(self, node: ast.expr) -> NoReturn:
+        reason = "expected no frames beside it: these cannot be indexed or combined"
+        self._refuse(first_word(node), reason)
+
+
+def _amount(value: Value) -> str:
+    if len(value.shape) > 1:
+        return " x ".join(map(str, value.shape)) + " values"
+    return "1 value" if value.offset.size == 1 else f"{value.offset.size} values"
+
+
+def _scaled(value: Value, factors: Array | np.float64, unit: Exponents | int = 0) -> Value:
+    """The value times constants, with the exponents of their unit."""
+    entries = np.array(value.entries)
+    entries["offset"] *= factors
+    entries["factor"] *= np.asarray(factors)[..., None]
+    entries["unit"] += unit
+    return replace(value, entries=entries)

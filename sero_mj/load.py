@@ -1,0 +1,91 @@
+"""Loads what a name or a file means: a scene, a scenario, or a robot alone.
+
+What commands, `sero_mj.view` and `sero_mj.load_scene` are given is loaded here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from . import paths
+from .assemble.robot import SerialRobot
+from .assemble.scene import Scene
+from .assemble.scene_file import read_scene
+from .drive.route import wire
+from .errors import DeclarationError, UnknownName, UsageError, did_you_mean
+from .simulate.sections import is_scenario
+
+
+def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> Scene:
+    """Loads and checks a scene, opening nothing.
+
+    A robot is a scene with it alone. A scenario is simulated while its scene is shown.
+
+    Args:
+        name: a TOML file, or the name of a shipped scene, scenario or robot.
+        overrides: `robot.field` to its value, over what the file says. An input that is set so
+            (`lwr.joint_angles`) is no longer routed to.
+
+    Raises:
+        UnknownName: none of these; names the nearest.
+        DeclarationError: everything that is wrong in the file, at once.
+        UsageError: `overrides` names another robot than the one that is loaded.
+    """
+    name, overrides = str(name), dict(overrides or {})
+    try:
+        path = paths.find_scene(name)
+    except UnknownName as error:
+        if name in paths.list_scenarios():
+            return _load_scenario(name, overrides)
+        try:
+            paths.find_model(name)
+        except UnknownName as no_model:
+            available = [*paths.list_scenes(), *paths.list_scenarios(), *no_model.available]
+            hint = paths.file_hint(name)
+            raise UnknownName("scene or robot", name, available, hint) from error
+        return Scene(robots=[load_robot(name, overrides)], name=name)
+    if path.name == "robot.toml":
+        return Scene(robots=[load_robot(str(path), overrides)], name=path.parent.name)
+    if is_scenario(path):
+        return _load_scenario(str(path), overrides)
+    scene, problems = read_scene(path, overrides)
+    problems += scene.located(wire(scene).problems)
+    if problems:
+        raise DeclarationError(problems)
+    return scene
+
+
+def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialRobot:
+    """Loads a robot.
+
+    Args:
+        name: a shipped robot's name, a folder with a `robot.toml`, or a TOML file.
+        overrides: `robot.field` to its value, over what the file says.
+
+    Raises:
+        UnknownName: no such robot; names the nearest.
+        DeclarationError: everything that is wrong in the file, at once.
+        UsageError: `overrides` names another robot.
+    """
+    fields = {}
+    robot = paths.find_model(name).parent.name
+    for key, value in (overrides or {}).items():
+        given, _, field = key.partition(".")
+        if given != robot:
+            near = did_you_mean(given, [robot])
+            raise UsageError(f"--set {key}: no robot '{given}'{near}")
+        if field in ("model", "name"):
+            raise UsageError(f"--set {key}: which robot it is cannot be set")
+        fields[field] = value
+    return SerialRobot.from_model(name, **fields)
+
+
+def _load_scenario(name: str, overrides: Mapping[str, Any]) -> Scene:
+    # What simulates is imported where something is to be simulated.
+    from .simulate.scenario_file import read_scenario
+    from .simulate.simulated_scene import simulated_scene
+    from .simulate.simulation import Simulation
+
+    return simulated_scene(Simulation(read_scenario(name, overrides)))

@@ -1,0 +1,305 @@
+"""Reads MCAP files of anybody: where everything is, and the messages of a chunk.
+
+Where everything is says the file's summary, or else a walk through it. A file whose process was
+killed has no summary. Walking through it skips what records contain, so it takes about as long as
+there are chunks; `mcap.stream_reader` would read and unpack them all. Sizes are bounded before
+anything is read or decompressed.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import FOOTER_SIZE, SeekingReader
+from mcap.records import Channel, Chunk, Metadata
+from mcap.stream_reader import MAGIC_SIZE
+
+MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
+_RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
+_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, but for text and data
+# What the mcap library and the decompressors raise where bytes are not what they should be.
+BROKEN = (
+    McapError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+)
+_ATTACHMENT_HEAD = 4096  # bytes that surely hold an attachment's name
+_CRC_BYTES = 4 + MAGIC_SIZE  # at the end of a file: the summary's check sum, and the magic number
+_NOT_CLOSED = "its process was killed, the disk was full, or it is still being written"
+
+
+@dataclass(frozen=True)
+class ChunkPlace:
+    """A chunk in the file.
+
+    Attributes:
+        offset: where its record begins.
+        length: bytes of its record.
+        first: log time of its earliest message, ns.
+        last: log time of its latest message, ns.
+        channels: those that it has messages of; None when that is not known.
+    """
+
+    offset: int
+    length: int
+    first: int
+    last: int
+    channels: frozenset[int] | None
+
+
+@dataclass
+class FileIndex:
+    """Where everything is.
+
+    Attributes:
+        channels: number to channel.
+        chunks: in the order of the file.
+        counts: channel to its number of messages, but for those in `uncounted`.
+        uncounted: chunks that nothing tells the messages of.
+        metadata: name to what a metadata record says.
+        attachments: name to where its record stands and how long it is.
+        faults: what is wrong with the file.
+    """
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+    uncounted: list[ChunkPlace] = field(default_factory=list)
+    metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
+    attachments: dict[str, tuple[int, int]] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+
+
+def read_index(file: BinaryIO) -> FileIndex:
+    """Returns where everything is in a file that begins as an MCAP file does; raises OSError."""
+    size = file.seek(0, os.SEEK_END)
+    try:
+        index = _from_summary(file, size)
+    except BROKEN as error:
+        index = _walk_through(file, size)
+        index.faults.append(
+            f"its index is damaged ({reason_of(error)}), so all of it was looked through"
+        )
+        return index
+    return index or _walk_through(file, size)
+
+
+def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
+    """Returns what a record says, without its head; raises ValueError where it does not fit."""
+    size = file.seek(0, os.SEEK_END)
+    if not 0 <= offset <= offset + length <= size:
+        raise ValueError(f"{length} bytes at byte {offset} are beyond the end of the file")
+    file.seek(offset + _RECORD_HEAD.size)
+    return io.BytesIO(file.read(max(length - _RECORD_HEAD.size, 0)))
+
+
+def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
+    """Reads the summary; None where there is none; raises one of BROKEN when it is damaged."""
+    ending = FOOTER_SIZE + MAGIC_SIZE
+    if size < MAGIC_SIZE + ending:
+        return None
+    file.seek(size - ending)
+    opcode, length, start = struct.unpack("<BQQ", file.read(_RECORD_HEAD.size + 8))
+    if (opcode, length) != (Opcode.FOOTER, FOOTER_SIZE - _RECORD_HEAD.size) or not start:
+        return None
+    if not MAGIC_SIZE <= start <= size - ending:
+        raise ValueError("it is not where the end of the file says")
+    file.seek(start)
+    said = zlib.crc32(file.read(size - start - _CRC_BYTES))
+    (expected,) = struct.unpack("<I", file.read(4))
+    if expected and said != expected:
+        raise ValueError("its check sum differs")
+    file.seek(0)
+    summary = SeekingReader(file, record_size_limit=size).get_summary()
+    if summary is None:
+        return None
+    index = FileIndex(channels=dict(summary.channels))
+    for each in summary.chunk_indexes:
+        index.chunks.append(
+            ChunkPlace(
+                each.chunk_start_offset,
+                each.chunk_length,
+                each.message_start_time,
+                each.message_end_time,
+                frozenset(each.message_index_offsets) or None,
+            )
+        )
+    for attachment in summary.attachment_indexes:
+        index.attachments[attachment.name] = (attachment.offset, attachment.length)
+    for place in summary.metadata_indexes:
+        metadata = _metadata(file, place.offset, place.length)
+        index.metadata[metadata.name] = metadata.metadata
+    if summary.statistics is None:
+        index.uncounted = list(index.chunks)
+    else:
+        index.counts = dict(summary.statistics.channel_message_counts)
+    return index
+
+
+def _walk_through(file: BinaryIO, size: int) -> FileIndex:
+    """Goes from record to record, up to the end of the data or to where that is not possible."""
+    index, chunks = FileIndex(), _Chunks()
+    position, is_whole = MAGIC_SIZE, False
+    try:
+        for opcode, offset, length in _records(file, size):
+            _note(file, opcode, offset, length, index, chunks)
+            position, is_whole = offset + length, opcode == Opcode.DATA_END
+    except BROKEN:
+        pass  # up to here, then
+    chunks.into(index, cut=not is_whole)
+    if is_whole:
+        index.faults.append(f"was not closed ({_NOT_CLOSED}), so it has no index")
+    else:
+        index.faults.append(
+            f"is cut off or damaged at byte {position} ({_NOT_CLOSED}): "
+            f"{size - position} bytes are left out"
+        )
+    return index
+
+
+def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, place and length of one record after the other, up to the end of the data."""
+    position, opcode = MAGIC_SIZE, 0
+    while opcode != Opcode.DATA_END:
+        file.seek(position)
+        opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+        end = position + _RECORD_HEAD.size + length
+        if opcode == 0 or end > size:
+            return
+        yield opcode, position, end - position
+        position = end
+
+
+class _Chunks:
+    """Chunks as they are met, and their messages as the records behind them tell."""
+
+    def __init__(self) -> None:
+        self.places: list[tuple[int, int, int, int]] = []
+        self.counts: list[dict[int, int]] = []
+
+    def into(self, index: FileIndex, *, cut: bool) -> None:
+        """Puts them into the index.
+
+        Args:
+            index: where to.
+            cut: the file ends early: some of the records behind the last chunk may be missing.
+        """
+        if cut and self.counts:
+            self.counts[-1].clear()
+        for place, counts in zip(self.places, self.counts, strict=True):
+            chunk = ChunkPlace(*place, frozenset(counts) or None)
+            index.chunks.append(chunk)
+            if not counts:
+                index.uncounted.append(chunk)
+            for channel, count in counts.items():
+                index.counts[channel] = index.counts.get(channel, 0) + count
+
+
+def _note(
+    file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex, chunks: _Chunks
+) -> None:
+    """Notes what a record is; the file stands behind the record's head."""
+    if opcode == Opcode.CHUNK:
+        first, last = struct.unpack("<QQ", file.read(16))
+        chunks.places.append((offset, length, first, last))
+        chunks.counts.append({})
+    elif opcode == Opcode.MESSAGE_INDEX:
+        channel, entries = struct.unpack("<HI", file.read(6))
+        if entries and chunks.counts:
+            chunks.counts[-1][channel] = entries // 16
+    elif opcode == Opcode.CHANNEL:
+        found = Channel.read(ReadDataStream(read_record(file, offset, length)))
+        index.channels[found.id] = found
+    elif opcode == Opcode.METADATA:
+        metadata = _metadata(file, offset, length)
+        index.metadata[metadata.name] = metadata.metadata
+    elif opcode == Opcode.ATTACHMENT:
+        stream = ReadDataStream(io.BytesIO(file.read(min(length, _ATTACHMENT_HEAD))))
+        stream.read(16)  # two times
+        index.attachments[stream.read_prefixed_string()] = (offset, length)
+
+
+def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
+    found: Metadata = Metadata.read(ReadDataStream(read_record(file, offset, length)))
+    return found
+
+
+def reason_of(error: BaseException) -> str:
+    """What one of BROKEN says; those of the mcap library often say nothing."""
+    return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
+
+
+def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
+    """Returns a chunk's messages of one channel: log time in ns, and data.
+
+    `mcap.stream_reader.breakup_chunk` would take five times as long, and decompresses without
+    bounds.
+
+    Args:
+        record: the chunk's record, without its head.
+        channel: the channel's number.
+
+    Raises:
+        BROKEN: one of these, where the chunk is damaged, or larger than can be meant.
+    """
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
+    if len(chunk.data) + _CHUNK_FIELDS + len(chunk.compression) != len(record):
+        raise ValueError("it ends early")
+    data = _decompressed(chunk)
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("its check sum differs")
+    found = []
+    position, size = 0, len(data)
+    while position < size:
+        opcode, length = _RECORD_HEAD.unpack_from(data, position)
+        end = position + _RECORD_HEAD.size + length
+        if opcode == 0 or end > size:
+            what = "found opcode 0" if opcode == 0 else f"{length} bytes do not fit"
+            raise ValueError(f"record at byte {position} of it: {what}")
+        if opcode == Opcode.MESSAGE:
+            _, _, number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(data, position)
+            if number == channel:
+                found.append((log_time, data[position + _MESSAGE_HEAD.size : end]))
+        position = end
+    return found
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """What a chunk contains; never takes more memory than the chunk says, and that is bounded."""
+    size = chunk.uncompressed_size
+    if size > MAX_CHUNK_BYTES:
+        most = f"expected at most {MAX_CHUNK_BYTES}"
+        raise ValueError(f"{size} bytes when it is decompressed; {most}")
+    if chunk.compression == "zstd":
+        stated = zstandard.get_frame_parameters(chunk.data).content_size
+        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+            raise ValueError(f"its data are {stated} bytes when decompressed; it says {size}")
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = bytes(reader.read(size + 1))
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression:
+        raise ValueError(f"compression '{chunk.compression}'; expected zstd, lz4 or none")
+    else:
+        data = chunk.data
+    if len(data) != size:
+        found = f"more than {size}" if len(data) > size else str(len(data))
+        raise ValueError(f"its data are {found} bytes when decompressed; it says {size}")
+    return data

@@ -1,0 +1,144 @@
+"""What a user does with mouse and keys, as every live host says it; drags told from clicks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+LEFT, RIGHT, MIDDLE = 0, 1, 2
+DOUBLE_CLICK_TIME = 0.35  # s between the two presses
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that the user did.
+
+    Attributes:
+        kind: `press` and `release` of a button, `move`, `scroll`, `key`.
+        x: pixels of the framebuffer from its left edge; notches to the right for `scroll`.
+        y: pixels up from its lower edge; notches away from the user for `scroll`.
+        time: on the clock of `time.monotonic`, s.
+        button: `LEFT`, `RIGHT`, `MIDDLE`.
+        key: a character in lower case, or a name: `f1`, `left`, `escape`.
+        shift: whether Shift or Control was held.
+        is_repeat: whether a key is just held down.
+    """
+
+    kind: Literal["press", "release", "move", "scroll", "key"]
+    x: float = 0.0
+    y: float = 0.0
+    time: float = 0.0
+    button: int = LEFT
+    key: str = ""
+    shift: bool = False
+    is_repeat: bool = False
+
+
+_STILL = 4.0  # pixels within which a press and its release are a click
+_TOGETHER = 8.0  # pixels between the clicks of a double click
+
+
+@dataclass(frozen=True)
+class Moved:
+    """The pointer was dragged, or the wheel turned.
+
+    Attributes:
+        how: what that does to the camera.
+        right: pixels; nothing for `zoom`.
+        down: pixels; notches for `zoom`.
+    """
+
+    how: Literal["orbit", "pan", "zoom"]
+    right: float
+    down: float
+
+
+@dataclass(frozen=True)
+class Clicked:
+    """A button was pressed and released at one place.
+
+    Attributes:
+        x: pixels from the left.
+        y: pixels from below.
+        time: of the press, s.
+        shift: whether a modifier was held.
+        centre: whether it is a double click of the right button, which centres the view.
+    """
+
+    x: float
+    y: float
+    time: float
+    shift: bool = False
+    centre: bool = False
+
+
+class Mouse:
+    """Follows the buttons and the pointer.
+
+    Attributes:
+        position: of the pointer, pixels; None before it came in.
+        is_down: whether a button is held.
+    """
+
+    def __init__(self) -> None:
+        self.position: tuple[float, float] | None = None
+        self._pressed: Event | None = None
+        self._is_drag = False
+        self._right_click: Event | None = None
+
+    @property
+    def is_down(self) -> bool:
+        """Whether a button is held."""
+        return self._pressed is not None
+
+    def take(self, event: Event) -> Moved | Clicked | None:
+        """Takes an event and returns what it means."""
+        if event.kind == "scroll":
+            return Moved("zoom", 0.0, event.y)
+        if event.kind == "key":
+            return None
+        before = self.position or (event.x, event.y)
+        self.position = (event.x, event.y)
+        if event.kind == "press":
+            if self._pressed is None:
+                self._pressed, self._is_drag = event, False
+            return None
+        if event.kind == "release":
+            return self._release(event)
+        return self._move(event, before)
+
+    def _move(self, event: Event, before: tuple[float, float]) -> Moved | None:
+        press = self._pressed
+        if press is None:
+            return None
+        if not self._is_drag:
+            self._is_drag = _apart(press, event) > _STILL
+            if not self._is_drag:
+                return None
+            before = (press.x, press.y)  # what was held back until now
+        right, down = event.x - before[0], before[1] - event.y
+        if press.button == MIDDLE:
+            return Moved("pan", right, down)
+        is_pan = press.button == RIGHT or press.shift
+        return Moved("pan" if is_pan else "orbit", right, down)
+
+    def _release(self, event: Event) -> Clicked | None:
+        press = self._pressed
+        if press is None or press.button != event.button:
+            return None
+        self._pressed = None
+        if self._is_drag:
+            return None
+        if press.button == LEFT:
+            return Clicked(press.x, press.y, press.time, press.shift)
+        if press.button == RIGHT:
+            first, self._right_click = self._right_click, press
+            soon = first is not None and press.time - first.time <= DOUBLE_CLICK_TIME
+            if soon and first is not None and _apart(first, press) <= _TOGETHER:
+                self._right_click = None
+                return Clicked(press.x, press.y, press.time, centre=True)
+        return None
+
+
+def _apart(one: Event, other: Event) -> float:
+    return max(abs(one.x - other.x), abs(one.y - other.y))

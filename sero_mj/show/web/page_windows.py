@@ -1,0 +1,300 @@
+"""The page's own windows: sources, robots, time, torques, help."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Protocol
+
+from mujoco.studio import messages, plugin
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+
+from ...assemble.world_view import WorldView
+from ...decor.pen import MAX_GEOMS
+from ...decor.toggles import Toggles
+from ...drive.mirror import LiveWorld
+from ...receive.receiver import Receiver
+from ...receive.report import describe, report
+from ..clock import SPEEDS, Clock, time_text
+from ..notice import Notice
+from ..status_line import Mood, clock_text, source_text
+from ..torque_history import TorqueHistory
+from ..window.help import help_columns
+from .decor import WebDecor
+from .plots import TorquePlots
+from .robot_panel import RobotPanel
+
+_ONCE = int(imgui.Cond.FirstUseEver)
+_ALWAYS = int(imgui.Cond.Always)
+_MARGIN = 12.0
+_WIDTH = 318.0
+_TOP = 34.0  # below Studio's menu bar
+_BAR_FLAGS = int(imgui.WindowFlags.NoTitleBar) | int(imgui.WindowFlags.NoResize)
+_BAR_FLAGS |= int(imgui.WindowFlags.NoScrollbar) | int(imgui.WindowFlags.NoDocking)
+_BAR_FLAGS |= int(imgui.WindowFlags.NoMove) | int(imgui.WindowFlags.NoSavedSettings)
+_HANDLE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
+_HANDLE_FLAGS |= int(imgui.WindowFlags.NoBackground) | int(imgui.WindowFlags.NoFocusOnAppearing)
+_NOTE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
+_NOTE_FLAGS |= int(imgui.WindowFlags.NoInputs) | int(imgui.WindowFlags.NoFocusOnAppearing)
+_PANEL_FLAGS = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
+_OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
+# Studio 4.0's client cuts labels off that are nearer to the left and upper edge of the page.
+_CUT_OFF = 68.0, 64.0  # pixels
+_READABLE = 0.25  # s that a number stands
+_NARROW = 3.2 * _WIDTH  # a page on which panel and billboards would leave the robot no room
+_TALL = 0.35  # of the page's height; what is less tall covers little
+# Told apart by lightness as well, on Studio's light and its dark theme.
+MOODS: dict[Mood, tuple[float, float, float] | None] = {
+    "good": (0.10, 0.55, 0.24),
+    "quiet": (0.45, 0.47, 0.50),
+    "bad": (0.85, 0.28, 0.05),
+    "plain": None,
+}
+
+
+def tell(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
+    """Writes a line in the colour of a mood, broken where the window ends or as it is."""
+    write, rgb = imgui.TextWrapped if is_wrapped else imgui.TextUnformatted, MOODS[mood]
+    if rgb is None:
+        write(text)
+        return
+    imgui.PushStyleColor(int(imgui.Col.Text), imgui.Vec4(*rgb, 1.0))
+    write(text)
+    imgui.PopStyleColor(1)
+
+
+class Paneled(Protocol):
+    """What the panels are about: a `WebHost`."""
+
+    world: WorldView
+    mirror: LiveWorld
+    toggles: Toggles
+    clock: Clock
+    decor: WebDecor
+    history: TorqueHistory
+    joint: int
+    notice: Notice
+
+
+class PageWindows(plugin.ViewerPlugin):
+    """What the page has beside Studio's own menus.
+
+    Args:
+        host: whose page it is.
+    """
+
+    def __init__(self, host: Paneled) -> None:
+        self._host = host
+        self._robots = RobotPanel(host.world, host.toggles)
+        self._plots = TorquePlots(host.world)
+        self.shows_status = True
+        self._is_narrow = False
+        self.shows_plots = False
+        self.shows_help = False
+        self._pages: dict[str, tuple[float, float]] = {}  # on which windows were built last
+        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # when, and what it was
+        # What the windows at the edges of the page cover, see `View.inset`.
+        self.inset = (0.0, 0.0, 0.0, 0.0)
+
+    def flip_plots(self) -> str:
+        """Shows or hides the torques."""
+        self.shows_plots = not self.shows_plots
+        return "" if self._host.world.joints.names else "no joint to plot"
+
+    def flip_status(self) -> None:
+        """Shows or hides the panel."""
+        self.shows_status = not self.shows_status
+
+    def flip_help(self) -> None:
+        """Shows or hides the help."""
+        self.shows_help = not self.shows_help
+
+    @messages.handler
+    def on_build_gui(self, event: messages.BuildGuiEvent) -> None:
+        """Builds all windows of a frame."""
+        size = imgui.GetIO().DisplaySize
+        self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
+        if self._is_narrow != (size.x < _NARROW):  # a browser's size is known once it is there
+            self._is_narrow = size.x < _NARROW
+            self.shows_status = not self._is_narrow
+        self._menu()
+        self._time(size)
+        if self.shows_status:
+            self._panel(size)
+        else:
+            self._handle()
+        if self.shows_plots and self._host.world.joints.names:
+            self._torques(size)
+        if self.shows_help:
+            self._help(size)
+        self._message(size)
+
+    def _when(self, window: str, size: imgui.Vec2) -> int:
+        """When a window is to be put in its place: also on a page of another size."""
+        last, self._pages[window] = self._pages.get(window), (size.x, size.y)
+        return _ONCE if last == (size.x, size.y) else _ALWAYS
+
+    def _menu(self) -> None:
+        if not imgui.BeginMainMenuBar():
+            return
+        if imgui.BeginMenu("Robot"):
+            if imgui.MenuItem("Panel", "T", self.shows_status):
+                self.flip_status()
+            if imgui.MenuItem("Torques", "P", self.shows_plots):
+                self.flip_plots()
+            if imgui.MenuItem("Mouse and keys", "H", self.shows_help):
+                self.flip_help()
+            imgui.EndMenu()
+        imgui.EndMainMenuBar()
+
+    def _handle(self) -> None:
+        """Where the panel was, a button that brings it back."""
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ALWAYS)
+        imgui.Begin("##handle", True, _HANDLE_FLAGS)
+        if imgui.Button("panel"):
+            self.flip_status()
+        imgui.SetItemTooltip("what is shown, sources and sizes: t")
+        imgui.End()
+
+    def _panel(self, size: imgui.Vec2) -> None:
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), self._when("panel", size))
+        room = max(size.y - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
+        imgui.SetNextWindowSizeConstraints(imgui.Vec2(_WIDTH, 0.0), imgui.Vec2(_WIDTH, room))
+        shown, self.shows_status = imgui.Begin(
+            f"{self._host.world.scene.name}###sero", True, _PANEL_FLAGS
+        )
+        self._cover(size.y)
+        if shown:
+            self._sources()
+            self._robots.build()
+            self._decor()
+        imgui.End()
+
+    def _cover(self, height: float) -> None:
+        """Keeps decor clear of the window that is being built, where it is at an edge."""
+        place, size = imgui.GetWindowPos(), imgui.GetWindowSize()
+        width = imgui.GetIO().DisplaySize.x
+        left, below, right, above = self.inset
+        if size.y < _TALL * height or imgui.IsWindowCollapsed():
+            return
+        if place.x < 2 * _MARGIN:
+            left = max(left, place.x + size.x)
+        elif place.x + size.x > width - 2 * _MARGIN:
+            right = max(right, width - place.x)
+        if left + right < 0.7 * width:
+            self.inset = (left, below, right, above)
+
+    def _sources(self) -> None:
+        host = self._host
+        if not imgui.CollapsingHeader("Sources", _OPEN):
+            return
+        tell(*clock_text(host.clock))
+        if not host.mirror.sources:
+            tell("none: the scene stands as it is declared", "quiet")
+        for source in host.mirror.sources.values():
+            if not isinstance(source, Receiver):
+                continue
+            error = getattr(source, "error", None)
+            if error is not None:
+                tell(f"{source.name}: {error}", "bad")
+                continue
+            found = self._report(source)
+            tell(*source_text(found, is_live=source.is_live))
+            if found["trouble"]:
+                tell(f"  {found['trouble']}", "bad")
+            if source.is_live and imgui.TreeNode(f"counters of {source.name}"):
+                for what, count, meaning in describe(found):
+                    imgui.TextUnformatted(f"{what}: {count}")
+                    if meaning:
+                        imgui.SetItemTooltip(meaning)
+                imgui.TreePop()
+
+    def _report(self, source: Receiver) -> dict[str, Any]:
+        """What came in, a few times a second: what changes in every frame nobody can read."""
+        now = time.monotonic()
+        when, found = self._reports.get(source.name, (float("-inf"), {}))
+        if now - when >= _READABLE:
+            found = report(source)
+            self._reports[source.name] = now, found
+        return found
+
+    def _decor(self) -> None:
+        decor = self._host.decor
+        tell(f"decor: {decor.count} of {MAX_GEOMS} geoms", "quiet")
+        if decor.dropped:
+            tell(
+                f"{decor.dropped} more found no room: a browser takes {MAX_GEOMS}. "
+                "Switch something off.",
+                "bad",
+            )
+
+    def _time(self, size: imgui.Vec2) -> None:
+        """The time line of what has one; Studio's tool bar has the rest."""
+        clock = self._host.clock
+        if clock.is_live or not self._host.mirror.sources:
+            return
+        height = imgui.GetFrameHeight() + 2 * 8.0
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, size.y - height - _MARGIN), _ALWAYS)
+        imgui.SetNextWindowSize(imgui.Vec2(max(size.x - 2 * _MARGIN, 200.0), height), _ALWAYS)
+        imgui.Begin("Time###time", True, _BAR_FLAGS)
+        left, _, right, above = self.inset
+        self.inset = (left, height + _MARGIN, right, above)
+        if imgui.Button("play" if clock.is_paused or clock.is_at_end else "pause"):
+            clock.pause()
+        for label, what in (("|<", clock.reset), ("<", lambda: clock.step(-1)), (">", clock.step)):
+            imgui.SameLine()
+            if imgui.Button(label):
+                what()
+        imgui.SameLine()
+        imgui.SetNextItemWidth(74.0)
+        nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - clock.speed))
+        changed, chosen = imgui.Combo("##speed", nearest, [f"x {speed:g}" for speed in SPEEDS])
+        if changed:
+            clock.faster(chosen - nearest)
+        if clock.end:
+            imgui.SameLine()
+            imgui.SetNextItemWidth(-1.0)
+            text = f"{time_text(clock.time)} / {time_text(clock.end)}"
+            moved, wanted = imgui.SliderFloat("##time", clock.time, 0.0, clock.end, text)
+            if moved:
+                clock.seek(wanted)
+        imgui.End()
+
+    def _torques(self, size: imgui.Vec2) -> None:
+        width = min(460.0, max(0.31 * size.x, 240.0))
+        height, when = min(520.0, max(size.y - 220.0, 240.0)), self._when("torques", size)
+        imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), when)
+        imgui.SetNextWindowSize(imgui.Vec2(width, height), when)
+        shown, self.shows_plots = imgui.Begin("Torques###torques", self.shows_plots)
+        self._cover(size.y)
+        if shown:
+            host = self._host
+            host.joint = self._plots.build(host.history, host.joint)
+        imgui.End()
+
+    def _help(self, size: imgui.Vec2) -> None:
+        imgui.SetNextWindowPos(
+            imgui.Vec2(size.x / 2, size.y / 2), int(imgui.Cond.Appearing), imgui.Vec2(0.5, 0.5)
+        )
+        flags = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
+        _, self.shows_help = imgui.Begin("Mouse and keys###help", self.shows_help, flags)
+        if imgui.BeginTable("##help", 2):
+            imgui.TableNextRow()
+            for column in help_columns(on_page=True):
+                imgui.TableNextColumn()
+                for how, words in column:
+                    if how and not words:
+                        imgui.SeparatorText(how)
+                    elif how:
+                        imgui.TextUnformatted(f"{how}:  {words}")
+            imgui.EndTable()
+        imgui.End()
+
+    def _message(self, size: imgui.Vec2) -> None:
+        notice = self._host.notice
+        if not notice.is_shown:
+            return
+        imgui.SetNextWindowPos(imgui.Vec2(size.x / 2, size.y - 90.0), _ALWAYS, imgui.Vec2(0.5, 1.0))
+        imgui.Begin("##message", True, _NOTE_FLAGS)
+        # A window that fits its text has no width at which it could wrap.
+        tell(notice.text, "bad" if notice.is_bad else "plain", is_wrapped=False)
+        imgui.End()

@@ -1,0 +1,138 @@
+"""Screenshots and films out of a window, written on a thread so that no frame waits for a disk."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SeroError
+from ..headless.film import FilmWriter, save_picture
+
+FPS = 30.0
+_MOST_WAITING = 8  # frames; more are replaced by the next one, which is then shown for longer
+Pixels = NDArray[np.uint8]
+
+
+def free_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
+    """A file that does not exist yet: `lwr_2026-05-04_17-03-12.png`."""
+    safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in scene) or "scene"
+    stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
+    path = folder / f"{stem}{ending}"
+    count = 2
+    while path.exists():
+        path = folder / f"{stem}_{count}{ending}"
+        count += 1
+    return path
+
+
+def due_frames(seconds: float, sent: int, fps: float = FPS) -> int:
+    """How often the picture of now is to be in the film, so that it shows real time.
+
+    Args:
+        seconds: since the film began.
+        sent: frames that it has.
+        fps: of the film.
+    """
+    return max(int(seconds * fps) + 1 - sent, 0)
+
+
+class Capture:
+    """Takes pictures and films.
+
+    Args:
+        scene: its name begins the names of the files.
+        folder: where to; the current one when None.
+
+    Attributes:
+        is_filming: whether a film is being made.
+        seconds: how long it is.
+    """
+
+    def __init__(self, scene: str, folder: Path | None = None) -> None:
+        self.is_filming = False
+        self.seconds = 0.0
+        self._scene = scene
+        self._folder = folder or Path()
+        self._pool = ThreadPoolExecutor(1, "pictures")
+        self._pending: list[tuple[Future[None], str, Path]] = []
+        self._waiting = threading.Semaphore(_MOST_WAITING)
+        self._film: FilmWriter | None = None
+        self._film_path = Path()
+        self._size = (0, 0)
+        self._begin = 0.0
+        self._sent = 0
+
+    def picture(self, pixels: Pixels) -> None:
+        """Writes a screenshot, (height, width, 3)."""
+        path = free_name(self._folder, self._scene, ".png", datetime.now())
+        future = self._pool.submit(save_picture, path, pixels)
+        self._pending.append((future, "screenshot", path))
+
+    def start(self, size: tuple[int, int], time: float) -> str:
+        """Begins a film; returns what to tell the user.
+
+        Raises:
+            RenderError: it cannot be written.
+        """
+        path = free_name(self._folder, self._scene, ".mp4", datetime.now())
+        self._film, self._film_path = FilmWriter(path, *size, FPS), path
+        self._size, self._begin, self._sent = size, time, 0
+        self.is_filming, self.seconds = True, 0.0
+        return f"filming to {path}"
+
+    def wants(self, time: float) -> bool:
+        """Whether the film needs a picture of now."""
+        return self.is_filming and due_frames(time - self._begin, self._sent) > 0
+
+    def add(self, pixels: Pixels, time: float) -> None:
+        """Adds the picture of now; ends the film when the window has another size."""
+        film = self._film
+        if film is None:
+            return
+        if pixels.shape[1::-1] != self._size:
+            self.stop()
+            return
+        self.seconds = time - self._begin
+        if not self._waiting.acquire(blocking=False):
+            return  # the encoder is behind; the next picture stands in for this one
+        count = due_frames(self.seconds, self._sent)
+        self._sent += count
+
+        def write() -> None:
+            try:
+                for _ in range(count):
+                    film.add(pixels)
+            finally:
+                self._waiting.release()
+
+        self._pool.submit(write)
+
+    def stop(self) -> None:
+        """Ends the film; `news` tells when it is written."""
+        film, self._film, self.is_filming = self._film, None, False
+        if film is not None:
+            future = self._pool.submit(film.__exit__, None, None, None)
+            self._pending.append((future, f"film of {self.seconds:.1f} s", self._film_path))
+
+    def news(self) -> tuple[str, bool] | None:
+        """What has been written since the last call, and whether that went wrong."""
+        for each in self._pending:
+            future, what, path = each
+            if future.done():
+                self._pending.remove(each)
+                error = future.exception()
+                if error is None:
+                    return f"{what} saved: {path}", False
+                reason = error if isinstance(error, SeroError) else f"cannot write {path}: {error}"
+                return str(reason), True
+        return None
+
+    def close(self) -> None:
+        """Ends the film and waits until everything is written."""
+        self.stop()
+        self._pool.shutdown()

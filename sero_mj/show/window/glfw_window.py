@@ -1,0 +1,267 @@
+"""The native window itself: GLFW, its events as plain values, and its OpenGL contexts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import glfw
+import mujoco
+
+from ...assemble.world_view import WorldView
+from ...decor.font import Font, font_scale, nearest_font_scale
+from ...errors import RenderError
+from ..headless.offscreen import check_size, offscreen_size
+from ..input import LEFT, MIDDLE, RIGHT, Event
+
+_SAMPLES = 4  # per pixel, against jagged edges
+_HUD_TEXT = 18.0  # pixels, of the window's own text at content scale 1
+_SMALLEST = (320, 240)
+_NAMED_KEYS = {
+    glfw.KEY_BACKSPACE: "backspace",
+    glfw.KEY_LEFT: "left",
+    glfw.KEY_RIGHT: "right",
+    glfw.KEY_HOME: "home",
+    glfw.KEY_ESCAPE: "escape",
+    glfw.KEY_F1: "f1",
+    glfw.KEY_F2: "f2",
+    glfw.KEY_F3: "f3",
+    glfw.KEY_F11: "f11",
+}
+
+
+class GlWindow:
+    """A window with an OpenGL context for a world and one for the window's own text.
+
+    Args:
+        world: whose meshes and textures are loaded.
+        size: of the window in screen coordinates; made smaller where the screen is.
+        title: of the window.
+        full_screen: whether it covers the screen.
+
+    Attributes:
+        context: for the scene; its font is that of billboards.
+        hud: for the window's own text, which follows the screen's scale and not the picture's.
+        hud_font: of `hud`.
+        refresh_rate: of the screen, Hz.
+
+    Raises:
+        RenderError: there is no display, or no OpenGL.
+    """
+
+    def __init__(
+        self, world: WorldView, size: tuple[int, int], title: str, *, full_screen: bool = False
+    ) -> None:
+        _check(size)
+        _start_glfw()
+        self._world = world
+        self._events: list[Event] = []
+        self._is_repeat = False
+        self._at: tuple[float, float] | None = None  # the pointer, in screen coordinates
+        self._windowed: tuple[int, int, int, int] | None = None
+        mode = glfw.get_video_mode(glfw.get_primary_monitor())
+        self.refresh_rate = float(mode.refresh_rate or 60)
+        if not full_screen:
+            size = min(size[0], mode.size.width), min(size[1], mode.size.height)
+        self._window = _make_window(size, title)
+        glfw.set_window_size_limits(self._window, *_SMALLEST, glfw.DONT_CARE, glfw.DONT_CARE)
+        if full_screen:
+            self.toggle_full_screen()
+        glfw.make_context_current(self._window)
+        glfw.swap_interval(1)
+        self._make_contexts()
+        self._listen()
+
+    def _make_contexts(self) -> None:
+        world = self._world
+        height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
+        self._least_scale = nearest_font_scale(height)
+        self._scale = max(font_scale(world, self.size[1]), self._least_scale)
+        # The window's own buffer is drawn to, and the one for pictures without one is not.
+        with offscreen_size(world.model, 16, 16):
+            self.context = mujoco.MjrContext(world.model, self._scale)
+        empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+        empty.vis.global_.offwidth = empty.vis.global_.offheight = 16
+        empty.vis.quality.shadowsize = empty.vis.quality.offsamples = 0
+        self.hud = mujoco.MjrContext(empty, self._least_scale)
+        self.hud_font = Font.of_context(self.hud)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
+
+    def _listen(self) -> None:
+        window = self._window
+        glfw.set_mouse_button_callback(window, self._on_button)
+        glfw.set_cursor_pos_callback(window, self._on_move)
+        glfw.set_scroll_callback(window, self._on_scroll)
+        glfw.set_key_callback(window, self._on_key)
+        glfw.set_char_callback(window, self._on_char)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the framebuffer, pixels; 0 while the window is an icon."""
+        width, height = glfw.get_framebuffer_size(self._window)
+        return int(width), int(height)
+
+    @property
+    def is_closing(self) -> bool:
+        """Whether the user wants it closed, or it is."""
+        return self._window is None or bool(glfw.window_should_close(self._window))
+
+    @property
+    def is_full_screen(self) -> bool:
+        """Whether it covers the screen."""
+        return self._windowed is not None
+
+    def close_soon(self) -> None:
+        """Asks for the window to be closed."""
+        glfw.set_window_should_close(self._window, True)
+
+    def events(self) -> list[Event]:
+        """What the user did since the last call."""
+        glfw.poll_events()
+        events, self._events = self._events, []
+        return events
+
+    def fit_font(self, height: int) -> Font:
+        """Returns the font of billboards for a picture of that height, pixels.
+
+        It is never smaller than the window's own, which grows with the screen's scale.
+        """
+        scale = max(font_scale(self._world, height), self._least_scale)
+        if scale != self._scale:
+            self._scale = scale
+            mujoco.mjr_changeFont(scale, self.context)
+        return Font.of_context(self.context)
+
+    def swap(self) -> None:
+        """Shows what was drawn, with the screen's next refresh."""
+        glfw.swap_buffers(self._window)
+
+    def wait(self, seconds: float) -> None:
+        """Waits until then, or until the user does something."""
+        if seconds > 0:
+            glfw.wait_events_timeout(seconds)
+
+    def toggle_full_screen(self) -> None:
+        """Covers the screen that the window is on, or goes back to its size before."""
+        window = self._window
+        if self._windowed is not None:
+            no_monitor: Any = None
+            glfw.set_window_monitor(window, no_monitor, *self._windowed, glfw.DONT_CARE)
+            self._windowed = None
+            return
+        self._windowed = (*glfw.get_window_pos(window), *glfw.get_window_size(window))
+        monitor = self._monitor()
+        mode = glfw.get_video_mode(monitor)
+        glfw.set_window_monitor(
+            window, monitor, 0, 0, mode.size.width, mode.size.height, mode.refresh_rate
+        )
+
+    def _monitor(self) -> Any:
+        """The screen on which the middle of the window is."""
+        x, y = glfw.get_window_pos(self._window)
+        width, height = glfw.get_window_size(self._window)
+        x, y = x + width // 2, y + height // 2
+        for monitor in glfw.get_monitors():
+            left, top = glfw.get_monitor_pos(monitor)
+            size = glfw.get_video_mode(monitor).size
+            if 0 <= x - left < size.width and 0 <= y - top < size.height:
+                return monitor
+        return glfw.get_primary_monitor()
+
+    def close(self) -> None:
+        """Frees the contexts and closes the window."""
+        if self._window is not None:
+            self.context.free()
+            self.hud.free()
+            glfw.destroy_window(self._window)
+            self._window = None
+
+    def _add(self, kind: Any, **values: Any) -> None:
+        self._events.append(Event(kind, time=time.monotonic(), **values))
+
+    def _pixel(self, x: float, y: float) -> dict[str, float]:
+        """A point in screen coordinates, which are not pixels on every screen."""
+        width, height = glfw.get_window_size(self._window)
+        pixels = self.size
+        return {
+            "x": x * pixels[0] / max(width, 1),
+            "y": pixels[1] - y * pixels[1] / max(height, 1),
+        }
+
+    def _on_button(self, window: Any, button: int, action: int, mods: int) -> None:
+        # Where it was pressed, not where the pointer has come to until this event is looked at.
+        x, y = self._at or glfw.get_cursor_pos(window)
+        kind = "press" if action == glfw.PRESS else "release"
+        shift = bool(mods & (glfw.MOD_SHIFT | glfw.MOD_CONTROL))
+        if button in (LEFT, RIGHT, MIDDLE):
+            self._add(kind, button=button, shift=shift, **self._pixel(x, y))
+
+    def _on_move(self, window: Any, x: float, y: float) -> None:
+        self._at = (x, y)
+        self._add("move", **self._pixel(x, y))
+
+    def _on_scroll(self, window: Any, x: float, y: float) -> None:
+        self._add("scroll", x=x, y=y)
+
+    def _on_key(self, window: Any, key: int, code: int, action: int, mods: int) -> None:
+        self._is_repeat = action == glfw.REPEAT
+        if action == glfw.RELEASE:
+            return
+        if key in (glfw.KEY_Q, glfw.KEY_W) and mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
+            self.close_soon()
+        elif key in _NAMED_KEYS:
+            self._add("key", key=_NAMED_KEYS[key], is_repeat=self._is_repeat)
+
+    def _on_char(self, window: Any, code: int) -> None:
+        # Characters, not keys: they are right on every keyboard.
+        self._add("key", key=chr(code).lower(), is_repeat=self._is_repeat)
+
+
+@contextmanager
+def _complaints() -> Iterator[list[str]]:
+    """Collects what GLFW complains about, which it would else write to the terminal."""
+    said: list[str] = []
+
+    def note(code: int, text: Any) -> None:
+        said.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
+
+    nobody: Any = None
+    listener: Callable[[int, str], None] = note
+    glfw.set_error_callback(listener)
+    try:
+        yield said
+    finally:
+        glfw.set_error_callback(nobody)
+
+
+def _start_glfw() -> None:
+    with _complaints() as said:
+        if glfw.init():
+            return
+    reason = said[-1] if said else "GLFW does not start"
+    raise RenderError(f"no window can be opened: {reason}; is there a display?")
+
+
+def _check(size: Any) -> None:
+    try:
+        width, height = (int(side) for side in size)
+    except (TypeError, ValueError):
+        raise RenderError(f"window size {size!r}: expected width and height") from None
+    check_size("window", width, height)
+
+
+def _make_window(size: tuple[int, int], title: str) -> Any:
+    with _complaints() as said:
+        glfw.default_window_hints()
+        glfw.window_hint(glfw.SCALE_TO_MONITOR, glfw.TRUE)
+        for samples in (_SAMPLES, 0):
+            glfw.window_hint(glfw.SAMPLES, samples)
+            window = glfw.create_window(*size, title, None, None)
+            if window:
+                return window
+    reason = said[-1] if said else "no OpenGL"
+    raise RenderError(
+        f"no window can be opened: {reason}; `sero-mj render` makes pictures without one"
+    )

@@ -1,0 +1,102 @@
+"""A visual feature of another package is found by its entry point, and drawn like our own."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from decor_tools import GEOM, of_kind, view_at
+from plugin_tools import install
+
+from sero_mj import Scene, SerialRobot, World
+from sero_mj.decor import feature
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.toggles import Toggles
+from sero_mj.plugins import plugins
+
+GROUP = "sero_mj.decor"
+
+
+@pytest.fixture
+def world() -> World:
+    robot = SerialRobot.from_model("lwr", inputs=["temperatures"])
+    return World(Scene(robots=[robot], floor=False))
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    plugins.cache_clear()
+    install(tmp_path, "temperature_gauge", GROUP, "temperature", "TemperatureGauge")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    plugins.cache_clear()
+    sys.modules.pop("temperature_gauge", None)
+
+
+def test_a_gauge_stands_at_every_joint_that_has_a_temperature(
+    installed: Path, world: World
+) -> None:
+    data, decor = world.make_data(), Decor(world)
+    world.set_input(data, "lwr.temperatures", [20.0, 40.0, 79.0, np.nan, 0.0, 80.0, 500.0])
+    pen = decor.draw(data, Toggles(world), view_at())
+    boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
+    assert len(boxes) == 6 * 12
+    filled = (boxes["rgba"][:, 3] == 1.0).reshape(6, 12).sum(axis=1)
+    assert filled.tolist() == [3, 6, 12, 0, 12, 12]
+    ring = boxes["pos"].reshape(6, 12, 3).mean(axis=1)
+    centres = data.site_xpos[world.joints.centre_site[[0, 1, 2, 4, 5, 6]]]
+    np.testing.assert_allclose(ring, centres, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(boxes["mat"].astype(float)), 1.0, atol=1e-6)
+    axes = data.site_xmat[world.joints.centre_site[0]].reshape(3, 3)
+    np.testing.assert_allclose(boxes["mat"][:12, :, 2], np.tile(axes[:, 2], (12, 1)), atol=1e-6)
+
+
+def test_it_is_listed_with_its_package(installed: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sero_mj", "list"],
+        env={**os.environ, "PYTHONPATH": str(installed)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "temperature_gauge:TemperatureGauge, of temperature-gauge" in done.stdout
+    assert "round_arrows       sero_mj.decor.round_arrows:RoundArrows\n" in done.stdout
+
+
+def test_one_that_cannot_be_imported_is_told_and_left(
+    installed: Path, world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    (installed / "temperature_gauge.py").write_text("import no_such_module\n")
+    with caplog.at_level(logging.WARNING):
+        decor = Decor(world)
+    assert len(decor.features) == len(Decor(world).features) >= 8
+    assert (
+        "sero_mj.decor: 'temperature' of temperature-gauge 0.1 "
+        "(temperature_gauge:TemperatureGauge) cannot be loaded: "
+        "ModuleNotFoundError: No module named 'no_such_module'; not shown"
+    ) in caplog.text
+
+
+def test_one_that_fails_while_it_draws_is_taken_out_and_the_robot_is_shown_on(
+    installed: Path, world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    (installed / "temperature_gauge.py").write_text(
+        "from sero_mj.decor.feature import Feature\n"
+        "class TemperatureGauge(Feature):\n"
+        "    def draw(self, frame):\n"
+        "        raise ZeroDivisionError('cold')\n"
+    )
+    decor, data, toggles = Decor(world), world.make_data(), Toggles(world)
+    toggles.axes[:] = True
+    for _ in range(3):
+        assert decor.draw(data, toggles, view_at()).count > 20
+    assert caplog.text.count("is left out from now on") == 1
+    assert all(type(each).__module__ != "temperature_gauge" for each in decor.features)
+
+
+def test_features_are_drawn_in_their_order(world: World) -> None:
+    orders = [each.order for each in feature.make_features(world)]
+    assert orders == sorted(orders) and len(orders) >= 8

@@ -1,0 +1,175 @@
+"""Runs the README and every page of docs/: files, commands and Python, in their order."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import urllib.request
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from window_tools import MISSING, screen
+
+BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
+FILM = re.compile(r"((?:-o|--render) \S+\.mp4)")
+# What a block writes: an option's or a command's file, or the text of a call in Python.
+OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml))")
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SMALL = "480x320"  # of films: software takes most of the time of this test to draw them
+
+
+def open_window(language: str, text: str, folder: Path, environment: dict[str, str]) -> None:
+    """Runs what opens windows on a screen without a monitor, and closes what stays open."""
+    if MISSING:
+        return
+    script = folder / "window.py"
+    script.write_text(text)
+    with screen() as display:
+        here = {**environment, "DISPLAY": display}
+        if language == "python":
+            subprocess.run(
+                [sys.executable, str(script)], cwd=folder, env=here, check=True, timeout=60
+            )
+            return
+        for line in text.splitlines():
+            process = subprocess.Popen(line.partition("#")[0].split(), cwd=folder, env=here)
+            try:
+                process.wait(4)
+                raise AssertionError(f"{line}: it has ended")
+            except subprocess.TimeoutExpired:
+                pass
+            finally:
+                process.kill()
+                process.wait()
+
+
+def open_page(text: str, folder: Path, environment: dict[str, str]) -> None:
+    """Runs what serves a page, asks for it, and ends it."""
+    for line in text.splitlines():
+        arguments = line.partition("#")[0].split()
+        process = subprocess.Popen(
+            arguments, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout is not None
+        url = re.search(r"http://\S+", process.stdout.readline())
+        assert url, f"{line}: no address"
+        with urllib.request.urlopen(url[0], timeout=10) as answer:
+            assert b"<html" in answer.read().lower()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+        process.stdout.close()
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("page", PAGES, ids=[page.stem for page in PAGES])
+def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path: Path) -> None:
+    # As on a server: its user has set neither.
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MUJOCO_GL")}
+    bin_dir = tmp_path / ".venv" / "bin"
+    bin_dir.mkdir(parents=True)
+    (tmp_path / "out").mkdir()
+    command = bin_dir / "sero-mj"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sero_mj "$@"\n')
+    command.chmod(0o755)
+
+    def run(*arguments: str) -> None:
+        done = subprocess.run(
+            arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{arguments}\n{done.stdout}{done.stderr}"
+        assert "no good packet" not in done.stderr or "--wait 0" in arguments[-1]
+
+    background: list[subprocess.Popen[bytes]] = []
+    wanted: set[str] = set()
+    try:
+        for note, language, text in BLOCK.findall(page.read_text("utf-8")):
+            if "make demo" in text or language in ("yaml", "{literalinclude}", "{toctree}"):
+                continue  # .ci/run has just run `make`, and the demo is tested below
+            if note == "window":
+                open_window(language, text, tmp_path, environment)
+                continue
+            if note == "page":
+                open_page(text, tmp_path, environment)
+                continue
+            wanted |= {*OUTPUT.findall(text)}
+            if language == "toml" and note:
+                path = tmp_path / note
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text)
+            elif language == "toml":
+                shipped = [path.read_text() for path in (ROOT / "scenes").glob("*.toml")]
+                is_entry_point = text.startswith("[project.entry-points")
+                known = is_entry_point or any(text in scene for scene in shipped)
+                assert known, f"no shipped scene has this part: {text}"
+            elif note == "background":
+                background.append(subprocess.Popen(text.split(), cwd=tmp_path, env=environment))
+            elif language == "bash":
+                run("bash", "-ec", FILM.sub(rf"\1 --size {SMALL}", text))
+            elif language == "python":
+                if "dm_control" in text:
+                    pytest.importorskip("dm_control", reason="dm-control is not installed")
+                script = tmp_path / "script.py"
+                script.write_text(textwrap.dedent(text))
+                run(sys.executable, str(script))
+    finally:
+        for process in background:
+            process.terminate()
+            process.wait()
+    made = {f"out/{path.name}" for path in (tmp_path / "out").iterdir()}
+    assert wanted <= made, f"not made: {wanted - made}"
+    assert all((tmp_path / file).stat().st_size > 100 for file in wanted)
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+def test_the_demo_writes_a_film_and_a_picture_and_says_where(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sero_mj", "demo", "--duration", "0.5", "--size", "320x200"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "out/lwr.mp4" in done.stdout and "out/lwr.png" in done.stdout
+    assert (tmp_path / "out" / "lwr.mp4").stat().st_size > 3000
+    assert (tmp_path / "out" / "lwr.png").stat().st_size > 3000
+
+
+def test_pages_show_pictures_and_lead_to_pages_that_exist() -> None:
+    for page in PAGES:
+        text = page.read_text("utf-8")
+        for picture in re.findall(r"!\[.+?\]\((.+?)\)", text):
+            assert (page.parent / picture).stat().st_size > 20_000
+        for link in re.findall(r"(?<!!)\[[^\]]+\]\(([\w/.]+)\)", text):
+            assert "_made/" in link or (page.parent / link).is_file(), f"{page.name}: {link}"
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 200
+
+
+def test_every_command_is_documented() -> None:
+    text = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    from test_cli import COMMANDS
+
+    for command in COMMANDS:
+        assert f"| `sero-mj {command}" in text
+
+
+def test_make_is_what_the_readme_says() -> None:
+    make = shutil.which("make")
+    if make is None:
+        pytest.skip("no make on this machine")
+    done = subprocess.run(
+        [make, "-n", "test"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "pytest" in done.stdout

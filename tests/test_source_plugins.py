@@ -1,0 +1,197 @@
+"""A kind of source of another package: found, mirrored, recorded and replayed as ours are."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from polling import until
+
+from sero_mj import Mirror, Recording, Replay, load_scene, record_sources
+from sero_mj.cli import main
+from sero_mj.errors import DeclarationError, SourceError
+from sero_mj.plugins import SOURCES, plugins
+from sero_mj.receive.receiver import Receiver
+
+EXAMPLE = Path(__file__).parent / "plugins" / "json_lines.py"
+ENTRY_POINTS = """\
+[sero_mj.sources]
+json_lines = json_lines_example:JsonLines
+broken = json_lines_example.missing:JsonLines
+udp = json_lines_example:JsonLines
+"""
+# Passes on what comes by its standard input to the first who connects.
+SERVER = """
+import socket, sys
+listening = socket.create_server(("127.0.0.1", 0))
+print(listening.getsockname()[1], flush=True)
+connection, _ = listening.accept()
+for line in sys.stdin.buffer:
+    connection.sendall(line)
+"""
+SCENE = """
+[robots.lwr]
+model = "lwr"
+[sources.arm]
+kind = "{kind}"
+port = {port}
+structure = "count:1I angles:7F"
+sequence = "count"
+{more}
+[routes]
+"lwr.joint_angles" = "arm.angles"
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The example as a package on `sys.path`, as pip leaves it."""
+    site = tmp_path / "site"
+    (site / "json_lines_example").mkdir(parents=True)
+    (site / "json_lines_example" / "__init__.py").write_text("from ._source import JsonLines\n")
+    (site / "json_lines_example" / "_source.py").write_text(EXAMPLE.read_text())
+    info = site / "json_lines_example-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: json-lines-example\nVersion: 1.2\n"
+    )
+    (info / "entry_points.txt").write_text(ENTRY_POINTS)
+    monkeypatch.syspath_prepend(site)
+    plugins.cache_clear()
+    yield
+    plugins.cache_clear()
+    for name in [name for name in sys.modules if name.startswith("json_lines_example")]:
+        del sys.modules[name]
+
+
+class Server:
+    """A robot in another process that sends lines of JSON."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", SERVER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self._process.stdout is not None
+        self.port = int(self._process.stdout.readline())
+
+    def send(self, *lines: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write("".join(f"{line}\n" for line in lines).encode())
+        self._process.stdin.flush()
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    server = Server()
+    yield server
+    server.close()
+
+
+def write_scene(folder: Path, port: int, kind: str = "json_lines", more: str = "") -> Path:
+    path = folder / "arm.toml"
+    path.write_text(SCENE.format(kind=kind, port=port, more=more))
+    return path
+
+
+def line(count: int, angle: float) -> str:
+    return json.dumps({"count": [count], "angles": [angle] * 7})
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_kind_of_another_package_is_mirrored_recorded_and_replayed(
+    tmp_path: Path, server: Server
+) -> None:
+    scene = load_scene(write_scene(tmp_path, server.port))
+    recording = tmp_path / "arm.mcap"
+    with Mirror(scene) as mirror:
+        source = mirror.sources["arm"]
+        assert isinstance(source, Receiver)
+        assert source.about == f"JSON lines from 127.0.0.1:{server.port}"
+        with record_sources(mirror.sources, recording, scene=scene):
+            server.send(line(1, 0.25), line(2, 0.5))
+            server.send("no JSON", '{"count": [3]}', '{"count": [3], "angles": [1, 2]}')
+            server.send(line(4, float("nan")), line(5, 0.75))
+            until(lambda: source.counters.received == 7)
+        mirror.advance()
+        np.testing.assert_array_equal(mirror.data.qpos, np.full(7, 0.75))
+        counters = source.counters
+        assert (counters.wrong_size, counters.not_finite, counters.lost) == (3, 1, 1)
+    with Recording(recording) as kept:
+        assert kept.sources["arm"].kind == "json_lines"
+        assert [len(packet) for _, packet in kept.packets("arm")] == [60, 60, 0, 0, 0, 60, 60]
+    server.close()
+    scene.sources["arm"] = Replay(name="arm", file=recording)
+    with Mirror(scene) as again:
+        again.advance(1e3)
+        np.testing.assert_array_equal(again.data.qpos, np.full(7, 0.75))
+        assert again.sources["arm"].counters.malformed == 4
+
+
+@pytest.mark.usefixtures("installed")
+def test_every_packet_of_another_package_is_handed_on(tmp_path: Path, server: Server) -> None:
+    scene = load_scene(write_scene(tmp_path, server.port, more="only_latest_packet = false"))
+    with Mirror(scene) as mirror:
+        source = mirror.sources["arm"]
+        server.send(*(line(count, 0.01 * count) for count in range(1, 101)))
+        until(lambda: source.receive_trigger == 100)
+        packets = source.take()
+        assert packets is not None
+        np.testing.assert_array_equal(packets.values["count"].ravel(), np.arange(1, 101))
+        assert (np.diff(packets.arrivals) >= 0.0).all()
+
+
+@pytest.mark.usefixtures("installed")
+def test_kinds_of_other_packages_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["list"])
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "  json_lines         json_lines_example:JsonLines, of json-lines-example\n" in out
+    assert "  udp                sero_mj.receive.udp:UdpReceiver\n" in out  # ours stays
+
+
+@pytest.mark.usefixtures("installed")
+def test_what_cannot_be_loaded_says_which_package_is_at_fault(tmp_path: Path) -> None:
+    path = write_scene(tmp_path, 5, kind="broken")
+    with pytest.raises(DeclarationError) as caught:
+        load_scene(path)
+    assert str(caught.value) == (
+        f"{path}:5: sources.arm.kind: sero_mj.sources: 'broken' of json-lines-example 1.2 "
+        "(json_lines_example.missing:JsonLines) cannot be loaded: ModuleNotFoundError: "
+        "No module named 'json_lines_example.missing'"
+    )
+
+
+@pytest.mark.usefixtures("installed")
+def test_fields_and_places_of_another_kind_are_checked(tmp_path: Path, server: Server) -> None:
+    with pytest.raises(DeclarationError, match=r"sources\.arm\.prot: unknown .*'port'"):
+        load_scene(write_scene(tmp_path, server.port, more="prot = 3"))
+    scene = load_scene(write_scene(tmp_path, server.port))
+    server.close()
+    with (
+        pytest.raises(SourceError, match=f"source 'arm': 127.0.0.1:{server.port}: Connection ref"),
+        Mirror(scene),
+    ):
+        pass
+
+
+def test_as_many_arrivals_as_packets_are_taken(installed: None, server: Server) -> None:
+    source = plugins(SOURCES)["json_lines"].load()(port=server.port, structure="1F")
+    source.open()
+    source.accept([])
+    with pytest.raises(ValueError, match="found 1 arrivals for 2 packets"):
+        source.accept([bytes(8)] * 2, [0.0])
+    source.accept([bytes(8), bytes(3), bytes(10**6)])
+    assert (source.counters.received, source.counters.wrong_size) == (3, 2)
+    source.close()
