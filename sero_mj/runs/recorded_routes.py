@@ -1,4 +1,4 @@
-"""What a scene's routes make of recorded packets, all of them at once."""
+"""Signals of robots from recorded packets, by a scene's routes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def follow_routes(
     routes: Mapping[str, Any],
     doubles: Mapping[str, Any],
 ) -> tuple[dict[str, Array], Array]:
-    """Computes what robots got.
+    """Computes the inputs of robots over a recording.
 
     The rows are the packets of the source that moves the first robot; of other sources the
     newest packet counts, as in a picture.

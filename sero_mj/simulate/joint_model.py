@@ -1,4 +1,4 @@
-"""What a torque sensor between motor and link reads, for rigid and for elastic joints.
+"""`JointModel`: motors, links and torque sensors of rigid and elastic joints in MuJoCo.
 
 Rigid: motor and link are one degree of freedom. The motor's torque, less what its own inertia and
 friction take, goes through the sensor:
@@ -193,7 +193,7 @@ class JointModel:
         self._qpos[motors] = angles - deflection
 
     def advance(self, pushes: Array | None) -> bool:
-        """Lets a step pass.
+        """Simulates one step.
 
         Args:
             pushes: what else acts from outside, (nv,), Nm.
@@ -223,7 +223,7 @@ class JointModel:
         self.is_ahead = self.looks_ahead
         return True
 
-    def look(self) -> None:
+    def update_derived(self) -> None:
         """Computes what follows from the state that `data` is in, if that has not been done."""
         if not self.is_ahead:
             mj_step1(self._model, self._data)

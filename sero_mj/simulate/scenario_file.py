@@ -1,4 +1,4 @@
-"""Reads a scenario file: a scene, and what happens in it."""
+"""Reads scenario files."""
 
 from __future__ import annotations
 
