@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -237,7 +237,7 @@ class Expect(Declaration):
         return Outcome(name, bool(holds), f"{text}, expected {' and '.join(bounds)}{ended}", worst)
 
 
-_REDUCE = {
+_REDUCE: dict[str, Callable[[Array], Array]] = {
     "max": lambda values: values.max(axis=0),
     "min": lambda values: values.min(axis=0),
     "mean": lambda values: values.mean(axis=0),
