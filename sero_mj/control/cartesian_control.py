@@ -131,6 +131,7 @@ class CartesianImpedanceController:
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0  # steps until the damping is designed anew
         self._singular: Array = np.zeros((6, 6))  # what is added to J M^-1 J^T near singularities
+        self._is_near_singular = False
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
         self._null_damping: Array = np.zeros(n)
         # The way to the target and the quaternion to the flange give, by K, a force and a pure
@@ -157,7 +158,8 @@ class CartesianImpedanceController:
             self._design(mobility, target.pose)
             self._left = self._every
         self._left -= 1
-        mobility += self._singular
+        if self._is_near_singular:
+            mobility += self._singular
         mju_cholFactor(mobility, _TINY)  # L = (J M^-1 J^T)^-1 is only ever solved with
 
         # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
@@ -252,6 +254,7 @@ class CartesianImpedanceController:
         least = float(np.linalg.eigvalsh(mobility)[0])
         near = max(1.0 - least / _BLOCKED, 0.0)
         self._singular[:] = np.eye(6) * (_BLOCKED * near**2)
+        self._is_near_singular = near > 0.0
         felt = np.linalg.inv(mobility + self._singular)
         symmetric = 0.5 * (felt + felt.T)
         self.damping[:] = design_damping(symmetric, self._in_world(pose), self._ratio)
