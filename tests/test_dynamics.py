@@ -223,7 +223,9 @@ def test_a_mesh_that_mujoco_refuses_is_named(tmp_path):
     (tmp_path / "flat.stl").write_bytes(stl(flat[FACES]))
     fields = {"directory": str(tmp_path), "filenames": ["", "flat.stl"]}
     robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0, 0, 0, 0.2]], **fields)
-    with pytest.raises(DeclarationError, match=r"^robots.arm.filenames.1: .*flat.stl is not a mesh"):
+    with pytest.raises(
+        DeclarationError, match=r"^robots.arm.filenames.1: .*flat.stl is not a mesh"
+    ):
         World(Scene(robots=[robot]), dynamic=True)
 
 

@@ -204,7 +204,12 @@ def test_model_and_data_must_be_of_mujoco_and_of_each_other() -> None:
         ("arm.torques", {"lft": 1}, UnknownName, "no joint of arm 'lft'; did you mean 'lift'?"),
         ("amr.torques", [0] * 4, UnknownName, "no robot 'amr'; did you mean 'arm'?"),
         ("arm.torque", [0] * 4, UnknownName, "no input of arm 'torque'; did you mean 'torques'?"),
-        ("arm.joint_angles", [0] * 4, ValueError, "arm stands where your data has it; set data.q"),
+        (
+            "arm.joint_angles",
+            [0] * 4,
+            ValueError,
+            "arm has the joint angles of your data; set data.q",
+        ),
         ("arm.flange_check", np.ones((4, 4)), ValueError, "arm.flange_check: last row is"),
         ("arm.show_axes", [1, 0], ValueError, r"found shape \(2,\); expected 1 number"),
     ],
