@@ -167,7 +167,7 @@ Owner = RobotPart | DoublePart
 
 
 @dataclass(frozen=True, eq=False)
-class Ghost:
+class DrawnDouble:
     """A double drawn from another state of the same model.
 
     Attributes:

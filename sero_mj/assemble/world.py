@@ -30,7 +30,7 @@ from .mesh_check import mesh_problems
 from .mjcf import build_spec, moved_body
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
 from .mjcf_dynamics import set_contact_defaults
-from .parts import DoublePart, Ghost, RobotPart
+from .parts import DoublePart, DrawnDouble, RobotPart
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
@@ -111,7 +111,7 @@ class World(WorldView):
         """Returns the state that decor reads: `data` itself."""
         return data
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
         """Returns an empty list: doubles are compiled into the model."""
         return []
 

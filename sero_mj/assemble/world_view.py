@@ -14,7 +14,7 @@ from ..frames import inverse
 from .frame_table import ArrowTable, FrameTable
 from .inputs import Input
 from .joint_table import JointTable
-from .parts import DoublePart, Ghost, Owner, RobotPart
+from .parts import DoublePart, DrawnDouble, Owner, RobotPart
 from .scene import Scene
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class WorldView(Protocol):
         `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat`, `userdata`.
         """
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
         """Returns the doubles that decor draws because they are not compiled into the model.
 
         Args:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE, PATH_FADE
-from ..assemble.parts import DoublePart, Ghost
+from ..assemble.parts import DoublePart, DrawnDouble
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class ModelDoubles:
                 mujoco.mj_kinematics(self._model, scratch)
         return poses
 
-    def ghosts(self, state: Any, name: str) -> list[Ghost]:
+    def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
         """Returns what to draw of one double: its links that do not coincide with the robot's.
 
         Args:
@@ -64,7 +64,7 @@ class ModelDoubles:
         poses = state.doubles.get(name, [])
         fade = np.linspace(*PATH_FADE, len(poses)) if len(poses) > 1 else np.ones(1)
         return [
-            Ghost(
+            DrawnDouble(
                 name,
                 self._model,
                 pose,

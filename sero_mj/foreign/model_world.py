@@ -22,7 +22,7 @@ from ..assemble.inputs import BLANKABLE, list_inputs, userdata_slots
 from ..assemble.joint_table import joint_table
 from ..assemble.looks import View
 from ..assemble.named_frames import NamedFrame
-from ..assemble.parts import DoublePart, Ghost
+from ..assemble.parts import DoublePart, DrawnDouble
 from ..assemble.scene import Scene, SceneToggles
 from ..assemble.world_view import WorldView
 from ..declaration import numbers
@@ -211,7 +211,7 @@ class ModelWorld(WorldView):
         return JointPoses.of(self.model, of.tree.joints, of.robot.offsets)
 
     def _declare(self) -> None:
-        """Sets the declared values of doubles and arrows, and flags inputs that the model provides."""
+        """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
         self._live = {
             (name, key): True for name in self.robots for key in _FROM_MODEL
         }  # not set by the user
@@ -251,13 +251,13 @@ class ModelWorld(WorldView):
         positions, rotations = self._sites.read(data, doubles)
         return ModelState(data, self._userdata, positions, rotations, doubles)
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
         """Returns the doubles to draw, of those that are switched on, (D,)."""
         return [
-            ghost
+            drawn
             for name, on in zip(self.doubles, shown, strict=True)
             if on
-            for ghost in self._posed.ghosts(state, name)
+            for drawn in self._posed.drawn(state, name)
         ]
 
     def geoms_in_view(self) -> NDArray[np.bool_]:

@@ -169,9 +169,9 @@ def _pick_solid(
 ) -> Picked | None:
     model = world.model
     hit, distance = _ray(model, data, pen.hidden, origin, direction)
-    ghost = _pick_ghost(world, pen, origin, direction)
-    if ghost is not None and (hit < 0 or ghost.distance < distance):
-        return ghost
+    drawn = _pick_drawn_double(world, pen, origin, direction)
+    if drawn is not None and (hit < 0 or drawn.distance < distance):
+        return drawn
     if hit < 0 or model.geom_type[hit] == mujoco.mjtGeom.mjGEOM_PLANE:
         return None
     body = int(model.geom_bodyid[hit])
@@ -202,19 +202,21 @@ def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | 
     return None
 
 
-def _pick_ghost(world: WorldView, pen: Pen, origin: Array, direction: Array) -> Picked | None:
+def _pick_drawn_double(
+    world: WorldView, pen: Pen, origin: Array, direction: Array
+) -> Picked | None:
     """The nearest double along a ray of those that are not compiled in."""
     nearest = None
-    for ghost in pen.ghosts:
-        double = world.doubles[ghost.double]
-        hit, distance = _ray(ghost.model, ghost.data, ~ghost.geoms, origin, direction)
+    for drawn in pen.drawn_doubles:
+        double = world.doubles[drawn.double]
+        hit, distance = _ray(drawn.model, drawn.data, ~drawn.geoms, origin, direction)
         if hit < 0 or (nearest is not None and nearest.distance <= distance):
             continue
         link = _link_of(world, double.of, int(world.model.geom_bodyid[hit]))
         if link is not None:
-            label = f"{ghost.double}/{link[0].partition('/')[2]}"
+            label = f"{drawn.double}/{link[0].partition('/')[2]}"
             joint = -1 if double.path is not None else double.joints.start + link[1]
-            nearest = Picked("double", label, ghost.double, joint, distance)
+            nearest = Picked("double", label, drawn.double, joint, distance)
     return nearest
 
 

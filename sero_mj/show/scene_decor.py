@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
 from ..decor.draw import Decor
-from ..decor.pen import CAPACITY, Host, Pen
+from ..decor.pen import CAPACITY, Pen, SceneWriter
 from ..decor.picture_view import PictureView
 from ..decor.round_arrows import MAX_SEGMENTS
 from ..decor.toggles import Toggles
@@ -49,7 +49,7 @@ class SceneDecor:
         self.view: PictureView | None = None
         self.dropped = 0
         self._decor = Decor(world, capacity, max_segments)
-        self._host: tuple[mujoco.MjvScene, Host] | None = None
+        self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
         self._has_warned = False
 
     @property
@@ -75,7 +75,7 @@ class SceneDecor:
         """
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
-            self._host = (scene, Host(scene))
+            self._host = (scene, SceneWriter(scene))
         self.dropped = self.pen.dropped + self._host[1].add(self.pen)
         if self.dropped and not self._has_warned:
             self._has_warned = True

@@ -51,8 +51,8 @@ class TorqueHistory:
         for row, key in zip(self._values, _SHOWN, strict=True):
             row[:, at] = values[key]
         if stale:  # the line ends where the last data came, not where that was noticed
-            silence = self._staleness.silence(data, stale)[:, None]
-            self._values[:, (silence > 0) & (self._times > time - silence + 1e-6)] = np.nan
+            gap = self._staleness.time_without_data(data, stale)[:, None]
+            self._values[:, (gap > 0) & (self._times > time - gap + 1e-6)] = np.nan
         self._count += 1
 
     def of(self, joint: int) -> tuple[Array, Array]:
