@@ -54,8 +54,8 @@ def test_what_finds_no_room_is_counted_and_said_once(overlay: Any, room: int, ca
         assert left_out == overlay.dropped == needed.ngeom - before - room
         assert scene.ngeom == scene.maxgeom
     assert len(caplog.records) == 1
-    assert f"{left_out} decor geoms found no room" in caplog.text
-    assert f"room for {scene.maxgeom}" in caplog.text
+    assert f"{left_out} decor geoms are not shown" in caplog.text
+    assert f"capacity is {scene.maxgeom}" in caplog.text
 
 
 @pytest.mark.parametrize("room", [0, 2])

@@ -37,10 +37,10 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.live import open_page
-from sero_mj.show.web import panels
+from sero_mj.show.web import page_windows
 from sero_mj.show.web.app import KEYS
 from pathlib import Path
-panels._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
+page_windows._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
 
 places = {}  # of what can be clicked on in the panels, by its label
 def noted(build):

@@ -48,9 +48,7 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
         values: as returned by `joint_values`.
     """
     joints, torques = world.joints, values["torques"]
-    found = (np.abs(torques) > IMPLAUSIBLE_FACTOR * joints.torque_limit).nonzero()[
-        0
-    ]  # false for NaN
+    found = np.flatnonzero(np.abs(torques) > IMPLAUSIBLE_FACTOR * joints.torque_limit)  # not NaN
     return [
         f"{joints.names[i]}: {torques[i]:.3g} {'Nm' if joints.revolute[i] else 'N'} is over "
         f"{IMPLAUSIBLE_FACTOR:.0f} times the limit; not drawn"
