@@ -93,7 +93,7 @@ def test_one_that_fails_while_it_draws_is_taken_out_and_the_robot_is_shown_on(
     toggles.axes[:] = True
     for _ in range(3):
         assert decor.draw(data, toggles, view_at()).count > 20
-    assert caplog.text.count("is left out from now on") == 1
+    assert caplog.text.count("is disabled") == 1
     assert all(type(each).__module__ != "temperature_gauge" for each in decor.features)
 
 

@@ -14,7 +14,7 @@ from newton_euler import inverse_dynamics
 
 from sero_mj import paths
 from sero_mj.assemble.dynamics import Dynamics
-from sero_mj.assemble.inertia import not_physical
+from sero_mj.assemble.inertia import inertia_problem
 from sero_mj.assemble.robot import SerialRobot, build_robot
 from sero_mj.assemble.robot_dynamics import robot_dynamics
 from sero_mj.assemble.scene import Scene
@@ -141,7 +141,7 @@ def test_shipped_robots_are_physical_as_declared_and_as_estimated(name):
 def check_physical(robot: SerialRobot) -> None:
     dynamics = robot_dynamics(robot)
     assert (dynamics.masses > 0).all()
-    assert [not_physical(tensor) for tensor in dynamics.tensors] == [None] * (robot.n + 1)
+    assert [inertia_problem(tensor) for tensor in dynamics.tensors] == [None] * (robot.n + 1)
     for key in ("motor_inertias", "joint_stiffness", "coulomb_friction", "viscous_friction"):
         assert (getattr(dynamics, key) > 0).all() and np.isfinite(getattr(dynamics, key)).all()
     World(Scene(robots=[robot]), dynamic=True)
@@ -223,7 +223,9 @@ def test_a_mesh_that_mujoco_refuses_is_named(tmp_path):
     (tmp_path / "flat.stl").write_bytes(stl(flat[FACES]))
     fields = {"directory": str(tmp_path), "filenames": ["", "flat.stl"]}
     robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0, 0, 0, 0.2]], **fields)
-    with pytest.raises(DeclarationError, match=r"^robots.arm.filenames.1: .*flat.stl is no mesh"):
+    with pytest.raises(
+        DeclarationError, match=r"^robots.arm.filenames.1: .*flat.stl is not a mesh"
+    ):
         World(Scene(robots=[robot]), dynamic=True)
 
 

@@ -188,7 +188,7 @@ def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:
             False,
             [
                 "fri: quality unacceptable, state monitor",
-                "  it gets no answers: answer = false",
+                "  no answers are sent to it: answer = false",
             ],
         ),
     ],

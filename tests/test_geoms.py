@@ -7,7 +7,7 @@ import numpy as np
 
 from sero_mj.decor import geoms
 from sero_mj.decor.geoms import GEOM, set_geom, struct_view
-from sero_mj.decor.pen import Host, Pen
+from sero_mj.decor.pen import Pen, SceneWriter
 
 
 def a_scene(maxgeom: int = 50) -> mujoco.MjvScene:
@@ -67,13 +67,13 @@ def test_struct_view_refuses_memory_that_is_laid_out_otherwise(monkeypatch, capl
     monkeypatch.setattr(geoms, "GEOM", other)
     with caplog.at_level(logging.WARNING):
         assert struct_view(a_scene()) is None
-    assert "mjvGeom has another layout than expected; drawing takes the slow path" in caplog.text
+    assert "mjvGeom has an unexpected memory layout; geoms are copied one by one" in caplog.text
 
 
 def test_slow_and_fast_path_put_the_same_geoms_into_a_scene() -> None:
     pen = a_full_pen()
     fast, slow = a_scene(), a_scene()
-    fast_host, slow_host = Host(fast), Host(slow)
+    fast_host, slow_host = SceneWriter(fast), SceneWriter(slow)
     assert fast_host._view is not None
     slow_host._view = None
     for host in (fast_host, slow_host):
@@ -85,7 +85,7 @@ def test_slow_and_fast_path_put_the_same_geoms_into_a_scene() -> None:
 
 def test_a_host_appends_behind_what_is_there_and_says_what_found_no_room() -> None:
     scene = a_scene(10)
-    host = Host(scene)
+    host = SceneWriter(scene)
     scene.ngeom = 6
     scene.geoms[5].label = "kept"
     assert host.add(a_full_pen(7)) == 3

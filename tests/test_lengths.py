@@ -92,7 +92,7 @@ def test_check_says_the_reach_and_what_is_implausible(
         with pytest.raises(SystemExit) as ended:
             main(["check", str(folder)])
         assert ended.value.code == 0
-        assert f"shapes grown from its DH table, reach {reach} m" in capsys.readouterr().out
+        assert f"shapes generated from its DH table, reach {reach} m" in capsys.readouterr().out
         warned = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
         assert warned == told
 

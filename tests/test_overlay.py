@@ -1,4 +1,4 @@
-"""`overlay`: what is laid over somebody else's model, in numbers, by a second route."""
+"""`overlay`: what is drawn on an external model, in numbers, by a second route."""
 
 from __future__ import annotations
 

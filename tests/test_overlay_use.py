@@ -54,8 +54,8 @@ def test_what_finds_no_room_is_counted_and_said_once(overlay: Any, room: int, ca
         assert left_out == overlay.dropped == needed.ngeom - before - room
         assert scene.ngeom == scene.maxgeom
     assert len(caplog.records) == 1
-    assert f"{left_out} decor geoms found no room" in caplog.text
-    assert f"room for {scene.maxgeom}" in caplog.text
+    assert f"{left_out} decor geoms are not shown" in caplog.text
+    assert f"capacity is {scene.maxgeom}" in caplog.text
 
 
 @pytest.mark.parametrize("room", [0, 2])
@@ -78,7 +78,7 @@ def test_geoms_are_the_same_where_their_memory_is_not_as_expected(monkeypatch: A
     scenes = []
     for fast in (True, False):
         if not fast:
-            for module in ("pen", "ghosts"):
+            for module in ("pen", "drawn_doubles"):
                 monkeypatch.setattr(f"sero_mj.decor.{module}.struct_view", lambda scene: None)
         overlay = sero_mj.overlay(*arm(), doubles=[double])
         scene = scene_of(overlay)
@@ -204,7 +204,12 @@ def test_model_and_data_must_be_of_mujoco_and_of_each_other() -> None:
         ("arm.torques", {"lft": 1}, UnknownName, "no joint of arm 'lft'; did you mean 'lift'?"),
         ("amr.torques", [0] * 4, UnknownName, "no robot 'amr'; did you mean 'arm'?"),
         ("arm.torque", [0] * 4, UnknownName, "no input of arm 'torque'; did you mean 'torques'?"),
-        ("arm.joint_angles", [0] * 4, ValueError, "arm stands where your data has it; set data.q"),
+        (
+            "arm.joint_angles",
+            [0] * 4,
+            ValueError,
+            "arm has the joint angles of your data; set data.q",
+        ),
         ("arm.flange_check", np.ones((4, 4)), ValueError, "arm.flange_check: last row is"),
         ("arm.show_axes", [1, 0], ValueError, r"found shape \(2,\); expected 1 number"),
     ],

@@ -175,7 +175,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ("[toggles]\nlegnd = true", "s.toml:7: toggles.legnd: unknown key; did you mean 'legend'?"),
         (
             '[frames.toggles]\nrelative_to = "world"',
-            "s.toml:6: frames.toggles: this word has a meaning in routes; expected another one",
+            "s.toml:6: frames.toggles: this name is reserved in routes; expected another one",
         ),
     ],
 )

@@ -143,7 +143,7 @@ WRONG = [
         " did you mean 'revolute'?",
     ),
     ({"dh_params": TWO_JOINTS, "joint_names": ["a", "a"]},
-     "joint_names: 'a' stands there twice; expected different names"),
+     "joint_names: 'a' appears twice; expected different names"),
     ({"joint_names": ["a/b"]}, "joint_names.0: found 'a/b'; expected letters, digits, _ and -, "
         "the first a letter or _"),
     ({"joint_names": ["A1\n"]}, "joint_names.0: found 'A1\\n'; expected letters, digits, _ and -, "

@@ -1,4 +1,4 @@
-"""Shapes: links grown from any DH table; objects, their sizes, their files and their names."""
+"""Shapes: links generated from any DH table; objects, their sizes, their files and their names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.scene_file import read_scene_file
-from sero_mj.assemble.shapes import grow_links
+from sero_mj.assemble.shapes import generate_shapes
 from sero_mj.assemble.world import World
 from sero_mj.errors import DeclarationError
 
@@ -66,7 +66,7 @@ def in_world(T, points):
 @example(zeros(3, revolute=False), (0.0, 0.0, 0.0))
 @settings(max_examples=examples(80), deadline=None)
 def test_every_size_is_positive_and_finite_and_every_link_with_a_joint_shows(table, point):
-    links = grow_links(table, flange_at(point))
+    links = generate_shapes(table, flange_at(point))
     assert len(links) == len(table) + 1
     for i, shapes in enumerate(links):
         assert shapes, f"link {i} is invisible"
@@ -87,7 +87,7 @@ def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, po
     flange = flange_at(point)
     rods = [
         in_world(T, shape.ends)
-        for T, shapes in zip(frames, grow_links(table, flange), strict=True)
+        for T, shapes in zip(frames, generate_shapes(table, flange), strict=True)
         for shape in shapes
         if shape.kind == "capsule"
     ]
@@ -115,7 +115,7 @@ def _distances(points, others):
 def test_every_joint_has_a_housing_about_its_axis(table):
     frames = table.frames(np.zeros(len(table)))
     axes, points = table.joint_axes(frames)
-    links = grow_links(table, np.eye(4))
+    links = generate_shapes(table, np.eye(4))
     for i, turns in enumerate(table.revolute):
         # The base's pedestal is in link 0; the housing of joint i moves with link i + 1.
         (housing,) = [shape for shape in links[i + 1] if shape.kind != "capsule"]
@@ -136,7 +136,7 @@ def test_every_joint_has_a_housing_about_its_axis(table):
 @given(TABLES)
 @settings(max_examples=examples(30), deadline=None)
 def test_housings_get_thinner_so_that_nested_joints_share_no_surface(table):
-    links = grow_links(table, np.eye(4))
+    links = generate_shapes(table, np.eye(4))
     radii = [shape.size[0] for link in links[1:] for shape in link if shape.kind != "capsule"]
     assert all(thicker > thinner for thicker, thinner in pairwise(radii))
     rods = [shape.size[0] for link in links for shape in link if shape.kind == "capsule"]
@@ -146,7 +146,7 @@ def test_housings_get_thinner_so_that_nested_joints_share_no_surface(table):
 def test_sizes_follow_the_reach_so_a_finger_and_a_crane_look_alike():
     def sizes(scale):
         rows = np.array([[0, 0.3, 0, 0.1], [pi / 2, 0, 0, 0.4]]) * [1, scale, 1, scale]
-        links = grow_links(DhTable.from_rows(rows, "craig"), np.eye(4))
+        links = generate_shapes(DhTable.from_rows(rows, "craig"), np.eye(4))
         return np.array([shape.size[0] for link in links for shape in link])
 
     np.testing.assert_allclose(sizes(100.0), 100 * sizes(1.0), rtol=1e-12)
@@ -156,7 +156,7 @@ def test_sizes_follow_the_reach_so_a_finger_and_a_crane_look_alike():
 def test_capsule_before_a_turning_joint_ends_at_its_anchor(convention):
     # By hand: a link of 0.5 m along the joint's axis, seen in the frame it stands still in.
     table = DhTable.from_rows([[pi / 2, 0, 0.3, 0.5]], convention)
-    (rod,) = [shape for shape in grow_links(table, np.eye(4))[0] if shape.kind == "capsule"]
+    (rod,) = [shape for shape in generate_shapes(table, np.eye(4))[0] if shape.kind == "capsule"]
     end = [0, -0.5, 0] if convention == "craig" else [0, 0, 0.5]
     np.testing.assert_allclose(rod.ends, [[0, 0, 0], end], atol=1e-15)
 
@@ -169,7 +169,7 @@ def test_any_table_compiles_into_geoms_where_the_shapes_are(table, point):
     robot = robot_of(table, flange_at(point))
     world = World(Scene(robots=[robot], floor=False))
     model, data = world.model, world.make_data()
-    links = grow_links(robot.dh, robot.flange_frame)
+    links = generate_shapes(robot.dh, robot.flange_frame)
     assert model.ngeom == sum(map(len, links))
     assert (model.geom_size[:, 0] > 0).all()
     frames = table.frames(np.zeros(len(table)))
@@ -261,7 +261,7 @@ UNREADABLE = [
     ),
     (
         f'{ARM}directory = "."\nfilenames = ["text.stl", "text.stl"]',
-        [f"s.toml:4: robots.arm.filenames.{i}: text.stl is no mesh" for i in (0, 1)],
+        [f"s.toml:4: robots.arm.filenames.{i}: text.stl is not a mesh" for i in (0, 1)],
     ),
     (
         '[objects.a]\n\nmesh = "a.stl"\n[objects.b]\nmesh = "b.stl"',
@@ -273,8 +273,8 @@ UNREADABLE = [
     (
         '[objects.a]\n\nmesh = "text.stl"\n[objects.b]\nmesh = "text.obj"',
         [
-            "s.toml:3: objects.a.mesh: text.stl is no mesh that MuJoCo reads: ",
-            "s.toml:5: objects.b.mesh: text.obj is no mesh that MuJoCo reads: ",
+            "s.toml:3: objects.a.mesh: text.stl is not a mesh that MuJoCo reads: ",
+            "s.toml:5: objects.b.mesh: text.obj is not a mesh that MuJoCo reads: ",
         ],
     ),
     (
@@ -295,7 +295,7 @@ def test_files_that_cannot_be_used_are_named_all_at_once_with_key_and_line(
     tmp_path, text, expected
 ):
     for name in ("text.stl", "text.obj"):
-        (tmp_path / name).write_bytes(b"This is no mesh at all.\n")
+        (tmp_path / name).write_bytes(b"This is not a mesh at all.\n")
     (tmp_path / "s.toml").write_text(text)
     scene, problems = read_scene_file(tmp_path / "s.toml")
     assert problems == []

@@ -14,7 +14,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import GREY, Host, Kind
+from sero_mj.decor.pen import GREY, Kind, SceneWriter
 from sero_mj.drive.place import Placer
 from sero_mj.show.headless.renderer import HeadlessRenderer
 
@@ -139,7 +139,7 @@ def test_a_host_greys_what_it_is_told_and_nothing_else(fast: bool) -> None:
     world = two_arms()
     data = with_age(world, -1)
     scene = mujoco.MjvScene(world.model, 200)
-    host = Host(scene)
+    host = SceneWriter(scene)
     if not fast:
         host._view = None
     pen = Decor(world).draw(data, toggles_of(world), view_at(distance=5))
@@ -169,7 +169,7 @@ def test_a_host_does_not_show_what_is_hidden(fast: bool) -> None:
     data = world.make_data()
     Placer(world).place(data)
     scene = mujoco.MjvScene(world.model, 200)
-    host = Host(scene)
+    host = SceneWriter(scene)
     if not fast:
         host._view = None
     everything = mujoco.mjtCatBit.mjCAT_ALL.value

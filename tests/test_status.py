@@ -14,7 +14,7 @@ from source_slots import set_source
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.decor.cards import below
+from sero_mj.decor.cards import move_below
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.panels import Panels
 from sero_mj.decor.pen import Kind
@@ -46,7 +46,7 @@ def udp_scene(**udp: Any) -> Scene:
             {"received": 12, "malformed": 3, "wrong_size": 2, "last_size": 5, "fault_age": 1,
              "not_frames": 1},
             ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
-             "  a matrix that is no frame"],
+             "  a matrix that is not a frame"],
         ),
         (
             {"received": 12, "malformed": 2, "fault_age": 1, "wrong_constant": 2},
@@ -57,7 +57,7 @@ def udp_scene(**udp: Any) -> Scene:
         ({"received": 12, "lost": 3, "link_age": 0.5}, ["udp: 3 packets lost"]),
         (
             {"received": 12, "lost": 3, "late": 1, "duplicates": 2, "dropped": 5, "link_age": 0.5},
-            ["udp: 3 packets lost, 1 came late", "  2 packets came twice, 5 thrown away here"],
+            ["udp: 3 packets lost, 1 late", "  2 packets duplicated, 5 dropped by this machine"],
         ),
         ({"received": 12, "lost": 3, "late": 1, "link_age": 5.5}, []),
         (  # they may be the same ones
@@ -66,16 +66,16 @@ def udp_scene(**udp: Any) -> Scene:
             ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
              "udp: 3 packets lost or not applied"],
         ),
-        ({"received": 12, "restarts": 1, "link_age": 1}, ["udp: the sender began anew"]),
-        ({"received": 12, "restarts": 4, "link_age": 1}, ["udp: the sender began anew 4 times"]),
+        ({"received": 12, "restarts": 1, "link_age": 1}, ["udp: the sender restarted"]),
+        ({"received": 12, "restarts": 4, "link_age": 1}, ["udp: the sender restarted 4 times"]),
         (
             {"received": 12, "senders": 3},
-            ["udp: 3 senders at once; sender = ... chooses one"],
+            ["udp: 3 concurrent senders; sender = ... chooses one"],
         ),
         ({"received": 12, "senders": 1}, []),
         (
             {"received": 12, "foreign": 3, "foreign_age": 0.5},
-            ["udp: 3 packets of others than its sender"],
+            ["udp: 3 packets from other senders"],
         ),
         ({"received": 12, "foreign": 3, "foreign_age": 5.5}, []),
     ],
@@ -132,7 +132,7 @@ def test_faults_stand_below_the_flange_check_where_they_meet(width: float, lower
     # In a picture of 640 x 480: a line in the right corner, and faults in the left one.
     right = Panels(np.array([[480.0, 455.0]]), np.array([[300.0, 30.0]]), [[b"off"]])
     faults = Panels(np.array([[10 + width / 2, 430.0]]), np.array([[width, 100.0]]), [[b"lost"]])
-    moved = below(right, faults)
+    moved = move_below(right, faults)
     assert moved.centres.tolist() == [[10 + width / 2, 430.0 - lowered]]
 
 
@@ -168,12 +168,12 @@ def test_what_a_link_loses_and_mixes_up_is_written() -> None:
         send(5000, 5001, 5002)
         assert corner(mirror) == []
         send(5005, 5004, 5005)
-        assert corner(mirror) == ["udp: 1 packet lost, 1 came late", "  1 packet came twice"]
+        assert corner(mirror) == ["udp: 1 packet lost, 1 late", "  1 packet duplicated"]
         send(1, 2, 3, 4)
-        assert corner(mirror)[-1] == "udp: the sender began anew"
+        assert corner(mirror)[-1] == "udp: the sender restarted"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.sendto(layout.encode({"number": [9]}), ("127.0.0.1", source.port))
             come += 1
             assert until(lambda: source.counters.received == come)
             send(5)  # who sends beside it has not taken its place
-        assert corner(mirror)[-1] == "udp: 2 senders at once; sender = ... chooses one"
+        assert corner(mirror)[-1] == "udp: 2 concurrent senders; sender = ... chooses one"

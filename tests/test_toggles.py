@@ -24,7 +24,7 @@ from sero_mj.show.interaction import (
     DOUBLE_CLICK_TIME,
     GESTURES,
     KEYS,
-    Pointer,
+    ClickDetector,
     click,
     hover,
 )
@@ -202,14 +202,14 @@ def test_every_entry_of_the_tables_does_something(world) -> None:
 
 def test_two_quick_presses_are_a_double_click_and_leave_the_billboard_as_it_was(world) -> None:
     toggles = Toggles(world)
-    pointer = Pointer(world, toggles)
+    detector = ClickDetector(world, toggles)
     link = picked("link", 2)
-    assert pointer.press(link, HERE, 10.0) == "click"
+    assert detector.press(link, HERE, 10.0) == "click"
     assert toggles.billboards[2]
-    assert pointer.press(link, HERE, 10.0 + 0.9 * DOUBLE_CLICK_TIME) == "double"
+    assert detector.press(link, HERE, 10.0 + 0.9 * DOUBLE_CLICK_TIME) == "double"
     assert not toggles.billboards.any() and toggles.axes[:9].all()
     # A third press begins anew.
-    assert pointer.press(link, HERE, 10.0 + 1.5 * DOUBLE_CLICK_TIME) == "click"
+    assert detector.press(link, HERE, 10.0 + 1.5 * DOUBLE_CLICK_TIME) == "click"
 
 
 @pytest.mark.parametrize(
@@ -223,19 +223,19 @@ def test_two_quick_presses_are_a_double_click_and_leave_the_billboard_as_it_was(
 def test_other_presses_are_two_clicks(world, second, time, kind) -> None:
     toggles = Toggles(world)
     before = toggles.snapshot()
-    pointer = Pointer(world, toggles)
-    assert pointer.press(picked(kind), HERE, 5.0) == "click"
-    assert pointer.press(picked(kind), second, 5.0 + time) == "click"
+    detector = ClickDetector(world, toggles)
+    assert detector.press(picked(kind), HERE, 5.0) == "click"
+    assert detector.press(picked(kind), second, 5.0 + time) == "click"
     after = toggles.snapshot()
     assert all(np.array_equal(before[key], after[key]) for key in before)  # on, and off again
 
 
 def test_shift_never_begins_a_double_click(world) -> None:
-    pointer = Pointer(world, Toggles(world))
-    assert pointer.press(picked("link"), HERE, 1.0, shift=True) == "shift"
-    assert pointer.press(picked("link"), HERE, 1.1) == "click"
-    assert pointer.press(None, HERE, 2.0) == "click"
-    assert pointer.press(None, HERE, 2.1) == "double"
+    detector = ClickDetector(world, Toggles(world))
+    assert detector.press(picked("link"), HERE, 1.0, shift=True) == "shift"
+    assert detector.press(picked("link"), HERE, 1.1) == "click"
+    assert detector.press(None, HERE, 2.0) == "click"
+    assert detector.press(None, HERE, 2.1) == "double"
 
 
 def test_hovering_writes_a_name_inside_the_picture(world) -> None:

@@ -8,8 +8,8 @@ from source_slots import set_source
 
 from sero_mj import World
 from sero_mj.load import load_scene
-from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, runs
-from sero_mj.show.web.plots import thin_out
+from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from sero_mj.show.web.plots import decimate
 from sero_mj.show.window.torque_plot import TorquePlot, y_range
 
 
@@ -66,18 +66,18 @@ def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
         history.add(data)
     times, values = history.of(2)
     assert np.isnan(values[0]).sum() == 100
-    pieces = runs(times, values[0])
+    pieces = split_at_gaps(times, values[0])
     assert [len(piece) for piece in pieces] == [150, 150]
     figure, _ = plot.fill(history, 2)
     assert figure.linepnt[[0, 4]].tolist() == [150, 150]
     assert figure.linergb[4].tolist() == figure.linergb[0].tolist()
     newest, oldest = figure.linedata[0][0:300:2], figure.linedata[4][0:300:2]
     assert newest.min() > oldest.max() + 0.9
-    x, y = thin_out(times, values[0])
+    x, y = decimate(times, values[0])
     assert np.isnan(y).sum() == 1
     assert times[pieces[0][-1]] < x[np.isnan(y)][0] <= times[pieces[1][0]]
     short = np.where((times > -1.0) & (times < -0.9), np.nan, 1.0)
-    assert len(runs(times, short)) == 1  # nobody would see it
+    assert len(split_at_gaps(times, short)) == 1  # nobody would see it
 
 
 def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
@@ -99,10 +99,10 @@ def test_thinned_lines_keep_every_peak() -> None:
     values = np.sin(times)
     values[[123, 777]] = 9.0, -9.0
     values[500:520] = np.nan
-    x, y = thin_out(times, values, 200)
+    x, y = decimate(times, values, 200)
     assert len(x) <= 210
     assert (np.diff(x) > 0).all()
     assert {9.0, -9.0} <= set(y.tolist())
     assert np.isin(x, times).all()
-    few = thin_out(times[:50], values[:50], 200)
+    few = decimate(times[:50], values[:50], 200)
     assert few[0].tolist() == times[:50].tolist()

@@ -25,8 +25,8 @@ from sero_mj.show.viewer import Viewer, _mirror_of
         (None, {}, "scene: found NoneType; expected a Scene"),
         ("lwr_upd", {}, "no scene or robot 'lwr_upd'; did you mean 'lwr_udp'?"),
         ("lwr", {"look": "drak"}, "look: found 'drak'; did you mean 'dark'?"),
-        ("lwr", {"size": (9, 9)}, "size: found (9, 9); it is for the window, and this is a page"),
-        ("lwr", {"full_screen": True}, "full_screen: found True; it is for the window"),
+        ("lwr", {"size": (9, 9)}, "size: found (9, 9); it is for a window, and this is a page"),
+        ("lwr", {"full_screen": True}, "full_screen: found True; it is for a window"),
         ("lwr", {"port": "80"}, "port '80': expected a number from 1 to 65535"),
         ("lwr", {"camera": 5}, "camera: found 5; expected a name or 'azimuth,elevation,distance'"),
         ("lwr", {"web": False, "port": 8080}, "port: found 8080; it is for a page"),
@@ -55,7 +55,9 @@ def test_an_overlay_looks_as_its_model_does() -> None:
     joint = '<body><joint axis="0 0 1"/><geom size=".1"/></body>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
-    with pytest.raises(UsageError, match="look: found 'dark'; an overlay looks as its model does"):
+    with pytest.raises(
+        UsageError, match="look: found 'dark'; an overlay has the look of its model"
+    ):
         sero_mj.view(overlay, web=True, look="dark")
 
 

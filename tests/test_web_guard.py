@@ -146,8 +146,8 @@ def test_no_answer_may_be_read_by_others(page: WebHost) -> None:
 def test_nothing_is_uploaded(page: WebHost, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         found = refusal_of(page.port, "/drop?sid=a")
-    assert "files are not taken: the page shows one scene" in found
-    assert "refused a request for '/drop': files are not taken" in caplog.text
+    assert "uploads are disabled: the page shows one scene" in found
+    assert "refused a request for '/drop': uploads are disabled" in caplog.text
     with connect(f"ws://127.0.0.1:{page.port}/state?sid=a") as own:
         own.send(bytes(2**20 + 1))
         with pytest.raises(ConnectionClosed, match="1009"):  # message too big
@@ -173,7 +173,7 @@ def test_refusals_do_not_fill_the_log(page: WebHost, caplog: pytest.LogCaptureFi
         get(page.port, "/model", Host="evil.example")
     told = [r.getMessage() for r in caplog.records if "refused a request" in r.getMessage()]
     assert len(told) == 10
-    assert told[-1].endswith("(more of these are not told)")
+    assert told[-1].endswith("(further ones are not logged)")
     assert page.viewer.server._guard.refused == 30
 
 

@@ -25,7 +25,7 @@ from sero_mj.show.web import app
 from sero_mj.show.web.guard import Guard
 from sero_mj.show.web.host import check_address, page_url
 from sero_mj.show.web.site import find_files, read_page, with_head
-from sero_mj.show.web.studio import _NO_GOODBYES, CalmUi, QuietServer
+from sero_mj.show.web.studio import _DISCONNECT_FILTER, ChangesOnlyServer, ThrottledUi
 from sero_mj.show.window.help import help_columns
 
 
@@ -112,7 +112,7 @@ def test_a_state_is_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sero_mj.show.web.studio.time.monotonic", lambda: now[0])
     with socket.socket() as one, socket.socket() as two:
         guard = Guard(b"", "127.0.0.1", "localhost", None)
-        server = QuietServer(guard, http_sock=one, tcp_sock=two)
+        server = ChangesOnlyServer(guard, http_sock=one, tcp_sock=two)
         for payload, after in ((b"a", 0.0), (b"a", 0.1), (b"b", 0.1), (b"b", 0.1), (b"b", 0.6)):
             now[0] += after
             server.update_state(payload)
@@ -146,7 +146,7 @@ def test_the_user_interface_has_half_the_frames(
     monkeypatch.setattr("sero_mj.show.web.studio.time.monotonic", lambda: now[0])
     monkeypatch.setattr("sero_mj.show.web.studio.time.sleep", sleep)
     ui = FakeUi(is_ready=is_ready)
-    calm = CalmUi(ui)
+    calm = ThrottledUi(ui)
     begin = now[0]
     for _ in range(120):
         assert calm.new_frame()
@@ -224,10 +224,10 @@ def test_options_of_the_other_host_are_refused(
 
 def test_a_browser_that_is_there_when_the_page_ends_is_no_error() -> None:
     log = logging.getLogger("asyncio")
-    log.addFilter(_NO_GOODBYES)
+    log.addFilter(_DISCONNECT_FILTER)
     try:
         for error, is_told in ((ConnectionClosedError(None, None), False), (OSError("no"), True)):
             record = log.makeRecord("asyncio", 40, "", 1, "x", (), (type(error), error, None))
             assert bool(log.filter(record)) == is_told
     finally:
-        log.removeFilter(_NO_GOODBYES)
+        log.removeFilter(_DISCONNECT_FILTER)

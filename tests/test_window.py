@@ -370,7 +370,7 @@ with sero_mj.view(scene, size=(400, 300)) as viewer:
     rounds, end = 0, time.monotonic() + 1.5
     while viewer.sync() and time.monotonic() < end:
         viewer.set("lwr.joint_angles", [0.4, 0.5, 0, -1, 0, 1, 0])
-        viewer.set("lwr.torques", np.full(7, 40.0))
+        viewer.robot("lwr").torques = np.full(7, 40.0)
         rounds += 1
         time.sleep(0.0005)
     after = viewer.picture()
@@ -381,7 +381,7 @@ with sero_mj.view(scene, size=(400, 300)) as viewer:
         viewer.set("lwr.joint_angle", [0.0] * 7)
     except sero_mj.SeroError as error:
         assert "joint_angles" in str(error)
-    viewer.host.gl.close_soon()
+    viewer.host.gl.request_close()
     assert not viewer.sync()
 print("done")
 """

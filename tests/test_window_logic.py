@@ -16,13 +16,13 @@ from sero_mj.load import load_scene
 from sero_mj.show.clock import SPEEDS, Clock, time_text
 from sero_mj.show.input import LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
 from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
-from sero_mj.show.keys import Keys
+from sero_mj.show.keys import KeyHandler
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
 from sero_mj.show.window.arrange import arrange
 from sero_mj.show.window.capture import due_frames, free_name
 from sero_mj.show.window.help import help_columns, pages
-from sero_mj.show.window.timeline import TimeLine
+from sero_mj.show.window.hud import TimeLine
 
 # ---- clock
 
@@ -288,7 +288,7 @@ def test_keys_do_what_the_tables_say_in_every_host(lwr_world: World) -> None:
         world=lwr_world, data=lwr_world.make_data(), toggles=Toggles(lwr_world), clock=clock,
         joint=0, say=said.append, choose_camera=lambda number: f"camera {number}",
     )  # fmt: skip
-    keys = Keys(host, {"follow": lambda: "follows", "help": lambda: own.append("help")})
+    keys = KeyHandler(host, {"follow": lambda: "follows", "help": lambda: own.append("help")})
     for key in (" ", ".", ",", "-", "+", "backspace", "left", "right", "home", "_"):
         keys.press(key)
     assert clock.asked == [

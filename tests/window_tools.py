@@ -61,7 +61,7 @@ def screen() -> Iterator[str]:
 class Driven(Driver):
     """A window of another process."""
 
-    goodbye = "w.gl.close_soon()"
+    goodbye = "w.gl.request_close()"
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""What is received in Cartesian space: frames, and vectors that smart arrows show (2.4, 2.5)."""
+"""Received Cartesian quantities: frames, and the vectors of smart arrows (sections 2.4, 2.5)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field
 from ..declaration import Array, Declaration, Frame, Name, Point, Rgba, of_shape
 
 VectorKind = Literal["force", "torque", "velocity", "angular_velocity"]
-# What turns about its direction, and is shown by a round arrow.
+# Rotational quantities, shown by a round arrow about their direction.
 ROUND_KINDS = ("torque", "angular_velocity")
 UNITS = {"force": "N", "torque": "Nm", "velocity": "m/s", "angular_velocity": "rad/s"}
 # Metres per unit: 100 N, 20 Nm, 1 m/s and 2 rad/s are large for a light-weight robot.
@@ -27,25 +27,25 @@ _point = of_shape(3).func
 
 
 def _place(value: Any) -> Any:
-    """A frame's name, or a point of the world."""
+    """Returns a frame's name as it is, or a point in the world (3,), m."""
     return value if isinstance(value, str) else _point(value)  # type: ignore[call-arg]
 
 
 class SmartArrow(Declaration):
-    """A Cartesian vector, drawn where it acts: straight, or round about its direction.
+    """A Cartesian vector drawn at its point of action, as a straight or a round arrow.
 
-    Its input `NAME.vector` is routed to like a robot's.
+    Its input `NAME.vector` is set by a route, as a robot's inputs are.
 
     Attributes:
         name: in routes, e.g. `contact` in `contact.vector`.
         kind: `force`, `torque`, `velocity` or `angular_velocity`.
-        at: the frame it acts at (`lwr/flange`), or a point of the world, m.
+        at: the frame it acts at (`lwr/flange`), or a point in the world, m.
         expressed_in: the frame its components are in, or `world`; None for the frame it acts
             at, and the world for a point.
         vector: its components until something is received; None for no data.
         scale: m per unit of its magnitude: length of a straight arrow, width of a round one.
-        longest: length or width that larger magnitudes do not exceed, m; they are striped or
-            dark.
+        longest: maximum length or width, m; larger magnitudes are drawn striped (round) or dark
+            (straight).
         radius: of a round arrow, m.
         unit: shown behind its numbers; None for the kind's SI unit.
         decimals: of its numbers.
@@ -68,34 +68,34 @@ class SmartArrow(Declaration):
 
     @property
     def is_round(self) -> bool:
-        """Whether it turns about its direction."""
+        """Whether it is drawn as a round arrow about its direction."""
         return self.kind in ROUND_KINDS
 
     @property
     def metres_per_unit(self) -> float:
-        """`scale`, or what suits the kind."""
+        """`scale`, or the default of the kind, m per unit."""
         return _SCALES[self.kind] if self.scale is None else self.scale
 
     @property
     def limit(self) -> float:
-        """`longest` in m: half a metre, for a round arrow its radius."""
+        """`longest`, m; by default 0.5, for a round arrow its radius."""
         if self.longest is not None:
             return self.longest
         return self.radius if self.is_round else 0.5
 
     @property
     def unit_text(self) -> str:
-        """`unit`, or the kind's."""
+        """`unit`, or the SI unit of the kind."""
         return UNITS[self.kind] if self.unit is None else self.unit
 
     @property
     def color(self) -> Array:
-        """`rgba`, or the kind's, (4,)."""
+        """`rgba`, or the colour of the kind, (4,)."""
         return np.array(_RGBA[self.kind]) if self.rgba is None else self.rgba
 
     @property
     def site(self) -> str | None:
-        """Site of the point it stands at; None where it stands at a frame."""
+        """Name of the site at its fixed point; None when it acts at a frame."""
         return None if isinstance(self.at, str) else f"arrow-{self.name}"
 
     @property
@@ -107,14 +107,14 @@ class SmartArrow(Declaration):
 
 
 class ReceivedFrame(Declaration):
-    """A frame that is received, shown as axes. Other things can be routed from it.
+    """A received frame, shown as axes; routes can also use it as a source.
 
-    Its input `NAME.frame` takes T_relative_to_NAME.
+    Its input `NAME.frame` is T_relative_to_NAME, (4, 4).
 
     Attributes:
         name: in routes, e.g. `target` in `target.frame`.
         relative_to: the frame it is given in, e.g. `lwr/base`, or `world`.
-        frame: where it is until something is received; out of sight when None.
+        frame: initial pose, used until a frame is received; None hides it until then.
         show_axes: whether its axes are shown.
         axes_size: length of its axes, m.
         axes_transparency: 0 opaque, 1 invisible.

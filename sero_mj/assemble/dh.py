@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg kinematics in numpy, without MuJoCo: the independent check.
+"""Denavit-Hartenberg kinematics in numpy, independent of MuJoCo; used to check its results.
 
 Craig (modified):   T_{i-1,i} = Rx(alpha) Tx(a) Rz(theta) Tz(d), joint i turns about z of frame i.
 Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint i turns about z of frame i-1.
@@ -34,7 +34,7 @@ class DhTable:
         a: link lengths, (n,), m.
         theta: joint offsets, (n,), rad.
         d: link offsets, (n,), m.
-        revolute: which joints turn, (n,) bool; the others slide.
+        revolute: True for revolute joints, False for prismatic ones, (n,) bool.
     """
 
     convention: Convention
@@ -52,7 +52,7 @@ class DhTable:
         columns: tuple[str, ...] = COLUMNS,
         revolute: ArrayLike | None = None,
     ) -> DhTable:
-        """Builds a table from rows whose columns stand in the order that `columns` states.
+        """Builds a table from rows with the given column order.
 
         Args:
             rows: (n, 4).
@@ -70,7 +70,7 @@ class DhTable:
         return len(self.alpha)
 
     def link_transforms(self, joint_angles: ArrayLike) -> Array:
-        """Frame i in frame i-1, for every joint.
+        """Returns the transform of every row at the given joint angles.
 
         Args:
             joint_angles: (..., n), rad for revolute and m for prismatic joints.
@@ -103,7 +103,7 @@ class DhTable:
         return T
 
     def frames(self, joint_angles: ArrayLike, base_frame: ArrayLike | None = None) -> Array:
-        """Forward kinematics of every frame.
+        """Returns the forward kinematics of every frame.
 
         Args:
             joint_angles: (..., n), rad or m.
@@ -120,7 +120,7 @@ class DhTable:
         return T
 
     def joint_axes(self, frames: Array) -> tuple[Array, Array]:
-        """Axis direction and a point on it, for every joint, in the frames' own parent.
+        """Returns every joint axis as a direction and a point, in the coordinates of `frames`.
 
         Args:
             frames: what `frames()` returned, (..., n + 1, 4, 4).
@@ -137,7 +137,7 @@ class DhTable:
         base_frame: ArrayLike | None = None,
         flange_frame: ArrayLike | None = None,
     ) -> Array:
-        """Geometric Jacobian of the flange.
+        """Returns the geometric Jacobian of the flange.
 
         Args:
             joint_angles: (..., n), rad or m.

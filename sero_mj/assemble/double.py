@@ -1,4 +1,4 @@
-"""`Double`: a transparent robot at a target pose, or a row of them along a path (section 2.3)."""
+"""`Double`: a transparent copy of a robot at a target pose or along a path (section 2.3)."""
 
 from __future__ import annotations
 
@@ -12,38 +12,39 @@ from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
 
 # Green for commanded positions, as in the paper's section 4.2.
 COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
-# A link nearer to the robot's than this is hidden: it would only flicker in its surface.
+# A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting).
 HIDDEN_DISTANCE = 0.002  # m
 HIDDEN_ANGLE = np.deg2rad(0.5)
-# Opacity of a path's first and last double: the row must not hide the robot.
+# Opacity factors of a path's first and last double: the path must not hide the robot.
 PATH_FADE = (0.12, 0.6)
 
 
 class Double(Declaration):
-    """A transparent double of a robot.
+    """A transparent copy of a robot.
 
-    Its inputs (`NAME.joint_angles`, `NAME.torques`, ...) are routed to like a robot's. It stands
-    on the base of its robot, takes no part in collisions, and a link of it that coincides with
-    the robot's is hidden. Limits, radii and sizes are its robot's.
+    Its inputs (`NAME.joint_angles`, `NAME.torques`, ...) are set by routes, as a robot's are. It
+    has the base frame, limits and arrow sizes of its robot and does not collide. A link that
+    coincides with the robot's is hidden.
 
     Attributes:
         name: in routes, e.g. `commanded` in `commanded.joint_angles`.
         of: the robot it doubles.
         rgba: its colour; the last number is its opacity.
-        joint_angles: (n,), where it stands until something is received; out of sight when None.
-        path: (k, n), joint angles along a planned motion: a row of doubles from its first to its
-            last row, fading towards the start. A path is not routed to.
-        path_length: how many doubles show the path.
+        joint_angles: (n,), initial pose, used until something is received; None hides it until
+            then.
+        path: (k, n), joint angles along a planned motion, shown as several doubles that fade
+            towards the start. A path has no inputs.
+        path_length: number of doubles that show the path.
         visible: whether it is shown.
         show_axes: whether coordinate axes are shown at every joint and the flange.
         show_arrows: whether round arrows are shown.
-        arrow_quantity: what they show; None for what its robot's show.
+        arrow_quantity: quantity that the arrows show; None for that of its robot.
         show_billboards: whether billboards are shown.
-        billboard_lines: what they say; None for what its robot's say, as far as it has values.
-        torques: measured, (n,), until something is received; None for no data.
-        commanded_torques: (n,), likewise.
-        joint_accelerations: (n,), likewise.
-        billboard_values: (n,), likewise.
+        billboard_lines: lines of the billboards; None for its robot's, as far as it has values.
+        torques: initial measured torques, (n,), Nm or N; None for no data.
+        commanded_torques: initial commanded torques, (n,), Nm or N; None for no data.
+        joint_accelerations: initial accelerations, (n,), rad/s2 or m/s2; None for no data.
+        billboard_values: initial billboard values, (n,); None for no data.
     """
 
     name: Name
@@ -66,7 +67,7 @@ class Double(Declaration):
     billboard_values: Vector | None = None
 
     def poses(self) -> Array:
-        """Joint angles of every double along the path, (path_length, n), evenly in joint space."""
+        """Returns joint angles evenly spaced along the path, (path_length, n), rad or m."""
         assert self.path is not None
         steps = np.linalg.norm(np.diff(self.path, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(steps)])

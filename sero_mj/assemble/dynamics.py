@@ -1,4 +1,4 @@
-"""The `[dynamics]` table of a robot file: what its links weigh and what its joints are like."""
+"""The `[dynamics]` table of a robot file: link inertias, joint friction and elasticity."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from ..declaration import Array, Declaration, of_shape
 from ..errors import DeclarationError, Problem
-from .inertia import link_name, not_physical, tensors_from
+from .inertia import inertia_problem, link_name, tensors_from
 
-# kg/m3 of a link's hull: hollow aluminium with motors and gears. The hulls of the LWR's moving
-# links hold the 13.4 kg that they weigh at 840.
+# kg/m3 of a link's hull: hollow aluminium with motors and gears. At 840 the hulls of the LWR's
+# moving links have their true mass of 13.4 kg.
 LINK_DENSITY = 840.0
 
 _INERTIAL = ("masses", "centers_of_mass", "inertias")
@@ -52,7 +52,7 @@ def _bounded(values: Array | None, lowest: float, expected: str) -> Array | None
 
 def _physical(tensors: Array | None) -> Array | None:
     for k, tensor in enumerate([] if tensors is None else tensors):
-        reason = not_physical(tensor)
+        reason = inertia_problem(tensor)
         if reason is not None:
             raise ValueError(f"{link_name(k)}: {reason}")
     return tensors
@@ -70,7 +70,7 @@ _Positive = Annotated[Array | None, of_shape(None), AfterValidator(_above_zero)]
 
 
 class Dynamics(Declaration):
-    """Masses, inertia, friction and elasticity of one robot; what is left out is estimated.
+    """Masses, inertias, friction and elasticity of one robot; omitted values are estimated.
 
     Rows per link are n + 1: the base, then the links. SI units: kg, m, kg m2, Nm s/rad, Nm,
     Nm/rad; for prismatic joints kg, N s/m, N, N/m.
@@ -79,14 +79,14 @@ class Dynamics(Declaration):
         frames: the frame of centres, tensors and origins: `dh`, the frame of the link's DH row
             (the base's for the base), or `zero_pose`, its axes parallel to the base's at zero
             joint angles and its origin in the same place.
-        frame_origins: (n + 1, 3), moves the origins of these frames, along their own axes; for
-            figures that come from a model with its link frames elsewhere on the axis.
+        frame_origins: (n + 1, 3), offsets of the origins of these frames along their own axes,
+            m; for data from a model with other origins of its link frames.
         masses: (n + 1,).
         centers_of_mass: (n + 1, 3).
         inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
             entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
         mass_scale: multiplies masses and tensors of the moving links.
-        density: kg/m3, by which links are estimated that have no masses here.
+        density: kg/m3, used to estimate links when no masses are given.
         motor_inertias: (n,), as seen at the joint: rotor times the square of the gear ratio.
         viscous_friction: (n,), of motor and gear, before the torque sensor.
         coulomb_friction: (n,), likewise.
@@ -119,7 +119,7 @@ class Dynamics(Declaration):
         return self
 
     def check_counts(self, n: int) -> None:
-        """Checks that there are as many entries as a robot of n joints needs.
+        """Checks that every table has the number of entries that n joints require.
 
         Raises:
             DeclarationError: with the keys of this table.
@@ -138,23 +138,26 @@ class Dynamics(Declaration):
             raise DeclarationError(problems)
 
 
-def merged_tables(below: Any, over: Any) -> Any:
-    """Puts single figures over a robot file's `[dynamics]`; else one would cost all others.
+def merge_tables(file_table: Any, override: Any) -> Any:
+    """Returns a robot file's `[dynamics]` table with single entries overridden.
 
-    Masses, centres and tensors that come together bring the frame that they are in along.
+    When masses, centres and tensors are all overridden, so is the frame they are given in.
 
     Args:
-        below: the file's table.
-        over: what stands over it; a `Dynamics` is whole and replaces it.
+        file_table: the file's table.
+        override: the overriding table; a `Dynamics` replaces the file's table as a whole.
     """
-    if not (isinstance(below, Mapping) and isinstance(over, Mapping)):
-        return over
-    whole = set(_INERTIAL) <= set(over)
-    return {**{key: below[key] for key in below if not (whole and key in _FRAMES)}, **over}
+    if not (isinstance(file_table, Mapping) and isinstance(override, Mapping)):
+        return override
+    whole = set(_INERTIAL) <= set(override)
+    return {
+        **{key: file_table[key] for key in file_table if not (whole and key in _FRAMES)},
+        **override,
+    }
 
 
-def is_over(key: str, fields: Mapping[str, Any]) -> bool:
-    """Whether a robot's dotted key is one of those fields that stand over its file's."""
+def is_overridden(key: str, fields: Mapping[str, Any]) -> bool:
+    """Whether a dotted key of a robot is set by fields that override its file."""
     name, _, inner = key.partition(".")
     table = fields.get(name)
     if name == "dynamics" and isinstance(table, Mapping) and inner:

@@ -1,6 +1,6 @@
-"""What links weigh whose robot file does not say: the hull of their meshes, or grown shapes.
+"""Estimates link inertias that a robot file does not state, from mesh hulls or generated shapes.
 
-MuJoCo computes volumes, centres and tensors; the density is declared or `LINK_DENSITY`.
+MuJoCo computes volumes, centres of mass and tensors; the density is declared or `LINK_DENSITY`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from .. import frames
 from ..errors import DeclarationError
 from .mjcf_geoms import MESH, hull_asset, mesh_asset, shape_geom
 from .robot import SerialRobot
-from .shapes import grow_links
+from .shapes import generate_shapes
 
 Array = NDArray[np.float64]
 
 _STEEL = 7800.0  # kg/m3; no link is denser
-# What no shape adds up to, because it is too small for MuJoCo to be a body.
+# Lower bound: MuJoCo refuses bodies of smaller mass.
 _LEAST_MASS = 1e-6  # kg
 
 
@@ -41,14 +41,14 @@ class LinkInertias:
 
 
 def link_hulls(robot: SerialRobot) -> list[Array | None]:
-    """Convex hulls of the base's and every link's meshes together, in the frame of its row.
+    """Returns the convex hull of the meshes of the base and of every link, in its DH frame.
 
     Returns:
-        n + 1 times the hull's corners (k, 3), m; None for a link without meshes.
+        n + 1 arrays of hull vertices (k, 3), m; None for a link without meshes.
 
     Raises:
         DeclarationError: a file cannot be read.
-        ValueError: MuJoCo cannot compile a mesh, for it is flat, say.
+        ValueError: MuJoCo cannot compile a mesh, for example a flat one.
     """
     hulls: list[Array | None] = [None] * (robot.n + 1)
     if not robot.filenames:
@@ -77,20 +77,21 @@ def link_hulls(robot: SerialRobot) -> list[Array | None]:
 
 
 def estimate_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertias:
-    """Masses of links by their shapes and the density that the robot declares.
+    """Estimates link masses from their shapes and the declared density.
 
     Args:
         robot: of n joints.
-        hulls: what `link_hulls` returned; where there is none, shapes grow from the DH table.
+        hulls: as returned by `link_hulls`; a link without one gets shapes generated from the
+            DH table.
     """
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
-    grown = grow_links(robot.dh, robot.flange_frame, robot.strokes)
+    generated = generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
     for i, hull in enumerate(hulls):
         body = root.worldbody.add_body(name=f"link{i}")
         if hull is None:
-            for shape in grown[i]:
+            for shape in generated[i]:
                 body.add_geom(density=density, **shape_geom(shape))
         else:
             asset = hull_asset(root, f"hull{i}", hull)
@@ -104,7 +105,7 @@ def estimate_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertia
 
 
 def _corners(model: mujoco.MjModel, mesh: int) -> Array:
-    """Vertices of a mesh as its file has them; MuJoCo keeps them about the centre of mass."""
+    """Returns the vertices of a mesh in its file's frame; MuJoCo stores them about its centre."""
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     axes = frames.rotation_from_quat(model.mesh_quat[mesh])
     corners = model.mesh_vert[start : start + count].astype(np.float64)
@@ -112,7 +113,7 @@ def _corners(model: mujoco.MjModel, mesh: int) -> Array:
 
 
 def _hull(cloud: Array) -> Array:
-    """Corners (k, 3) of the convex hull of points (m, 3)."""
+    """Returns the vertices (k, 3) of the convex hull of points (m, 3)."""
     root = mujoco.MjSpec()
     root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", cloud))
     model = root.compile()

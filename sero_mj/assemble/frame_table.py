@@ -1,4 +1,4 @@
-"""All named frames and all smart arrows of a compiled scene, as arrays."""
+"""Arrays over all named frames and all smart arrows of a compiled scene."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
 
 @dataclass(frozen=True, eq=False)
 class FrameTable:
-    """All named frames, as arrays over M frames.
+    """Arrays over all M named frames.
 
     Attributes:
         names: e.g. `lwr/link3`, M.
-        owner: index in the world's `owners` of the robot or double with which it is shown, -1
-            for a frame that has a switch of its own.
-        site: its site.
+        owner: index in the world's `owners` of the robot or double whose axes toggle applies; -1
+            for a frame with its own toggle.
+        site: id of its site.
         size: length of the axes, m.
         alpha: 0 invisible to 1 opaque.
-        shown: whether it is shown at first, where it has a switch of its own.
-        has: index in `userdata` of the flag that says that it is anywhere; -1 for always.
+        shown: whether it is initially shown, for frames with their own toggle.
+        has: index in `userdata` of the flag that its pose is known; -1 for always.
     """
 
     names: list[str]
@@ -43,7 +43,14 @@ class FrameTable:
 def frame_table(
     scene: Scene, owners: Sequence[str], flags: dict[str, int], sites: Sites
 ) -> FrameTable:
-    """Lists all named frames of a compiled scene."""
+    """Builds the table of all named frames of a compiled scene.
+
+    Args:
+        scene: the declaration.
+        owners: names of the robots and doubles with joints, in the world's order.
+        flags: index in `userdata` of the flag that an input was set, by its name.
+        sites: returns the ids of sites (k,) by their names.
+    """
     rows = scene.named_frames().values()
 
     def flag(row: NamedFrame) -> int:
@@ -66,17 +73,17 @@ def frame_table(
 
 @dataclass(frozen=True, eq=False)
 class ArrowTable:
-    """All smart arrows, as arrays over K arrows.
+    """Arrays over all K smart arrows.
 
     Attributes:
         names: K.
-        site: where it stands.
+        site: id of the site it acts at.
         components_site: site of the frame its components are in; -1 for the world.
-        frames: rows in the `FrameTable` of the frame it stands at and of the one its components
-            are in, (K, 2); -1 for a point and for the world.
-        slots: index in `userdata` of its components, (K, 3).
-        has: index in `userdata` of the flag that data came.
-        is_round: whether it turns about its direction.
+        frames: rows in the `FrameTable` of the frame it acts at and of the frame of its
+            components, (K, 2); -1 for a point and for the world.
+        slots: indices in `userdata` of its components, (K, 3).
+        has: index in `userdata` of the flag that data was received.
+        is_round: whether it is drawn as a round arrow about its direction.
         scale: m per unit.
         longest: m.
         radius: of a round one, m.
@@ -99,7 +106,14 @@ class ArrowTable:
 def arrow_table(
     scene: Scene, slots: dict[str, slice], flags: dict[str, int], sites: Sites
 ) -> ArrowTable:
-    """Lists all smart arrows of a compiled scene."""
+    """Builds the table of all smart arrows of a compiled scene.
+
+    Args:
+        scene: the declaration.
+        slots: slice of every input in `userdata`.
+        flags: index in `userdata` of the flag that an input was set, by its name.
+        sites: returns the ids of sites (k,) by their names.
+    """
     arrows = scene.arrows.values()
     frames = scene.named_frames()
 

@@ -1,4 +1,4 @@
-"""Inertia tensors in numpy: reading them, judging them, turning them into other frames."""
+"""Inertia tensors in numpy: parsing, validation, and rotation into other frames."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ..declaration import numbers
 
 Array = NDArray[np.float64]
 
-# Figures are typed with a few digits, and a flat plate has equality: so much may be missing.
+# Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
 _ROUNDING = 1e-6
 
 
 def tensors_from(value: Any) -> Array:
-    """Reads tensors as a file has them.
+    """Parses inertia tensors as given in a file.
 
     Args:
         value: one entry per link, each 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the entries of
@@ -52,12 +52,12 @@ def tensors_from(value: Any) -> Array:
 
 
 def link_name(k: int) -> str:
-    """What messages call the body with that index: the base, then the links from 1."""
+    """Returns the name of body k for messages: the base, then the links from 1."""
     return f"link {k}" if k else "the base"
 
 
-def not_physical(tensor: Array) -> str | None:
-    """Says why no rigid body has this tensor about its centre of mass; None if one can.
+def inertia_problem(tensor: Array) -> str | None:
+    """Returns why no rigid body can have this tensor about its centre of mass; None if one can.
 
     Its principal moments are positive, and none is larger than the sum of the other two (each
     is an integral of a sum of two squares).
@@ -79,10 +79,10 @@ def not_physical(tensor: Array) -> str | None:
     return None
 
 
-def principal(tensor: Array) -> tuple[Array, Array]:
-    """Returns principal moments (3,) and the rotation (3, 3) whose columns are their axes.
+def principal_moments(tensor: Array) -> tuple[Array, Array]:
+    """Returns the principal moments (3,), kg m2, and a rotation (3, 3) with their axes as columns.
 
-    What rounding takes from the moments of a flat body is given back, for MuJoCo allows nothing.
+    Rounding errors in the moments of a flat body are corrected, because MuJoCo tolerates none.
     """
     moments, axes = np.linalg.eigh(tensor)
     if np.linalg.det(axes) < 0:
@@ -91,6 +91,6 @@ def principal(tensor: Array) -> tuple[Array, Array]:
     return moments, axes
 
 
-def turned(tensors: Array, rotation: Array) -> Array:
-    """The same tensors (..., 3, 3) in other axes: rotation_new_old @ I @ rotation_old_new."""
+def rotate_tensors(tensors: Array, rotation: Array) -> Array:
+    """Returns tensors (..., 3, 3) in other axes: rotation_new_old @ I @ rotation_old_new."""
     return np.asarray(rotation @ tensors @ np.swapaxes(rotation, -1, -2))

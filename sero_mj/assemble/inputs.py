@@ -1,4 +1,4 @@
-"""Everything in a scene that values can be routed to, and where in userdata it is kept."""
+"""The inputs of a scene, which routes can set, and their slots in `userdata`."""
 
 from __future__ import annotations
 
@@ -10,51 +10,51 @@ import numpy as np
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene, SceneToggles
 
-# What a source's slot holds.
+# Contents of a source's slot.
 SOURCE_FIELDS = (
     "received",
     "malformed",
-    "age",  # s since the last good packet, -1 when there was none
-    "wrong_size",  # of the malformed
+    "age",  # s since the last valid packet, -1 when there was none
+    "wrong_size",  # count, included in malformed
     "last_size",  # bytes of the last packet of a wrong size
-    "size",  # bytes of a right one
+    "size",  # bytes expected
     "fault_age",  # s since the last malformed packet, -1 when there was none
-    "not_frames",  # of the malformed
-    "wrong_constant",  # of the malformed
+    "not_frames",  # count, included in malformed
+    "wrong_constant",  # count, included in malformed
     "robot_state",  # of a robot's controller, and of the link to it, as numbers that the kind of
     "link_quality",  # source defines; -1 for those that define none, and before the first packet
-    "lost",  # numbers that never came
-    "late",  # came after a later one
+    "lost",  # missing sequence numbers
+    "late",  # out of order: arrived after a later packet
     "duplicates",
-    "restarts",  # how often the sender restarted
-    "dropped",  # by the kernel, where none may be lost
-    "senders",  # at once
-    "link_age",  # s since one of these counts rose, but for senders; -1 when none has
-    "foreign",  # packets of others than the `sender` that is named
+    "restarts",  # of the sender's sequence
+    "dropped",  # by the kernel, for sources that must not lose any
+    "senders",  # concurrent senders
+    "link_age",  # s since one of these counts rose, except senders; -1 when none has
+    "foreign",  # packets from other senders than the configured `sender`
     "foreign_age",  # s since the last of these, -1 when there was none
 )
-# What a packet may switch; any value above 0.5 is on. `arrow_quantity` is an index.
+# Toggles that a packet can set; a value above 0.5 is on. `arrow_quantity` is an index.
 OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")
-# What every robot has, beside its own `inputs`.
+# Inputs of every robot, in addition to its own `inputs`.
 ROBOT_INPUTS = ("joint_angles", *VALUE_INPUTS, "base_frame", "flange_check", *OWNER_TOGGLES)
 SCENE = "toggles"  # `toggles.legend` switches for the whole scene
 
 InputKind = Literal["angles", "values", "pose", "frame", "vector", "toggle"]
-# A NaN in one of these blanks what it would show; in the others it would move something.
+# Kinds in which NaN means "no data"; the others move something, so NaN is an error.
 BLANKABLE = ("values", "vector", "toggle", "frame")
 
 
 @dataclass(frozen=True)
 class Input:
-    """One thing that values can be routed to.
+    """One input of a scene, the target of a route.
 
     Attributes:
         name: of the robot, double, arrow, frame, object or camera.
-        key: which of its inputs.
-        shape: of the values it takes: (n,), (3,), (4, 4) or (1,).
-        kind: `angles` move a robot or double, `values` are shown at joints, a `pose` places a
-            base, an object or a camera, a `frame` is kept, a `vector` is shown by an arrow, a
-            `toggle` switches.
+        key: name of the input.
+        shape: of its values: (n,), (3,), (4, 4) or (1,).
+        kind: `angles` move a robot or double, `values` are shown at joints, a `pose` moves a
+            base, an object or a camera, a `frame` is stored, a `vector` is shown by an arrow, a
+            `toggle` turns a feature on or off.
     """
 
     name: str
@@ -69,19 +69,19 @@ class Input:
 
     @property
     def count(self) -> int:
-        """How many numbers it takes."""
+        """Number of values."""
         return int(np.prod(self.shape))
 
     @property
     def meaning(self) -> str:
-        """What the numbers are, for messages."""
+        """Description of the values, for messages."""
         if self.kind in ("angles", "values"):
             return f"{self.count}, one per joint"
         return {"vector": "3: x, y, z", "toggle": "1"}.get(self.kind, "a 4 x 4 frame")
 
 
 def list_inputs(scene: Scene) -> dict[str, Input]:
-    """All inputs of a scene by `name.key`."""
+    """Returns all inputs of a scene by `name.key`."""
     inputs = []
     for name, robot in scene.robots.items():
         inputs.append(Input(name, "joint_angles", (robot.n,), "angles"))
@@ -110,7 +110,7 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
 
 
 def moving(scene: Scene) -> set[str]:
-    """Names of the objects and cameras that a route moves, and that need a body of their own."""
+    """Returns the objects and cameras that a route moves, which therefore need their own body."""
     names = {item.name for item in scene.objects} | set(scene.cameras)
     return {
         name
@@ -120,11 +120,11 @@ def moving(scene: Scene) -> set[str]:
 
 
 def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int]]:
-    """Gives every input and source its place in userdata.
+    """Allocates a slot in `userdata` for every input and source.
 
     Returns:
-        slots (`lwr.torques`, `sources.udp`), and for every input the index of the flag that says
-        whether something came.
+        slots by name (`lwr.torques`, `sources.udp`), and for every input the index of the flag
+        that it was set.
     """
     lengths: dict[str, int] = {}
     inputs = list_inputs(scene)

@@ -1,4 +1,4 @@
-"""All joints of a compiled scene, as arrays that decor and routes index with."""
+"""Arrays over all joints of a compiled scene, for decor and routes."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 _DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
-_DOUBLE_ARROW_SIZE = 0.85  # where a double stands in its robot, both arrows are seen
+_DOUBLE_ARROW_SIZE = 0.85  # both arrows are visible where a double coincides with its robot
 
 
 @dataclass(frozen=True, eq=False)
 class JointTable:
-    """All joints of all robots, then those of their doubles, as arrays over N joints.
+    """Arrays over all N joints: those of the robots, then those of their doubles.
 
     Attributes:
         names: joint names, N.
         owner: index in the world's `owners`.
-        of_robot: how many are robots' joints; the rest are doubles'.
-        revolute: whether it turns.
-        centre_site: site whose z is the joint's axis, where its arrow and billboard stand; a row
-            of `site_xpos` in what `World.state` returns.
+        of_robot: number of joints of robots; the rest belong to doubles.
+        revolute: True for a revolute, False for a prismatic joint.
+        centre_site: site at the centre of its arrow and billboard, z along the joint's axis; a
+            row of `site_xpos` in what `World.state` returns.
         qpos: index in `qpos` of the robots' joints, (of_robot,).
         angle_slots: index in `userdata` of the doubles' joint angles, (N - of_robot,).
         slots: for each per-joint input, index in `userdata` of its value; -1 where the joint's
             owner does not have it.
-        has: likewise, of the flag that data came; `joint_angles` included.
-        torque_limit: Nm or N, inf where there is none.
-        acceleration_limit: rad/s2 or m/s2, inf where there is none.
-        arrow_quantity: index in `ARROW_QUANTITIES` of what its arrow shows at first.
-        arrow_dead_band: share of the limit.
+        has: likewise for the flag that data was received; includes `joint_angles`.
+        torque_limit: Nm or N, inf for none.
+        acceleration_limit: rad/s2 or m/s2, inf for none.
+        arrow_quantity: index in `ARROW_QUANTITIES` of the quantity that its arrow initially
+            shows.
+        arrow_dead_band: fraction of the limit.
         arrow_radius: m.
         arrow_width_scale: m per Nm.
-        arrow_load: Nm or N at which one without a limit is as wide as its radius; inf where
-            `arrow_width_scale` says how wide it is.
+        arrow_load: Nm or N at which the arrow of a joint without limit is as wide as its radius;
+            inf where `arrow_width_scale` sets the width.
         arrow_alpha: opacity of its arrow.
     """
 
@@ -66,7 +67,7 @@ class JointTable:
     arrow_alpha: Array
 
     def angles(self, data: mujoco.MjData) -> Array:
-        """Joint angles of all joints (N,), rad or m; those of a double without any are zero."""
+        """Returns the angles of all joints (N,), rad or m; zero for a double without any."""
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
 
@@ -76,20 +77,20 @@ def joint_table(
     flags: Mapping[str, int],
     sites: Callable[[Sequence[str]], Ints],
 ) -> JointTable:
-    """Lists all joints of a compiled scene.
+    """Builds the table of all joints of a compiled scene.
 
     Args:
         owners: robots, then doubles, by name.
-        slots: place of every input in userdata.
-        flags: likewise, of what says that it came.
-        sites: ids of sites by name.
+        slots: slice of every input in `userdata`.
+        flags: index in `userdata` of the flag that an input was set, by its name.
+        sites: returns the ids of sites (k,) by their names.
     """
     parts = list(owners.values())
     robots = [part.robot for part in parts]
     counts = [robot.n for robot in robots]
 
     def gather(values: Iterable[Any], kind: Any = np.float64) -> Any:
-        """One entry per joint, from one value or one array per owner."""
+        """Returns one entry per joint, from one value or one array per owner."""
         spread = [np.broadcast_to(v, n) for v, n in zip(values, counts, strict=True)]
         return np.concatenate(spread or [np.empty(0)]).astype(kind)
 
@@ -139,6 +140,6 @@ def joint_table(
 
 
 def site_ids(model: mujoco.MjModel, names: Sequence[str]) -> Ints:
-    """Ids of sites by name."""
+    """Returns the ids of sites by their names."""
     kind = mujoco.mjtObj.mjOBJ_SITE
     return np.array([mujoco.mj_name2id(model, kind, name) for name in names], np.intp)

@@ -1,4 +1,4 @@
-"""Cameras, lights, and where one looks from when no camera is named."""
+"""Cameras, lights, colour themes, and the default view of a scene."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ Look = Literal["light", "dark"]
 
 
 class Camera(Declaration):
-    """A camera with a name.
+    """A named camera.
 
     Attributes:
-        position: in the world, m.
-        look_at: the point it looks at, m.
+        position: in `frame`, m.
+        look_at: the point at the picture's centre, in `frame`, m.
         fovy_deg: vertical field of view in degrees.
-        frame: the frame that `position` and `look_at` are in; it can be routed to
-            (`NAME.frame`), so that a camera rides on a robot.
+        frame: T_world_frame of `position` and `look_at`; its input `NAME.frame` can be set by a
+            route, to move the camera with a robot.
     """
 
     position: Point
@@ -54,15 +54,15 @@ class Camera(Declaration):
 
 
 class View(Declaration):
-    """Where one looks from when no camera is named.
+    """The view of a scene when no camera is named.
 
     Attributes:
-        camera: a camera of the scene; the rest is for the free camera.
-        azimuth_deg: direction of sight about the vertical, 90 looks along +y.
+        camera: a camera of the scene; the other fields are for the free camera.
+        azimuth_deg: viewing direction about the vertical, 90 looks along +y.
         elevation_deg: negative looks down.
         distance: m from the look-at point; None fits the scene.
-        look_at: m; None is the middle of the scene.
-        look: `light`, for paper and bright rooms, or `dark`.
+        look_at: m; None for the centre of the scene.
+        look: colour theme, `light` or `dark`.
     """
 
     camera: str | None = None
@@ -75,14 +75,14 @@ class View(Declaration):
 
 @dataclass(frozen=True)
 class Palette:
-    """Colours of what is about the robots, red, green, blue, 0 to 1.
+    """Colours of the surroundings, red, green, blue, 0 to 1.
 
     Attributes:
         sky: at the horizon and at the zenith.
         tiles: of the floor, two shades and the line between them.
-        haze: where the floor ends.
-        headlight: ambient and diffuse.
-        key: of the light that throws shadows.
+        haze: at the end of the floor.
+        headlight: ambient and diffuse intensity.
+        key: intensity of the light that casts shadows.
     """
 
     sky: tuple[Rgb, Rgb]
@@ -93,7 +93,7 @@ class Palette:
 
 
 PALETTES = {
-    # Together with the key light just short of white on a floor seen from above.
+    # Chosen with the key light so that a floor seen from above is just below white.
     "light": Palette(
         sky=((0.97, 0.98, 0.99), (0.70, 0.76, 0.82)),
         tiles=((0.83, 0.85, 0.87), (0.86, 0.88, 0.90), (0.78, 0.80, 0.83)),
@@ -112,14 +112,14 @@ PALETTES = {
 
 
 class Light(Declaration):
-    """A light that shines from a position along a direction.
+    """A light with a position and a direction.
 
     Attributes:
         position: m.
-        direction: towards what is lit; need not be of unit length.
+        direction: in which the light shines; of any length.
         diffuse: red, green, blue, 0 to 1.
         directional: parallel rays, as from the sun.
-        cast_shadow: whether things throw shadows in it.
+        cast_shadow: whether objects cast shadows in it.
     """
 
     position: Point

@@ -1,4 +1,4 @@
-"""Finds out which mesh file it was that MuJoCo could not compile."""
+"""Finds the mesh files that MuJoCo cannot compile."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .scene import Scene
 
 
 def mesh_problems(scene: Scene) -> list[Problem]:
-    """Compiles every mesh of a scene by itself and returns what is wrong, by robot and file."""
+    """Compiles every mesh of a scene by itself and returns the problems, by robot and file."""
     problems = []
     for name, robot in scene.robots.items():
         for i, meshes in enumerate(robot.filenames):
@@ -49,5 +49,5 @@ def _problem(key: str, path: Path) -> list[Problem]:
         reason = str(error).splitlines()[0].removeprefix("Error: ").replace(file, path.name)
         if path.suffix.lower() == ".stl" and b"facet normal" in path.read_bytes()[:1000]:
             reason = "it is an ASCII STL; save it as a binary one"
-        return [Problem(key, f"{path} is no mesh that MuJoCo reads: {reason}")]
+        return [Problem(key, f"{path} is not a mesh that MuJoCo reads: {reason}")]
     return []

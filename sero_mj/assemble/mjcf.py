@@ -1,8 +1,8 @@
-"""A scene's robots and surroundings as MJCF, built with `mujoco.MjSpec`.
+"""Builds a scene's robots and surroundings as MJCF, with `mujoco.MjSpec`.
 
 A robot becomes one mocap body at its base frame with a chain of bodies, one per row of its DH
-table, whose frames are the DH frames: body i stands at T_{i-1,i}(q_i = 0) and turns about, or
-slides along, z of its own frame (craig) or of its parent's (standard).
+table, whose frames are the DH frames: body i is at T_{i-1,i}(q_i = 0) and moves about, or
+along, z of its own frame (craig) or of its parent's (standard).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .robot_parts import LinkMesh
 from .scene import Scene
-from .shapes import SHELL, grow_links
+from .shapes import SHELL, generate_shapes
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ OBJECT_GROUP, ROBOT_GROUP = 0, 1
 _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
-_STILL = {"contype": 0, "conaffinity": 0}  # what only mirrors a robot does not collide
+_STILL = {"contype": 0, "conaffinity": 0}  # a mirrored robot does not collide
 
 
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
@@ -53,8 +53,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
 
     Args:
         scene: what to build.
-        dynamics: of every robot, for the variant that is simulated; None for that which is
-            looked at.
+        dynamics: of every robot, for the simulated variant; None for the display variant.
 
     Raises:
         DeclarationError: an MJCF piece cannot be read, or a file is missing.
@@ -112,7 +111,7 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
 def _attach(
     root: mujoco.MjSpec, parent: Any, piece: mujoco.MjSpec, name: str, T: Array
 ) -> mujoco.MjsBody:
-    """Attaches a piece by a body `NAME/`, which carries what the piece has in its world."""
+    """Attaches a piece by a body `NAME/`, the parent of the piece's top-level bodies."""
     prefix = f"{name}/"
     piece.compiler.boundmass = max(piece.compiler.boundmass, root.compiler.boundmass)
     piece.compiler.boundinertia = max(piece.compiler.boundinertia, root.compiler.boundinertia)
@@ -122,7 +121,7 @@ def _attach(
 
 
 def moved_body(name: str) -> str:
-    """Name of the body of an object or camera that a route moves."""
+    """Returns the name of the body of an object or camera that a route moves."""
     return f"moved-{name}"
 
 
@@ -131,7 +130,7 @@ def _moved_body(root: mujoco.MjSpec, name: str, T: Array) -> mujoco.MjsBody:
 
 
 def _clashes(scene: Scene) -> list[Problem]:
-    """Names that two things of the model would have."""
+    """Returns problems of names that two elements of the model would share."""
     problems = []
     taken = {"floor": "the floor has this name"} if scene.floor else {}
     pieces = {name: "a robot has this name" for name in scene.robots}
@@ -145,7 +144,7 @@ def _clashes(scene: Scene) -> list[Problem]:
 
 
 def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
-    """Returns one robot; its world body is the robot's base."""
+    """Returns one robot as an `MjSpec`; its world body is the robot's base."""
     root = mujoco.MjSpec()
     root.compiler.degree = False
     geometry = _Geometry(root, robot)
@@ -164,7 +163,7 @@ def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
         body.add_joint(name=robot.names[i], type=kind, **joint)
         geometry.add_link(body, i + 1)
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
-        # Arrows and billboards stand here; its z is the joint's axis in both conventions.
+        # Site of arrows and billboards; its z is the joint's axis in both conventions.
         body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(joint_centre(robot, i)))
     flange = body.add_body(name="flange", **pose(robot.flange_frame))
     flange.add_site(name="flange_frame", group=SITE_GROUP)
@@ -181,13 +180,13 @@ def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
 
 
 class _Geometry:
-    """Adds the visible geometry of a robot's links: its mesh files, or shapes grown from DH."""
+    """Adds the visible geometry of a robot's links: mesh files, or shapes from the DH table."""
 
     def __init__(self, root: mujoco.MjSpec, robot: SerialRobot) -> None:
         self._root = root
         self._robot = robot
         self._grown = (
-            [] if robot.filenames else grow_links(robot.dh, robot.flange_frame, robot.strokes)
+            [] if robot.filenames else generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
         )
         self.problems: list[Problem] = []
 
@@ -212,7 +211,7 @@ class _Geometry:
 
 def _set_up(root: mujoco.MjSpec) -> None:
     root.compiler.degree = False
-    # A link without geometry (an axis of a wrist) still needs a mass to be a moving body.
+    # A moving body needs a mass, also a link without geometry (in a wrist).
     root.compiler.boundmass, root.compiler.boundinertia = 1e-3, 1e-6
 
 
@@ -266,7 +265,7 @@ def _add_floor(root: mujoco.MjSpec, palette: Palette) -> None:
     )  # fmt: skip
     floor = root.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    # A floor in its own shadow map is speckled.
+    # A floor that casts shadows is speckled by its own shadow map.
     root.worldbody.add_geom(
         name="floor", type=geom_type("plane"), size=[0, 0, 0.05], material="floor",
         group=OBJECT_GROUP, castshadow=False,
@@ -274,7 +273,7 @@ def _add_floor(root: mujoco.MjSpec, palette: Palette) -> None:
 
 
 def _look_axes(forward: Array) -> Array:
-    """Camera x and y axes (6,) that look along `forward` with the world's z up in the picture."""
+    """Returns the x and y axes (6,) of a camera that looks along `forward`, world z up."""
     up = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(np.cross(forward, up)) < 1e-9 * max(float(np.linalg.norm(forward)), 1.0):
         up = np.array([0.0, 1.0, 0.0])  # looking straight up or down

@@ -1,7 +1,7 @@
-"""What the dynamic variant of a scene has beyond the one that is looked at.
+"""Adds dynamics to a scene for simulation.
 
-Links get masses, joints get motors' inertia and friction, and links collide with the world and
-with links further along. The variant that is looked at stays as it is.
+Links get masses, joints get motor inertia and friction, and links collide with the world and
+with non-adjacent links. The display variant of the scene has none of this.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .inertia import principal
+from .inertia import principal_moments
 from .mjcf_geoms import MESH, hull_asset
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
@@ -22,26 +22,26 @@ from .shapes import housing_radii
 Array = NDArray[np.float64]
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
-HULL_GROUP = 4  # not shown: links look like their meshes
+HULL_GROUP = 4  # a group that is not shown: links are displayed by their meshes
 PAYLOAD = "payload"  # a body at the flange that weighs nothing until something is picked up
-# Links that meet in one wrist or shoulder belong to one housing, and are never told from a
-# collision. So near are neighbours, in housing radii.
+# Links closer than this count as neighbours, in housing radii: those of one wrist or shoulder
+# share a housing and always overlap.
 _ONE_HOUSING = 4.0
-# Coulomb friction that holds creeps by no more than 1e-6 rad/s (the default: 1e-4).
+# Coulomb friction at rest creeps by at most 1e-6 rad/s (the default: 1e-4).
 _FRICTION = {"solref_friction": [0.004, 1.0], "solimp_friction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
 # Friction of metal, plastic and wood on each other; MuJoCo's default is that of rubber.
 _SLIDING = [0.3, 0.005, 1e-4]
 _RUBBER = [1.0, 0.005, 1e-4]
-# Contacts grow stiff over 5 mm, as with skins of rubber. With MuJoCo's default, which is stiff at
-# once, a probe that slides hops: its force flips between 0 and twice the mean in every few steps.
+# Contact stiffness rises over 5 mm, as with a rubber skin. With MuJoCo's default, stiff at once,
+# a sliding probe chatters: its force alternates between 0 and twice the mean every few steps.
 _SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
 _TIME_CONSTANT = [0.03, 1.0]
-# The stops of joints have rubber on them, or gears would break.
+# Joint limits are soft, as rubber end stops are.
 _STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
 
 def set_up_dynamics(root: mujoco.MjSpec) -> None:
-    """Sets how time is stepped; nothing is mended that is not physical."""
+    """Sets time step, integrator, solver and contact options; adds no artificial stabilization."""
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
     root.option.timestep = TIMESTEP
     root.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -50,12 +50,12 @@ def set_up_dynamics(root: mujoco.MjSpec) -> None:
     )  # pyramids give a third too little friction when all is soft
     floor = root.geom("floor")
     if floor is not None:
-        # Links that are built into the floor do not feel it, see _collide.
+        # Links mounted in the floor do not collide with it, see _collide.
         floor.contype, floor.conaffinity = 0, 1
 
 
-def smooth(model: mujoco.MjModel) -> None:
-    """Gives geoms that say nothing else the friction and the skin of smooth things."""
+def set_contact_defaults(model: mujoco.MjModel) -> None:
+    """Sets friction and contact softness of geoms that have MuJoCo's defaults."""
     unsaid = (model.geom_friction == _RUBBER).all(axis=1)
     model.geom_friction[unsaid] = _SLIDING
     sudden = (model.geom_solimp == _SUDDEN).all(axis=1)
@@ -63,16 +63,16 @@ def smooth(model: mujoco.MjModel) -> None:
 
 
 def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics) -> None:
-    """Gives a robot its masses, joints and collisions, before it is attached to its scene.
+    """Adds masses, joint properties and collision geoms to a robot that is not yet attached.
 
     Args:
         piece: what `build_robot` returned.
-        robot: which robot that is.
-        dynamics: of it.
+        robot: its declaration.
+        dynamics: its dynamics.
     """
     for i in range(robot.n):
         body = piece.body(f"link{i + 1}")
-        moments, axes = principal(dynamics.tensors[i + 1])
+        moments, axes = principal_moments(dynamics.tensors[i + 1])
         mujoco.mju_mat2Quat(body.iquat, axes.ravel())
         body.explicitinertial, body.mass = True, dynamics.masses[i + 1]
         body.ipos, body.inertia = dynamics.centers[i + 1], moments
@@ -85,17 +85,17 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
         if robot.elastic_joints:
             _add_deflection(piece, body, joint, robot, dynamics, i)
     _add_hulls(piece, robot, dynamics.hulls)
-    # A body without mass must not move by itself; this one is part of the last link.
+    # Only a fixed body may be massless; this one is fixed to the last link.
     piece.body("flange").add_body(name=PAYLOAD)
 
 
 def deflection_joint(name: str) -> str:
-    """Name of the joint that an elastic joint has behind its motor's."""
+    """Returns the name of the second joint of an elastic joint, between motor and link."""
     return f"{name}-deflection"
 
 
 def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
-    """Damping of the deflections that the model has, (n,), Nm s/rad.
+    """Returns the damping of the elastic deflections in the model, (n,), Nm s/rad.
 
     MuJoCo takes springs at the start of a step and damping at its end, and so a light link on a
     stiff spring is unstable without damping (an LWR's wrist at 1 kHz). Damping of half the
@@ -120,7 +120,7 @@ def _add_deflection(
     dynamics: RobotDynamics,
     i: int,
 ) -> None:
-    """Puts a spring between motor and link: two joints on one axis, whose angles add up."""
+    """Adds a spring between motor and link: two joints on one axis, whose angles add up."""
     name = deflection_joint(robot.names[i])
     deflection = body.add_joint(
         name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False
@@ -137,8 +137,8 @@ def _add_deflection(
 
 
 def _add_hulls(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
-    """Lets links collide: with the hull of their meshes, or with the shapes that have grown."""
-    sunk = _in_the_floor(robot)
+    """Adds collision geoms to links: the hulls of their meshes, or the generated shapes."""
+    sunk = _links_near_base(robot)
     for i in range(robot.n + 1):
         body = piece.body(f"link{i}") if i else piece.worldbody
         touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1}
@@ -152,19 +152,19 @@ def _add_hulls(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | Non
                     setattr(geom, key, value)
 
 
-def _in_the_floor(robot: SerialRobot) -> NDArray[np.bool_]:
-    """Which links are so near the base that they may be sunk into what it stands on, (n + 1,)."""
+def _links_near_base(robot: SerialRobot) -> NDArray[np.bool_]:
+    """Returns which links are so close to the base that they may overlap its mount, (n + 1,)."""
     near = 2.5 * housing_radii(robot.dh, robot.flange_frame)[0]
     along = np.concatenate([[0.0], np.cumsum(np.abs(robot.dh.a) + np.abs(robot.dh.d))])
     return np.asarray((along < near) | (np.arange(robot.n + 1) < 2))
 
 
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
-    """Lets links of one housing pass through each other.
+    """Excludes collisions between links of one housing.
 
     Args:
         root: the scene, with the robot attached.
-        robot: which one.
+        robot: its declaration.
     """
     flange = root.body(f"{robot.name}/flange")
     tools = [flange.name, *(body.name for body in flange.find_all("body"))]
@@ -173,7 +173,7 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     steps = np.abs(robot.dh.a) + np.abs(robot.dh.d)
     ends_before = robot.dh_convention == "standard"
     for i, k in combinations(range(robot.n + 1), 2):
-        # Link i ends at joint i + 1, link k begins at joint k: the offsets between are these.
+        # The offsets between joint i + 1, where link i ends, and joint k, where link k begins.
         if k - i <= 2 or steps[i + 1 : k - ends_before].sum() < near:
             for other in [bodies[k], *(tools if k == robot.n else [])]:
                 root.add_exclude(bodyname1=bodies[i], bodyname2=other)

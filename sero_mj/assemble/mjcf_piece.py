@@ -1,4 +1,4 @@
-"""Pieces of MJCF that a scene brings along, as a file, as text, or as an object that holds one."""
+"""Reads pieces of MJCF in a scene: a file, text, or an object that contains MJCF."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 
 
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
-    """Reads a piece of MJCF; the files that it names are read too and kept with the spec.
+    """Reads a piece of MJCF and the files it refers to, which are stored in the spec.
 
     Args:
-        source: a file's name; text that starts with `<`; or what `is_mjcf_object` takes, which
-            is not changed.
-        folder: where the name, and the files that a text names, start from.
+        source: a file name; text that starts with `<`; or an object that `is_mjcf_object`
+            accepts, which is not changed.
+        folder: base folder of relative file names.
 
     Raises:
         DeclarationError: it cannot be read.
@@ -44,7 +44,7 @@ def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
 
 
 def is_mjcf_object(source: Any) -> bool:
-    """Whether it holds MJCF: an `MjSpec`, PyMJCF's `RootElement`, or an entity of composer."""
+    """Whether an object contains MJCF: an `MjSpec`, PyMJCF's `RootElement`, a composer entity."""
     root = _root_element(source)
     return isinstance(source, mujoco.MjSpec) or (
         hasattr(root, "to_xml_string") and hasattr(root, "get_assets")
@@ -52,7 +52,7 @@ def is_mjcf_object(source: Any) -> bool:
 
 
 def _root_element(source: Any) -> Any:
-    """PyMJCF's root element of an entity of composer; anything else as it is."""
+    """Returns the PyMJCF root element of a composer entity; anything else as it is."""
     return getattr(source, "mjcf_model", source)
 
 
@@ -63,7 +63,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if not source.lstrip().startswith("<"):
-        open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe for ever
+        open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe forever
         return mujoco.MjSpec.from_file(str(folder / source))
     spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
     spec.modelfiledir = str(folder)
@@ -71,7 +71,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
 
 
 def _included(text: str, folder: Path) -> Mapping[str, bytes]:
-    """The files that a text includes, and those that these include, by name."""
+    """Returns the contents of the files that a text includes, recursively, by name."""
     found: dict[str, bytes] = {}
     waiting = [text.encode()]
     while waiting:
@@ -80,7 +80,7 @@ def _included(text: str, folder: Path) -> Mapping[str, bytes]:
                 tag.get("file", "") for tag in ElementTree.fromstring(waiting.pop()).iter("include")
             }
         except ElementTree.ParseError:
-            continue  # MuJoCo says where
+            continue  # MuJoCo reports the position
         for name in names - set(found):
             found[name] = read_file(folder / name, _MOST_BYTES)
             waiting.append(found[name])
@@ -102,7 +102,7 @@ def _keep_files(spec: mujoco.MjSpec) -> None:
 
 
 def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
-    """Name in the assets of a file that an element of the spec names."""
+    """Stores a file that an element refers to and returns its name in the assets."""
     if not file or file in spec.assets:
         return file
     name = Path(file).name if spec.strippath else file
@@ -111,9 +111,14 @@ def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
 
 
 def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes) -> str:
-    """Keeps a file's contents with a spec, and returns the name by which its elements know it.
+    """Stores a file's contents in the assets of a spec and returns its name there.
 
-    The name tells files of different folders apart when specs are attached to each other.
+    The name is unique across folders, so that specs can be attached to each other.
+
+    Args:
+        spec: changed in place.
+        path: of the file.
+        contents: of the file.
     """
     file = f"{path.stem}-{sha256(contents).hexdigest()[:16]}{path.suffix.lower()}"
     spec.assets[file] = contents

@@ -1,4 +1,4 @@
-"""All frames of a scene that have names: they can show axes, and routes can lead from them."""
+"""The named frames of a scene: they can show axes, and routes can refer to them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _DOUBLE_ALPHA = 0.5  # opacity of a double's axes
 
 @dataclass(frozen=True)
 class NamedFrame:
-    """One frame.
+    """A named frame.
 
     Attributes:
         name: e.g. `lwr/link3`.
         site: its site in the model.
-        shown_with: the robot or double with whose `show_axes` it is shown; empty when it has a
-            switch of its own.
+        shown_with: the robot or double whose `show_axes` applies; empty when it has its own
+            toggle.
         moves_with: the robot, double or received frame that moves it; empty when it is fixed.
         size: length of the axes, m.
         alpha: 0 invisible to 1 opaque.
-        shown: whether it is shown at first, where it has a switch of its own.
+        shown: whether it is initially shown, for a frame with its own toggle.
     """
 
     name: str
@@ -44,7 +44,14 @@ def list_frames(
     frames: Mapping[str, ReceivedFrame],
     objects: Sequence[Object],
 ) -> dict[str, NamedFrame]:
-    """All frames of a scene by name; `world` is not among them."""
+    """Returns all frames of a scene by name, except `world`.
+
+    Args:
+        robots: by name.
+        doubles: by name.
+        frames: received frames by name.
+        objects: of the scene; those of shape `axes` are frames.
+    """
     found: list[NamedFrame] = []
     for name, robot in robots.items():
         look = (name, name, robot.axes_length, 1.0 - robot.axes_transparency)
@@ -58,7 +65,7 @@ def list_frames(
             robot = robots[double.of]
             alpha = _DOUBLE_ALPHA * (1.0 - robot.axes_transparency)
             look = (name, name, robot.axes_length, alpha)
-            # Its base is the robot's.
+            # A double has the base frame of its robot.
             labels = [f"link{i + 1}" for i in range(robot.n)] + ["flange"]
             sites = [(label, label.replace("link", "frame")) for label in labels]
             found += [
@@ -77,7 +84,7 @@ def list_frames(
 
 
 def _axes_objects(items: Sequence[Object], name: str) -> list[NamedFrame]:
-    """Axes that are objects of their own and belong to no robot's `show_axes`."""
+    """Returns the frames of objects of shape `axes`, which have their own toggle."""
     scope = f"{name}/" if name else ""
     return [
         NamedFrame(

@@ -1,4 +1,4 @@
-"""Fixed things: what stands in the scene or is fixed to a robot's flange."""
+"""Fixed objects of a scene or of a robot's flange."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .mjcf_piece import is_mjcf_object
 _MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
 MESH_FORMATS = (".stl", ".obj", ".msh")
 
-# How many numbers `size` has for each shape, and what they are (m).
+# Meaning of the entries of `size` for each shape, m.
 SHAPE_SIZES = {
     "box": "length x, length y, length z",
     "sphere": "radius",
@@ -26,7 +26,7 @@ SHAPE_SIZES = {
 
 
 def check_inside(file: str) -> str:
-    """Returns the file name, if it stays inside its folder.
+    """Returns a file name after checking that it does not leave its folder.
 
     Raises:
         ValueError: it is absolute or contains `..`.
@@ -40,7 +40,7 @@ def check_inside(file: str) -> str:
 
 
 def check_mesh_file(file: str) -> str:
-    """Returns the file name, if it stays inside its folder and MuJoCo can read the format.
+    """Returns a file name after checking its folder and that MuJoCo can read the format.
 
     Raises:
         ValueError: it is absolute, contains `..`, or has another ending.
@@ -56,16 +56,16 @@ class Object(Declaration):
 
     Attributes:
         name: unique in its scene or robot.
-        shape: a primitive; `axes` are smart axes at the object's frame.
+        shape: a primitive; `axes` shows coordinate axes at the object's frame.
         size: full lengths and radii in m, see `SHAPE_SIZES`.
         mesh: mesh file, relative to `directory`.
         mesh_scale: metres per unit of the mesh file.
         mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in
-            Python what holds MJCF: a `mujoco.MjSpec`, an element of PyMJCF
-            (`mjcf.RootElement`), an entity of dm_control's composer.
+            Python an object that contains MJCF: a `mujoco.MjSpec`, a PyMJCF
+            `mjcf.RootElement`, a dm_control composer entity.
         frame: pose in the world, or in the flange's frame for a robot's child.
         rgba: colour; an MJCF piece has its own.
-        directory: folder of the files, set by whoever read the declaration.
+        directory: base folder of the files, set by the reader of the declaration.
     """
 
     name: Name
@@ -119,7 +119,7 @@ class Object(Declaration):
 
 
 def set_directory(children: Any, folder: Path) -> None:
-    """Lets the folders of children start from the folder of the file that declares them."""
+    """Makes the folders of children relative to the folder of the file that declares them."""
     for child in children if isinstance(children, list) else []:
         if isinstance(child, dict) and isinstance(child.setdefault("directory", ""), str):
             child["directory"] = str(folder / child["directory"])

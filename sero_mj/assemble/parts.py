@@ -1,4 +1,4 @@
-"""Where a scene's robots and doubles are in the compiled model."""
+"""Indices of a scene's robots and doubles in the compiled model."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class RobotPart:
-    """Where one robot is in the model.
+    """Indices of one robot in the compiled model.
 
     Attributes:
         robot: its declaration.
-        dh: its table, built once.
+        dh: its Denavit-Hartenberg table.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
-        mocap: its base's index in `mocap_pos` and `mocap_quat`.
+        mocap: index of its base in `mocap_pos` and `mocap_quat`.
         bodies: ids of the base and every link, (n + 1,).
         flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
@@ -43,32 +43,32 @@ class RobotPart:
 
     @property
     def declared(self) -> SerialRobot:
-        """What it was declared as: name, toggles, values."""
+        """Its declaration: name, toggles, values."""
         return self.robot
 
     @property
     def scope(self) -> str:
-        """What the names of its sites start with."""
+        """Prefix of the names of its sites."""
         return f"{self.robot.name}/"
 
     @property
     def arrow_quantity(self) -> str:
-        """What its arrows show at first."""
+        """Quantity that its arrows initially show."""
         return self.robot.arrow_quantity
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
-        """What its billboards say, where declared."""
+        """Declared lines of its billboards."""
         return self.robot.billboard_lines
 
     @property
     def base_name(self) -> str:
-        """Name of the frame of its base."""
+        """Name of its base frame."""
         return f"{self.robot.name}/base"
 
     @property
     def flange_name(self) -> str:
-        """Name of the frame of its flange."""
+        """Name of its flange frame."""
         return f"{self.robot.name}/flange"
 
     @property
@@ -79,28 +79,29 @@ class RobotPart:
 
     @property
     def chain(self) -> Ints:
-        """Which of its joints move the flange, in order from the base."""
+        """Indices of its joints that move the flange, in order from the base."""
         return np.arange(self.robot.n)
 
     @property
     def reach(self) -> float:
-        """The sum of all lengths in its table, m; 1 where that is zero."""
+        """Sum of all link lengths of its table, m; 1 where that is zero."""
         return float(np.abs(self.dh.a).sum() + np.abs(self.dh.d).sum()) or 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class DoublePart:
-    """Where one double is in the model.
+    """Indices of one double in the compiled model.
 
     Attributes:
         double: its declaration.
-        of: the robot it doubles.
-        mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has rows.
+        of: the robot it copies.
+        mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has several
+            rows.
         bodies: their ids, (rows, n + 1).
-        frames: index in `mocap_pos` of the frame of every link, (n,), which stay where the double
-            is when a link is out of sight; empty for a path.
+        frames: index in `mocap_pos` of the frame of every link, (n,), placed also for hidden
+            links; empty for a path.
         path: joint angles of every row, (rows, n); None for a single double.
-        joints: its rows in the world's `JointTable`; a path has none.
+        joints: its rows in the world's `JointTable`; empty for a path.
     """
 
     double: Double
@@ -113,52 +114,52 @@ class DoublePart:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the model has bodies for it; else decor draws it."""
+        """Whether the model has bodies for it; otherwise decor draws it."""
         return self.bodies.size > 0
 
     @property
     def declared(self) -> Double:
-        """What it was declared as: name, toggles, values."""
+        """Its declaration: name, toggles, values."""
         return self.double
 
     @property
     def robot(self) -> SerialRobot:
-        """The declaration of the robot it doubles."""
+        """Declaration of the robot it copies."""
         return self.of.robot
 
     @property
     def dh(self) -> DhTable:
-        """The table of the robot it doubles."""
+        """Table of the robot it copies."""
         return self.of.dh
 
     @property
     def scope(self) -> str:
-        """What the names of its sites start with."""
+        """Prefix of the names of its sites."""
         return f"double-{self.double.name}-"
 
     @property
     def flange_name(self) -> str:
-        """Name of the frame of its flange."""
+        """Name of its flange frame."""
         return f"{self.double.name}/{self.of.flange_name.partition('/')[2]}"
 
     @property
     def chain(self) -> Ints:
-        """Which of its joints move the flange, in order from the base."""
+        """Indices of its joints that move the flange, in order from the base."""
         return self.of.chain
 
     @property
     def reach(self) -> float:
-        """The reach of the robot it doubles, m."""
+        """Reach of the robot it copies, m."""
         return self.of.reach
 
     @property
     def arrow_quantity(self) -> str:
-        """What its arrows show at first."""
+        """Quantity that its arrows initially show."""
         return self.double.arrow_quantity or self.robot.arrow_quantity
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
-        """What its billboards say, where declared for it or for its robot."""
+        """Declared lines of its billboards, its own or those of its robot."""
         return self.double.billboard_lines or self.robot.billboard_lines
 
 
@@ -166,14 +167,14 @@ Owner = RobotPart | DoublePart
 
 
 @dataclass(frozen=True, eq=False)
-class Ghost:
-    """A robot as it stands in another state of the same model.
+class DrawnDouble:
+    """A double drawn from another state of the same model.
 
     Attributes:
         double: name of the double.
         model: compiled.
         data: the other state, frames up to date.
-        geoms: which geoms of the model to draw, (ngeom,).
+        geoms: geoms of the model to draw, (ngeom,) bool.
         rgba: its colour, (4,).
     """
 

@@ -1,4 +1,4 @@
-"""`SerialRobot`: a Denavit-Hartenberg table with link geometry (the paper's Fig. 3 and more)."""
+"""`SerialRobot`: a robot declared by a Denavit-Hartenberg table and link geometry (Fig. 3)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shap
 from ..errors import DeclarationError
 from ..toml_file import key_lines, located, read_toml
 from .dh import COLUMNS, DhTable
-from .dynamics import Dynamics, is_over, merged_tables
+from .dynamics import Dynamics, is_overridden, merge_tables
 from .objects import set_directory
 from .robot_parts import (
     IN_DEGREES,
@@ -57,52 +57,53 @@ class SerialRobot(Declaration):
         description: one line about it, for `sero-mj list`.
         dh_convention: `craig` (modified) or `standard`; there is no default.
         dh_params: (n, 4), one row per joint.
-        dh_params_deg: the same with alpha and theta in degrees; becomes dh_params.
-        dh_columns: what the four columns are.
-        length_unit: of a and d in the table, `m` or `mm`, which becomes m. Of nothing else.
-        joint_types: `revolute` or `prismatic`, n words.
+        dh_params_deg: the same with alpha and theta in degrees; converted to dh_params.
+        dh_columns: order of the four columns.
+        length_unit: unit of a and d in the table, `m` or `mm`; converted to m. It applies to
+            nothing else.
+        joint_types: n times `revolute` or `prismatic`.
         joint_names: n names; J1, J2, ... by default.
-        position_limits: (n, 2), lower and upper.
-        position_limits_deg: the same in degrees; becomes position_limits.
-        velocity_limits: (n,), per second.
-        velocity_limits_deg: the same in degrees per second; becomes velocity_limits.
-        torque_limits: (n,).
-        dynamics: masses, inertia and friction; without it they are estimated.
+        position_limits: (n, 2), lower and upper, rad or m.
+        position_limits_deg: the same in degrees; converted to position_limits.
+        velocity_limits: (n,), rad/s or m/s.
+        velocity_limits_deg: the same in degrees per second; converted to velocity_limits.
+        torque_limits: (n,), Nm or N.
+        dynamics: masses, inertia and friction; estimated where not given.
         elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
-        acceleration_limits: (n,), rad/s2 or m/s2; full width of arrows that show accelerations.
+        acceleration_limits: (n,), rad/s2 or m/s2, at which arrows of accelerations have full width.
         directory: folder of the mesh files.
         filenames: base and n links; a name, a table with file and color, or a list of these.
-            Without files the links grow from the DH table.
+            Without files, link shapes are generated from the DH table.
         colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
         mesh_scale: metres per unit of the mesh files.
         base_frame: T_world_base.
         flange_frame: T_n_flange, from the last joint's frame.
-        joint_angles: (n,), where the robot stands until something is received.
+        joint_angles: (n,), initial pose, used until something is received.
         children: objects fixed to the flange.
         enable_touch_sensor: whether a click on the robot toggles its features.
         stale_after: s without a packet until the robot is shown grey.
-        offsets_to_center_of_joints: (n, 3), moves arrows and billboards in the joint's frame.
+        offsets_to_center_of_joints: (n, 3), m, offset of arrows and billboards in the joint's
+            frame.
         show_axes: whether coordinate axes are shown at the base, every joint and the flange.
-        axes_size: their length in m. Robots without meshes have their own by default.
+        axes_size: their length, m; by default in proportion to generated shapes.
         axes_transparency: 0 opaque to 1 invisible.
         show_arrows: whether round arrows are shown.
-        arrow_quantity: what they show: `torques`, `torque_error` (commanded - measured),
-            `joint_accelerations`, or `singularity` (towards it, see `decor.singularity`).
-        arrow_dead_band: share of the limit below which nothing is shown, for noise.
-        arrow_radius: of the round arrows, in m. About shapes that grow from the DH table it is
-            by default as large as is needed to be clear of them.
+        arrow_quantity: quantity of the arrows: `torques`, `torque_error` (commanded - measured),
+            `joint_accelerations`, or `singularity` (see `decor.singularity`).
+        arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
+        arrow_radius: of the round arrows, m; by default large enough to clear generated shapes.
         arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
             `arrow_radius` wide at the limit, times this over its default of 0.01.
-        torques: measured, (n,), until something is received; None for no data.
-        commanded_torques: (n,), likewise.
-        joint_accelerations: (n,), rad/s2 or m/s2, likewise.
+        torques: initial measured torques, (n,), Nm or N; None for no data.
+        commanded_torques: initial commanded torques, (n,), Nm or N; None for no data.
+        joint_accelerations: initial accelerations, (n,), rad/s2 or m/s2; None for no data.
         show_billboards: whether billboards are shown.
-        billboard_scale: text height over picture height is 0.7 times this.
-        billboard_values: (n,) until something is received; None for no data.
-        billboard_lines: what billboards say; None for what is routed to the robot.
-        inputs: names of further per-joint inputs for billboards, e.g. `temperatures`.
-        flange_tolerance: how far, in m, a received `flange_check` may be from the flange.
-        flange_tolerance_deg: likewise, in degrees.
+        billboard_scale: text height, in units of 0.7 times the picture height.
+        billboard_values: initial values, (n,); None for no data.
+        billboard_lines: lines of the billboards; None for one per routed input.
+        inputs: names of additional per-joint inputs for billboards, e.g. `temperatures`.
+        flange_tolerance: tolerated distance of a received `flange_check` from the flange, m.
+        flange_tolerance_deg: tolerated angle of it, degrees.
     """
 
     name: Name = "robot"
@@ -160,14 +161,14 @@ class SerialRobot(Declaration):
     @classmethod
     def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
         if "dh_params_deg" not in info.data:
-            raise ValueError("")  # that table is wrong, and this one its default
+            raise ValueError("")  # dh_params_deg is invalid, and dh_params has its default
         columns = info.data.get("dh_columns", [*COLUMNS])
         return dh_rows(rows, info.data.get("dh_params_deg"), columns)
 
     @field_validator(*PER_JOINT)
     @classmethod
     def _one_per_joint(cls, value: Any, info: ValidationInfo) -> Any:
-        rows = info.data.get("dh_params")  # missing when dh_params itself is wrong
+        rows = info.data.get("dh_params")  # missing when dh_params itself is invalid
         if value is not None and rows is not None and len(value) != len(rows):
             raise ValueError(
                 f"found {len(value)} entries; expected {len(rows)}, one per row of dh_params"
@@ -232,7 +233,7 @@ class SerialRobot(Declaration):
 
     @classmethod
     def from_model(cls, model: str, **overrides: Any) -> SerialRobot:
-        """Reads a robot file and sets fields over it.
+        """Reads a robot file and overrides its fields.
 
         Args:
             model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file.
@@ -247,7 +248,7 @@ class SerialRobot(Declaration):
 
     @property
     def dh(self) -> DhTable:
-        """The table in numpy."""
+        """Its Denavit-Hartenberg table."""
         revolute = [kind == "revolute" for kind in self.types]
         return DhTable.from_rows(
             self.dh_params, self.dh_convention, tuple(self.dh_columns), revolute
@@ -270,38 +271,38 @@ class SerialRobot(Declaration):
 
     @property
     def arrow_radii(self) -> Array:
-        """Radius of every joint's arrow (n,), m: as declared, else clear of grown shapes."""
+        """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes."""
         if self.filenames or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
         return _CLEAR_OF_HOUSING * housing_radii(self.dh, self.flange_frame)
 
     @property
     def arrow_loads(self) -> Array:
-        """At which torque an arrow without limit is as wide as its radius (n,), Nm or N.
+        """Effort at which an arrow without limit is as wide as its radius (n,), Nm or N.
 
-        Infinite where `arrow_width_scale` says how wide it is.
+        Infinite where `arrow_width_scale` sets the width.
         """
         return np.full(self.n, np.inf)
 
     @property
     def axes_length(self) -> float:
-        """Length of the axes, m: as declared, else in proportion to grown shapes."""
+        """Length of the axes, m: as declared, else in proportion to generated shapes."""
         if self.filenames or "axes_size" in self.model_fields_set:
             return self.axes_size
         return 4.0 * float(housing_radii(self.dh, self.flange_frame)[0])
 
     @property
     def strokes(self) -> Array:
-        """How far every prismatic joint slides out at most (n,), m; zero where not declared."""
+        """Maximum extension of every prismatic joint (n,), m; zero where not declared."""
         if self.position_limits is None:
             return np.zeros(self.n)
         return np.where(self.dh.revolute, 0.0, np.maximum(self.position_limits[:, 1], 0.0))
 
     @property
     def reach(self) -> float:
-        """How far from its base the flange comes at most, m: with all links in one line.
+        """Maximum distance of the flange from the base, m, with all links in one line.
 
-        Prismatic joints slide as far as `position_limits` let them, and not at all without.
+        Prismatic joints count with their `position_limits`, without these as not extended.
         """
         slides = np.where(self.dh.revolute, 0.0, 1.0)[:, None]
         limits = np.zeros((self.n, 2)) if self.position_limits is None else self.position_limits
@@ -316,11 +317,11 @@ class SerialRobot(Declaration):
 
     @property
     def home(self) -> Array:
-        """Joint angles (n,) before anything is received: the declared ones, else zeros."""
+        """Initial joint angles (n,), rad or m: as declared, else zeros."""
         return np.zeros(self.n) if self.joint_angles is None else self.joint_angles
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
-        """T_base_flange by `dh`, (..., 4, 4), translation in m.
+        """Returns T_base_flange by `dh`, (..., 4, 4), translation in m.
 
         Args:
             joint_angles: (..., n), rad or m; the declared ones when None.
@@ -330,11 +331,11 @@ class SerialRobot(Declaration):
 
 
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:
-    """Builds a robot from its fields, over those of a robot file when one is given.
+    """Builds a robot from its fields, which override those of a robot file if one is given.
 
     Args:
-        fields: fields of `SerialRobot` that stand over the file's; those of `dynamics` singly.
-        model: the robot file; its folder is where its `directory` starts from.
+        fields: fields of `SerialRobot` that override the file's; entries of `dynamics` one by one.
+        model: the robot file; its `directory` is relative to its folder.
 
     Raises:
         DeclarationError: problems in the file carry its name and line; the others do not.
@@ -345,7 +346,7 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)
-    for key in (*IN_DEGREES.values(), "dh_params"):  # an override may be in the other unit
+    for key in (*IN_DEGREES.values(), "dh_params"):  # in the other unit
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)
@@ -353,7 +354,7 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
                 below.pop("length_unit", None)
     whole = {**below, **fields}
     if "dynamics" in below and "dynamics" in fields:
-        whole["dynamics"] = merged_tables(below["dynamics"], fields["dynamics"])
+        whole["dynamics"] = merge_tables(below["dynamics"], fields["dynamics"])
     try:
         robot = SerialRobot(**whole)
         robot._model = model
@@ -362,7 +363,7 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
         lines = key_lines(model)
         raise DeclarationError(
             [
-                problem if is_over(problem.key, fields) else located(problem, model, lines)
+                problem if is_overridden(problem.key, fields) else located(problem, model, lines)
                 for problem in error.problems
             ]
         ) from None

@@ -1,4 +1,4 @@
-"""`RobotDynamics`: a robot's masses, friction and elasticity, as declared or as estimated."""
+"""`RobotDynamics`: a robot's masses, friction and elasticity, declared or estimated."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
 from .estimate import LinkInertias, estimate_links, link_hulls
-from .inertia import turned
+from .inertia import rotate_tensors
 from .robot import SerialRobot
 
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81  # m/s2, MuJoCo's default
 
-# Estimates, by the effort that a joint is made for: its torque limit, else this many times what
-# holds the stretched arm. The LWR's limits are 3.8 times that at joint 2. Of its limits the LWR
-# has 0.8 to 2 % kg m2 as motor inertia, 0.13 to 0.5 % as Coulomb friction and 0.5 to 0.9 % as
-# viscous friction at 1 rad/s.
+# Estimates in proportion to a joint's rated effort: its torque limit, or _STRENGTH times the
+# effort that holds the stretched arm (the LWR's limit is 3.8 times that at joint 2). Per Nm of
+# torque limit the LWR has 0.008 to 0.02 kg m2 motor inertia, 0.0013 to 0.005 Nm Coulomb friction
+# and 0.005 to 0.009 Nm viscous friction at 1 rad/s.
 _STRENGTH = 3.5
 _MOTOR_INERTIA = 0.012
 _COULOMB = 0.004
@@ -30,19 +30,19 @@ _DAMPING_RATIO = 0.03  # of that mode
 
 @dataclass(frozen=True, eq=False)
 class RobotDynamics:
-    """What a robot's equations of motion are made of; frames are those of the DH rows.
+    """Parameters of a robot's equations of motion, in the frames of the DH rows.
 
     Attributes:
         masses: of the base and every link, (n + 1,), kg.
         centers: centres of mass, (n + 1, 3), m.
-        tensors: about these, (n + 1, 3, 3), kg m2.
+        tensors: about the centres of mass, (n + 1, 3, 3), kg m2.
         motor_inertias: reflected to the joints, (n,), kg m2.
-        viscous_friction: before the torque sensor, (n,), Nm s/rad.
+        viscous_friction: on the motor side of the torque sensor, (n,), Nm s/rad.
         coulomb_friction: likewise, (n,), Nm.
         joint_stiffness: (n,), Nm/rad.
         joint_damping: (n,), Nm s/rad.
-        estimated: which of these are no declared figures, in the words of the robot file.
-        hulls: of the links' meshes, (k, 3) each in m; None without meshes.
+        estimated: keys of the robot file's `[dynamics]` that are estimated, not declared.
+        hulls: vertices of the links' convex hulls, (k, 3) each, m; None without meshes.
     """
 
     masses: Array
@@ -58,7 +58,7 @@ class RobotDynamics:
 
 
 def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
-    """Returns the declared figures, in the frames of the DH rows, and estimates for the rest.
+    """Returns the declared parameters, in the frames of the DH rows, and estimates for the rest.
 
     Raises:
         DeclarationError: a mesh file cannot be read, or joints are elastic without an inertia.
@@ -119,12 +119,12 @@ def _declared_links(robot: SerialRobot) -> LinkInertias | None:
     if declared.frames == "zero_pose":
         to_link = np.swapaxes(robot.dh.frames(np.zeros(robot.n))[:, :3, :3], -1, -2)
         centers = (to_link @ centers[..., None])[..., 0]
-        tensors = turned(tensors, to_link)
+        tensors = rotate_tensors(tensors, to_link)
     return LinkInertias(scale * declared.masses, centers, tensors)
 
 
 def _holding_efforts(robot: SerialRobot, links: LinkInertias) -> Array:
-    """What holds the arm that is stretched from each joint against gravity, (n,), Nm or N."""
+    """Returns the efforts that hold the arm, stretched from each joint, against gravity, (n,)."""
     table, n = robot.dh, robot.n
     steps = np.hypot(table.a, table.d)  # from joint to joint
     gyration = np.sqrt(np.trace(links.tensors, axis1=1, axis2=2) / links.masses)

@@ -1,4 +1,4 @@
-"""What fields of `SerialRobot` are made of: tables, limits, mesh files, billboard lines."""
+"""Types of the fields of `SerialRobot`: tables, limits, mesh files, billboard lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .objects import Object, check_mesh_file
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
-# Per-joint inputs that every robot and double has, beside its joint angles and its own `inputs`.
+# Per-joint inputs of every robot and double, in addition to joint angles and its own `inputs`.
 VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboard_values")
 BILLBOARD_VALUES = (
     "torques",
@@ -26,7 +26,7 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 64
-# Limits may stand in degrees instead.
+# Fields that can be given in degrees instead.
 IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
 # Fields with one entry per joint, checked against dh_params.
 PER_JOINT = (
@@ -56,7 +56,7 @@ def _is_permutation(columns: list[str]) -> list[str]:
 def _differ(names: list[str]) -> list[str]:
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"'{name}' stands there twice; expected different names")
+            raise ValueError(f"'{name}' appears twice; expected different names")
     return names
 
 
@@ -109,11 +109,11 @@ class BillboardLine(Declaration):
     """One line of a joint's billboard.
 
     Attributes:
-        value: which of the robot's per-joint inputs it shows, its own `inputs` among them;
-            `torque_error` is commanded - measured.
-        label: put before the number when a billboard has several lines.
-        unit: shown behind the number; None for the value's own SI unit.
-        decimals: digits after the point; None for what suits the value.
+        value: the per-joint input it shows, including the robot's own `inputs`; `torque_error`
+            is commanded - measured.
+        label: text before the number when a billboard has several lines.
+        unit: text after the number; None for the SI unit of the value.
+        decimals: digits after the point; None for the default of the value.
         scale: multiplies the value before it is shown (57.2958 for degrees).
     """
 
@@ -132,7 +132,7 @@ OwnInputs = Annotated[list[Name], AfterValidator(_are_own)]
 
 
 def as_link_meshes(value: Any) -> Any:
-    """A link is a file name, a table with `file` and `color`, a list of those, or "" for none."""
+    """Converts a file name, a table with `file` and `color`, a list of these, or "" for none."""
     if isinstance(value, str):
         return [{"file": value}] if value else []
     if isinstance(value, Mapping | LinkMesh):
@@ -143,17 +143,17 @@ def as_link_meshes(value: Any) -> Any:
 
 
 def as_billboard_lines(value: Any) -> Any:
-    """A line is the name of a value, or a table."""
+    """Converts every line from the name of a value, or from a table."""
     if isinstance(value, list):
         return [{"value": line} if isinstance(line, str) else line for line in value]
     return value
 
 
 def check_colors(links: list[list[LinkMesh]], colors: Mapping[str, Any]) -> None:
-    """Checks that every colour of a mesh exists.
+    """Checks that the colours of meshes are declared.
 
     Raises:
-        ValueError: the file, its colour, and the nearest or all that there are.
+        ValueError: names the file, its colour, and the nearest or all declared colours.
     """
     for mesh in (mesh for link in links for mesh in link):
         if mesh.color is not None and mesh.color not in colors:
@@ -163,27 +163,27 @@ def check_colors(links: list[list[LinkMesh]], colors: Mapping[str, Any]) -> None
 
 
 def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:
-    """Checks that every line shows something that there is.
+    """Checks that every line shows an existing value.
 
     Args:
         lines: of a billboard.
         own: the robot's `inputs`.
 
     Raises:
-        DeclarationError: the line, what it asks for, and what there is.
+        DeclarationError: names the line, its value, and the existing values.
     """
     for k, line in enumerate(lines or []):
         known = [*BILLBOARD_VALUES, *own]
         if line.value not in known:
             near = nearest(line.value, known)
             choices = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
-            hint = f"did you mean '{near}'?" if near else "name it in inputs for one of your own"
+            hint = f"did you mean '{near}'?" if near else "add it to inputs for one of your own"
             message = f"found {line.value!r}; expected {choices}; {hint}"
             raise DeclarationError([Problem(f"{k}.value", message)])
 
 
 def own_inputs(names: list[str]) -> list[str]:
-    """Returns a robot's `inputs`, if none of them is there anyway.
+    """Returns a robot's `inputs` after checking that they do not repeat the standard ones.
 
     Raises:
         ValueError: one has the name of an input that every robot has.
@@ -191,20 +191,20 @@ def own_inputs(names: list[str]) -> list[str]:
     taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
     for name in names:
         if name in taken or name.startswith("show_") or name == "arrow_quantity":
-            raise ValueError(f"'{name}' is there for every robot; expected another name")
+            raise ValueError(f"every robot has '{name}'; expected another name")
     return names
 
 
 def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
-    """Returns the rows of a DH table in rad, from those in degrees where they are given.
+    """Returns the rows of a DH table in rad, converted from degrees where these are given.
 
     Args:
         rows: (n, 4), rad and m.
         in_degrees: the same with angles in degrees, or None.
-        columns: what the four columns are.
+        columns: order of the four columns.
 
     Raises:
-        ValueError: angles that cannot be rad, or a wrong number of rows.
+        ValueError: angles that are implausible in rad, or a wrong number of rows.
     """
     angles = [columns.index("alpha"), columns.index("theta")]
     if in_degrees is not None:

@@ -1,6 +1,6 @@
-"""The text of a route's origin: its words, and the names among them.
+"""Tokens and names in the text of a route's origin.
 
-What the names mean is the business of `sero_mj.drive`; a scene only has to know which there are.
+`sero_mj.drive` interprets the names; a scene only needs to know which are used.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 NOT = "not"
-# Names hold `-`, `.` and `/` (my-udp.values0, lwr/flange), so these two stand between spaces.
-_WORDS = re.compile(
+# Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
+_TOKENS = re.compile(
     r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_./-]*)"
     r"|(?P<sign>[-+*/()\[\],:])"
@@ -20,12 +20,12 @@ _WORDS = re.compile(
 )
 
 
-class Word(NamedTuple):
-    """A piece of an origin's text.
+class Token(NamedTuple):
+    """A token of an origin's text.
 
     Attributes:
-        kind: `number`, `name`, `sign`, or `other` for what has no meaning in a route.
-        text: the piece.
+        kind: `number`, `name`, `sign`, or `other` for characters that are invalid in a route.
+        text: its characters.
         at: index of its first character.
     """
 
@@ -34,23 +34,23 @@ class Word(NamedTuple):
     at: int
 
 
-def words_of(origin: str) -> Iterator[Word]:
-    """Yields the pieces of an origin's text."""
-    for match in _WORDS.finditer(origin):
-        yield Word(match.lastgroup or "other", match.group(), match.start())
+def tokens_of(origin: str) -> Iterator[Token]:
+    """Yields the tokens of an origin's text."""
+    for match in _TOKENS.finditer(origin):
+        yield Token(match.lastgroup or "other", match.group(), match.start())
 
 
 def names_in(origin: str) -> list[str]:
-    """Returns the names in an origin, each once: events, outputs, frames and units."""
-    names = (word.text for word in words_of(origin) if word.kind == "name")
+    """Returns the distinct names in an origin: events, outputs, frames and units."""
+    names = (word.text for word in tokens_of(origin) if word.kind == "name")
     return [name for name in dict.fromkeys(names) if name != NOT]
 
 
 def origin_text(origin: Any) -> str:
-    """Returns an origin as text: numbers and (nested) lists of numbers are constants.
+    """Returns an origin as text; numbers and (nested) lists of numbers are constants.
 
     Raises:
-        ValueError: it is neither text nor finite numbers.
+        ValueError: the origin is neither text nor finite numbers.
     """
     if isinstance(origin, str):
         return origin
@@ -66,7 +66,7 @@ def origin_text(origin: Any) -> str:
 
 
 def _number_text(value: Any) -> str | None:
-    """A number or a list of numbers as text; None where there is anything else."""
+    """Returns a number or a list of numbers as text; None for anything else."""
     if isinstance(value, list | tuple):
         entries = [_number_text(entry) for entry in value]
         texts = [entry for entry in entries if entry is not None]
@@ -75,5 +75,5 @@ def _number_text(value: Any) -> str | None:
         return None
     try:
         return repr(value) if math.isfinite(value) else None
-    except OverflowError:  # an int of hundreds of digits
+    except OverflowError:  # an int too large for a float
         return None

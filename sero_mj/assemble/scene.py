@@ -1,4 +1,4 @@
-"""`Scene`: robots, sources, routes and surroundings, as they are declared."""
+"""`Scene`: the declaration of robots, sources, routes and surroundings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
 from .route_text import names_in, origin_text
 
-# What a scene holds at most; it is compiled in seconds, and not in minutes.
+# Maximum number of entries, so that a scene compiles within seconds.
 MOST_ENTRIES = {
     "robots": 200,
     "doubles": 500,
@@ -33,11 +33,11 @@ MOST_ENTRIES = {
 
 
 class SceneToggles(Declaration):
-    """What is shown of the whole scene; every robot declares its own `show_arrows` and so on.
+    """Initial toggles of the whole scene; robots declare their own (`show_arrows`, ...).
 
     Attributes:
-        legend: whether it is written what arrows show.
-        status: whether faults of the sources are written into the picture.
+        legend: whether the legend of the arrows is shown.
+        status: whether faults of the sources are shown.
         frame_names: whether all axes show their names.
         flange_checks: whether received flange frames are compared with the robots' own.
     """
@@ -49,27 +49,26 @@ class SceneToggles(Declaration):
 
 
 class Scene:
-    """Everything one picture is made from.
+    """The declaration of a scene.
 
     Args:
         robots: by name.
         sources: by name; a table with `kind` and its fields, or a source object.
-        routes: input (`lwr.joint_angles`) to what it gets: an event (`udp.values0`), an
-            expression (`udp.values0[0:7] * deg`), or numbers; kept as text.
+        routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
+            (`udp.values0[0:7] * deg`), or numbers; stored as text.
         doubles: transparent doubles of the robots.
         arrows: Cartesian vectors, shown by smart arrows.
-        frames: frames that are received.
-        objects: fixed things.
+        frames: received frames.
+        objects: fixed objects.
         cameras: by name.
-        lights: by name; one that casts shadows when empty. A headlight is always there.
-        floor: whether there is one.
-        view: where one looks from.
-        toggles: what is shown of the whole scene.
+        lights: by name; one that casts shadows when empty, in addition to a headlight.
+        floor: whether there is a floor.
+        view: the default view.
+        toggles: initial toggles of the whole scene.
         description: one line about it, for `sero-mj list` and `check`.
         name: shown in titles and messages.
         file: the file it was read from.
-        broken: what the file declares but could not be built: sections (`robots`) and entries
-            (`robots.lwr`).
+        broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
 
     Raises:
         DeclarationError: two robots have one name, or a route is neither text nor numbers.
@@ -130,7 +129,7 @@ class Scene:
         """Adds a robot and returns it.
 
         Raises:
-            DeclarationError: a robot of that name is there already.
+            DeclarationError: there is already a robot of that name.
         """
         if robot.name in self.robots:
             message = f"two robots have the name '{robot.name}'; expected different names"
@@ -139,9 +138,10 @@ class Scene:
         return robot
 
     def sources_of(self, *targets: str) -> set[str]:
-        """Names of the sources on which these targets depend; those of all routes by default.
+        """Returns the names of the sources that these targets depend on; by default all targets.
 
-        What depends on another robot's output (`leader.torques`) depends on that one's sources.
+        A target that depends on another robot's output (`leader.torques`) depends on the
+        sources of that robot.
         """
         found: set[str] = set()
         todo = list(targets or self.routes)
@@ -157,23 +157,23 @@ class Scene:
         return found
 
     def named_frames(self) -> dict[str, NamedFrame]:
-        """All frames that arrows, received frames and routes can refer to, by name."""
+        """Returns all frames that arrows, received frames and routes can refer to, by name."""
         return list_frames(self.robots, self.doubles, self.frames, self.objects)
 
     def problems(self) -> list[Problem]:
-        """What its entries say of each other that is not so, or that there are too many."""
+        """Returns invalid references between entries, ambiguous names, and excessive counts."""
         sections = {key: getattr(self, key) for key in MOST_ENTRIES}
         too_many = [
             Problem(key, f"found {len(entries)}; expected at most {MOST_ENTRIES[key]}")
             for key, entries in sections.items()
             if len(entries) > MOST_ENTRIES[key]
         ]
-        if too_many:  # to look at them would take as long as to compile them
+        if too_many:  # checking them would take as long as compiling them
             return too_many
         return [*self._name_problems(), *self._double_problems(), *self._frame_problems()]
 
     def _name_problems(self) -> list[Problem]:
-        """Names in routes that would mean two things."""
+        """Returns names that are ambiguous in routes."""
         problems = []
         taken = dict.fromkeys(self.robots, "a robot")
         sections = (("doubles", self.doubles), ("arrows", self.arrows), ("frames", self.frames))
@@ -183,18 +183,18 @@ class Scene:
                     message = f"{taken[name]} has this name; expected another one"
                     problems.append(Problem(f"{section}.{name}", message))
                 elif name in ("toggles", WORLD):
-                    message = "this word has a meaning in routes; expected another one"
+                    message = "this name is reserved in routes; expected another one"
                     problems.append(Problem(f"{section}.{name}", message))
             taken |= dict.fromkeys(entries, f"one of the {section}")
         placed = [*self.frames, *(item.name for item in self.objects), *self.cameras]
         for name in {name for name in placed if placed.count(name) > 1}:
             if name in self.frames or f"{name}.frame" in self.routes:
-                message = "two things have this name, and a route could mean either"
+                message = "two entries have this name, so a route is ambiguous"
                 problems.append(Problem(f"routes.{name}.frame", message))
         return problems
 
     def _frame_problems(self) -> list[Problem]:
-        """Frames that arrows and received frames refer to and that are not there."""
+        """Returns references of arrows and received frames to frames that do not exist."""
         frames = self.named_frames()
         wanted = []
         for name, arrow in self.arrows.items():
@@ -214,12 +214,12 @@ class Scene:
         ]
 
     def is_broken(self, name: str) -> bool:
-        """Whether an entry of this name, or a whole section, could not be built."""
+        """Whether an entry of this name, or its whole section, is invalid."""
         sections = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
         return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
 
     def _double_problems(self) -> list[Problem]:
-        """Doubles of robots that are not there, or with another number of joints."""
+        """Returns doubles of robots that do not exist or have another number of joints."""
         problems = []
         for name, double in self.doubles.items():
             if not self.declares("robots", double.of):
@@ -244,18 +244,18 @@ class Scene:
         return problems
 
     def declares(self, section: str, name: str) -> bool:
-        """Whether there is such an entry, be it right or wrong; then one report is enough."""
+        """Whether there is such an entry, valid or not; an invalid one is reported elsewhere."""
         entries = self.robots if section == "robots" else self.sources
         return name in entries or bool({section, f"{section}.{name}"} & self.broken)
 
     def declared(self, section: str) -> list[str]:
-        """Names in a section (`robots` or `sources`), those of broken entries included."""
+        """Returns the names in a section (`robots` or `sources`), including invalid entries."""
         entries = self.robots if section == "robots" else self.sources
         broken = [key.partition(".")[2] for key in self.broken if key.startswith(f"{section}.")]
         return [*entries, *broken]
 
     def located(self, problems: list[Problem]) -> list[Problem]:
-        """Returns the problems with this scene's file and lines, where it came from a file."""
+        """Returns the problems with file and line added, for a scene read from a file."""
         if self.file is None:
             return problems
         lines = key_lines(self.file)
@@ -265,7 +265,7 @@ class Scene:
         ]
 
     def _in_its_model(self, problem: Problem, lines: Mapping[str, int]) -> Problem:
-        """A field that the scene takes over from a robot's file is wrong in that file."""
+        """Returns the problem with the robot's file, for a field that is not overridden here."""
         section, _, rest = problem.key.partition(".")
         name, _, key = rest.partition(".")
         robot = self.robots.get(name) if section == "robots" else None
@@ -278,7 +278,7 @@ class Scene:
 
 
 def _texts(routes: Mapping[str, Any]) -> dict[str, str]:
-    """Routes with every origin as text."""
+    """Returns the routes with every origin as text."""
     texts = {}
     for target, origin in routes.items():
         try:

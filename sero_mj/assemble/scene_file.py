@@ -1,4 +1,4 @@
-"""Reads a scene file, and says everything that is wrong in it at once."""
+"""Reads a scene file and reports all of its problems at once."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ def read_scene_file(
     tables: dict[str, Any] | None = None,
     known: Collection[str] = (),
 ) -> tuple[Scene, list[Problem]]:
-    """Reads a scene file, as far as it can be understood.
+    """Reads the valid parts of a scene file and reports the problems of the rest.
 
     Args:
         path: a TOML file.
-        overrides: `robot.field` to its value, over what the file says; routes to it are dropped.
-        tables: those of the file that are of a scene; all of them when None.
-        known: other sections of such files, which are meant when one is mistyped.
+        overrides: values by `robot.field`, which override the file; routes to these are dropped.
+        tables: the tables of the file that belong to a scene; all of them when None.
+        known: names of other sections of such files, suggested when one is mistyped.
 
     Returns:
-        the scene without the parts that are wrong, and every problem. Sources and routes are
-        kept as they stand; `sero_mj.drive` checks them, for it knows what they mean.
+        the scene without its invalid parts, and all problems. Sources and routes are not checked
+        here but in `sero_mj.drive`.
 
     Raises:
         DeclarationError: the file cannot be read at all.
@@ -52,7 +52,7 @@ def read_scene_file(
 
 
 class _Reader:
-    """Reads the sections of one file and collects what is wrong with them."""
+    """Reads the sections of one file and collects their problems."""
 
     def __init__(self, path: Path, tables: dict[str, Any], known: Collection[str]) -> None:
         self.path, self.known = path, known
@@ -82,7 +82,7 @@ class _Reader:
             if key not in sections:
                 self.wrong(key, f"unknown section{did_you_mean(key, [*sections, *self.known])}")
                 if (meant := nearest(key, sections)) is not None:
-                    self.broken.append(meant)  # what refers to its entries is not wrong as well
+                    self.broken.append(meant)  # references to its entries are not reported as well
         read = {}
         for key, reader in sections.items():
             if key in self.tables:
@@ -102,7 +102,7 @@ class _Reader:
         return scene
 
     def override(self, target: str, value: Any) -> None:
-        """Sets `robot.field`, or a field of a double, an arrow, ..., over what the file says."""
+        """Overrides `robot.field`, or a field of a double, an arrow, ..., of the file."""
         name, _, field = target.partition(".")
         entries: dict[str, Any] = {"toggles": self.tables.setdefault("toggles", {})}
         for section in ("cameras", "objects", "frames", "arrows", "doubles", "robots"):
@@ -156,7 +156,11 @@ class _Reader:
         if not isinstance(table, dict):
             message = f"found {table!r}; expected a table [{place}]"
             raise DeclarationError([Problem("", message)])
-        if build in (self._robot, self._object, *self._have_names):  # these check it themselves
+        if build in (
+            self._robot,
+            self._object,
+            *self._have_names,
+        ):  # they check the name
             return build(name, table)
         try:
             is_name(name)
@@ -175,7 +179,7 @@ class _Reader:
 
     def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
         if "name" in table:
-            message = f"is what stands in the header: write [robots.{table['name']}] instead"
+            message = f"belongs in the header: write [robots.{table['name']}] instead"
             raise DeclarationError([Problem("name", message)])
         fields = {**table, "name": name}
         model = fields.pop("model", None)
@@ -199,12 +203,12 @@ class _Reader:
         return build_robot(fields, path)
 
     def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
-        """The table as it stands, but for a file, which is found beside the scene."""
+        """Returns the table of a source, with file names relative to the scene's folder."""
         file = table.get("file")
         return {**table, "file": str(self.path.parent / file)} if isinstance(file, str) else table
 
     def _named(self, kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
-        """Builds what has a field for its name."""
+        """Returns a builder for a declaration that has a field for its name."""
 
         def build(name: str, table: dict[str, Any]) -> T:
             return kind(**{**table, "name": name})

@@ -1,8 +1,7 @@
-"""Link shapes grown from a DH table, for robots without meshes.
+"""Generates link shapes from a DH table, for robots without meshes.
 
 Every link gets a cylinder about its joint's axis (a box for a prismatic joint) and capsules
-along the offsets that lead to the next joint. Sizes follow from the reach, so a finger and a
-crane both look right, and no size is ever zero.
+along the offsets to the next joint. Sizes are in proportion to the reach and never zero.
 """
 
 from __future__ import annotations
@@ -23,7 +22,8 @@ JOINT = (0.36, 0.38, 0.41, 1.0)
 
 _RADIUS_OF_REACH = 0.05
 _SMALLEST_REACH = 0.05  # m; a table of zeros still shows its joints
-_TAPER = 0.55  # the last link is this much of the first: nested joints never share a surface
+# Radius of the last link over that of the first, so that nested joints share no surface.
+_TAPER = 0.55
 _SHORTEST_SEGMENT = 1e-6  # m
 
 
@@ -45,7 +45,7 @@ class LinkShape:
 
 
 def housing_radii(table: DhTable, flange_frame: Array) -> Array:
-    """Radius of the housing that grows about every joint, (n,), m.
+    """Returns the radius of the generated housing of every joint, (n,), m.
 
     Args:
         table: n joints.
@@ -55,12 +55,12 @@ def housing_radii(table: DhTable, flange_frame: Array) -> Array:
     steps = np.abs(table.a) + np.abs(table.d)
     reach = max(steps.sum() + float(np.linalg.norm(flange_frame[:3, 3])), _SMALLEST_REACH)
     longest = max(float(steps.max()), _SMALLEST_REACH / n)
-    # A chain of many short links must not become a sausage: its radius follows the links.
+    # Limited by the link length, for chains of many short links.
     radius = min(_RADIUS_OF_REACH * reach, 0.4 * longest)
     return np.asarray(radius * np.linspace(1.0, _TAPER, n))
 
 
-def grow_links(
+def generate_shapes(
     table: DhTable, flange_frame: Array, strokes: Array | None = None
 ) -> list[list[LinkShape]]:
     """Returns the shapes of the base and of every link, each in its own frame.
@@ -68,8 +68,8 @@ def grow_links(
     Args:
         table: n joints.
         flange_frame: T_n_flange (4, 4).
-        strokes: how far every joint slides out at most, (n,), m; the rods of prismatic joints
-            are so much longer that they never leave their housing.
+        strokes: maximum extension of every joint, (n,), m; the rods of prismatic joints are
+            longer by it, so that they never leave their housing.
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes
@@ -88,10 +88,10 @@ def grow_links(
 
 
 def _segments(table: DhTable, i: int, stroke: float) -> tuple[Array, Array]:
-    """Offsets of row i as polylines: before the joint in frame i, and behind it in frame i + 1.
+    """Returns the offsets of row i as polylines: before the joint in frame i, after it in i + 1.
 
-    The offset along the joint's axis is put where it does not move when the joint does: before
-    the joint for a revolute one. A prismatic joint's rod goes with its link.
+    The offset along the axis of a revolute joint is placed before the joint, where it is fixed.
+    The rod of a prismatic joint moves with its link.
     """
     a, d, alpha = table.a[i], table.d[i], table.alpha[i]
     along_x, along_z = np.array([a, 0.0, 0.0]), np.array([0.0, 0.0, d])
@@ -120,7 +120,7 @@ def _capsules(points: Array, radius: float) -> list[LinkShape]:
 
 
 def _joint(table: DhTable, i: int, radius: float) -> LinkShape:
-    """The housing about the axis of joint i, in frame i + 1."""
+    """Returns the housing about the axis of joint i, in frame i + 1."""
     if table.convention == "craig":
         axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
     else:

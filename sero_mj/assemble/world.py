@@ -1,8 +1,9 @@
-"""`World`: a compiled scene, with the ids and slots that the other layers read by array.
+"""`World`: a compiled scene with index arrays of its robots, doubles, frames and inputs.
 
-What decor shows and `MjData` has no field for (received torques, billboard values, the state of
-sources) lives in named slots of `MjData.userdata`. It is part of MuJoCo's integration state, so
-copies, history and recordings carry it. `mj_resetData` zeroes it: apply the latest packet again.
+Values that decor shows and `MjData` has no field for (received torques, billboard values, the
+state of sources) are stored in named slots of `MjData.userdata`. This is part of MuJoCo's
+integration state, so copies, history and recordings include it. `mj_resetData` zeroes it: apply
+the latest packet again afterwards.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from .joint_table import joint_table, site_ids
 from .mesh_check import mesh_problems
 from .mjcf import build_spec, moved_body
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
-from .mjcf_dynamics import smooth
-from .parts import DoublePart, Ghost, RobotPart
+from .mjcf_dynamics import set_contact_defaults
+from .parts import DoublePart, DrawnDouble, RobotPart
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
@@ -39,7 +40,7 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_IMPLAUSIBLE_REACH = 20.0  # m; no robot arm is so long, and a picture of one shows a floor
+_IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
 
 
 class World(WorldView):
@@ -47,12 +48,13 @@ class World(WorldView):
 
     Args:
         scene: what to compile.
-        dynamic: whether it is to be simulated: links have masses and collide, joints have
-            friction and may be elastic (see `assemble.mjcf_dynamics`).
+        dynamic: whether to compile it for simulation: links have masses and collide, joints
+            have friction and may be elastic (see `assemble.mjcf_dynamics`).
 
     Attributes:
-        dynamic: whether it is to be simulated.
-        dynamics: what every robot's equations of motion are made of, by name; where `dynamic`.
+        dynamic: whether it is compiled for simulation.
+        dynamics: parameters of every robot's equations of motion, by name; empty unless
+            `dynamic`.
 
     The others are those of `WorldView`.
 
@@ -63,7 +65,7 @@ class World(WorldView):
     def __init__(self, scene: Scene, *, dynamic: bool = False) -> None:
         self.scene = scene
         self.dynamic = dynamic
-        problems = scene.problems()  # also of what was added since the scene was made
+        problems = scene.problems()  # checked again, since entries may have been added to the scene
         if problems:
             raise DeclarationError(scene.located(problems))
         _warn_of_lengths(scene)
@@ -77,12 +79,12 @@ class World(WorldView):
         self._spec = root
         self.model = _compile(root, scene)
         if dynamic:
-            smooth(self.model)
+            set_contact_defaults(self.model)
             # Report instability instead of resetting.
             self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if scene.doubles:
             self._measure_without_doubles()
-            # What is not there throws no shadow, and the shadow map costs as much as the picture.
+            # Doubles cast no shadow; the shadow map costs as much as the picture.
             self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
         self.robots = self._find_robots()
         self.doubles = self._find_doubles()
@@ -106,19 +108,19 @@ class World(WorldView):
         return data
 
     def state(self, data: mujoco.MjData) -> Any:
-        """What decor reads of `data`: `data` itself, which has a site for all that it needs."""
+        """Returns the state that decor reads: `data` itself."""
         return data
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
-        """None: they are compiled in."""
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
+        """Returns an empty list: doubles are compiled into the model."""
         return []
 
     def geoms_in_view(self) -> NDArray[np.bool_]:
-        """All but the floor, (ngeom,)."""
+        """Returns all geoms but the floor, (ngeom,) bool."""
         return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
 
     def reset(self, data: mujoco.MjData) -> None:
-        """Puts every robot at its declared joint angles and shows what the scene declares."""
+        """Resets everything to its declared state: joint angles, values, frames."""
         mujoco.mj_resetData(self.model, data)
         for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
@@ -140,11 +142,12 @@ class World(WorldView):
         Args:
             data: what to change.
             target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`.
-            values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN is no data.
+            values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data.
 
         Raises:
             UnknownName: no such name or input.
-            ValueError: not as many numbers as it takes, NaN where it would move, or no frame.
+            ValueError: wrong number of values, NaN in an input that moves something, or not a
+                frame.
         """
         item = self.resolve_input(target)
         try:
@@ -170,7 +173,7 @@ class World(WorldView):
         data.userdata[self.flags[target]] = 1.0
 
     def export(self, path: Path) -> list[Path]:
-        """Writes the MJCF and the files it needs beside it; key frame `home` has the pose.
+        """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
 
         Args:
             path: the XML file; meshes go into a folder beside it, `NAME_assets`.
@@ -182,12 +185,12 @@ class World(WorldView):
         written, folder = [path], path.parent / f"{path.stem}_assets"
         if self.model.nq and self._spec.key("home") is None:
             self._spec.add_key(name="home", qpos=self.make_data().qpos)
-        with _all_digits():
+        with _full_precision():
             text = self._spec.to_xml()
         for name, contents in self._spec.assets.items():
             file = folder / name.rpartition("/")[2]
             if f'file="{name}"' not in text:
-                continue  # nothing in the scene needs it
+                continue  # unused in the scene
             folder.mkdir(exist_ok=True)
             file.write_bytes(contents)
             written.append(file)
@@ -220,9 +223,9 @@ class World(WorldView):
         return parts
 
     def _measure_without_doubles(self) -> None:
-        """Sets the model's extent, which near plane, far plane and shadows scale with.
+        """Sets the model's extent, which scales near plane, far plane and shadows.
 
-        Mocap bodies at one place with the robot make MuJoCo 4.0.0 find twice the extent (seen).
+        MuJoCo 4.0.0 computes twice the extent when mocap bodies coincide with the robot.
         """
         model = self.model
         solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
@@ -262,7 +265,7 @@ class World(WorldView):
 
 
 def _warn_of_lengths(scene: Scene) -> None:
-    """Says which robots are so large that their lengths are in mm, or meant to be."""
+    """Warns of robots that are so large that their lengths are probably in mm."""
     for name, robot in scene.robots.items():
         if robot.reach > _IMPLAUSIBLE_REACH:
             log.warning(
@@ -280,7 +283,7 @@ def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:
             found[name] = robot_dynamics(robot)
         except DeclarationError as error:
             problems += [problem.inside(f"robots.{name}") for problem in error.problems]
-        except ValueError as error:  # by MuJoCo, from the hull of a mesh
+        except ValueError as error:  # raised by MuJoCo for the hull of a mesh
             raise _not_compiled(scene, error) from error
     if problems:
         raise DeclarationError(scene.located(problems))
@@ -295,10 +298,10 @@ def _compile(spec: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
 
 
 @contextmanager
-def _all_digits() -> Iterator[None]:
-    """Has MuJoCo write numbers as they are; on its own it writes six digits of them.
+def _full_precision() -> Iterator[None]:
+    """Makes MuJoCo write numbers with 17 digits instead of six.
 
-    MuJoCo 4.0.0 has no public call for it. Where a later one lacks this, six digits it is.
+    MuJoCo 4.0.0 has no public function for it. A later one may lack this; then it writes six.
     """
     folder = Path(mujoco.__file__).parent
     files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))

@@ -1,4 +1,4 @@
-"""`WorldView`: what decor, hosts and clicks know of a world, whoever has compiled its model."""
+"""`WorldView`: the interface of a world to decor, hosts and picking."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..frames import inverse
 from .frame_table import ArrowTable, FrameTable
 from .inputs import Input
 from .joint_table import JointTable
-from .parts import DoublePart, Ghost, Owner, RobotPart
+from .parts import DoublePart, DrawnDouble, Owner, RobotPart
 from .scene import Scene
 
 Array = NDArray[np.float64]
 
 
 class WorldView(Protocol):
-    """A model, and where in it robots, doubles, frames and arrows are.
+    """A compiled model and the indices of its robots, doubles, frames and arrows.
 
-    A `World` compiles a scene of ours; a `ModelWorld` finds the same in somebody else's model.
-    Decor reads a *state*: for a `World` that is its `MjData`.
+    A `World` is compiled from a scene; a `ModelWorld` is derived from an external model.
+    Decor reads a *state*, which for a `World` is its `MjData`.
 
     Attributes:
-        scene: what is declared.
+        scene: the declarations.
         model: the `MjModel`.
         robots: `RobotPart` by name.
         doubles: `DoublePart` by name.
@@ -35,10 +35,11 @@ class WorldView(Protocol):
         joints: arrays over all joints.
         frames: arrays over all frames.
         arrows: arrays over all smart arrows.
-        inputs: everything that can be set, by `name.key`.
-        slots: name to slice of a state's `userdata`, e.g. `lwr.torques`, `sources.udp`.
-        flags: name of an input to the index in `userdata` that says whether something came.
-        placed: index in `mocap_pos` of what a `frame` or `base_frame` input places, by name.
+        inputs: all inputs, by `name.key`.
+        slots: slice of a state's `userdata` by name, e.g. `lwr.torques`, `sources.udp`.
+        flags: index in `userdata` of the flag that an input was set, by its name.
+        placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
+            name.
     """
 
     scene: Scene
@@ -55,39 +56,61 @@ class WorldView(Protocol):
     placed: Mapping[str, int]
 
     def make_data(self) -> mujoco.MjData:
-        """Returns data of its own, with every robot where it is at first."""
+        """Returns new data in the initial state."""
 
     def reset(self, data: mujoco.MjData) -> None:
-        """Puts everything back where it is at first, as far as the data is ours."""
+        """Resets data to the initial state; does nothing for an external model."""
 
     def state(self, data: mujoco.MjData) -> Any:
-        """What decor reads of `data`: an object with these fields of an `MjData`.
+        """Returns the state that decor reads: an object with these fields of an `MjData`.
 
         `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat`, `userdata`.
         """
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
-        """Doubles that are not compiled into the model, and that decor has to draw.
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
+        """Returns the doubles that decor draws because they are not compiled into the model.
 
         Args:
-            state: what `state` returned.
+            state: as returned by `state`.
             shown: which doubles are switched on, (D,).
         """
 
     def geoms_in_view(self) -> NDArray[np.bool_]:
-        """Which geoms of the model a view of everything holds, (ngeom,)."""
+        """Returns the geoms that a view of the whole scene includes, (ngeom,) bool."""
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
-        """Sets an input; raises UnknownName or ValueError."""
+        """Sets an input.
+
+        Args:
+            data: what to change.
+            target: `name.input`, e.g. `lwr.torques`; see `inputs`.
+            values: of the input's shape, SI units.
+
+        Raises:
+            UnknownName: no such name or input.
+            ValueError: the values do not fit the input.
+        """
 
     def set_declared(self, data: mujoco.MjData, declared: Any, keys: Iterable[str]) -> None:
-        """Sets inputs to what a robot, double, arrow or frame is declared with."""
+        """Sets inputs to the declared values of a robot, double, arrow or frame.
+
+        Args:
+            data: what to change.
+            declared: the declaration.
+            keys: its fields, which are inputs of the same names; those that are None are skipped.
+        """
         for key in keys:
             if getattr(declared, key) is not None:
                 self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
 
     def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
-        """Places what is in `placed` (a base, a received frame, an object, a camera) at (4, 4)."""
+        """Sets the pose of a base, received frame, object or camera.
+
+        Args:
+            data: what to change.
+            name: one of `placed`.
+            T_world: pose in the world, (4, 4), translation in m.
+        """
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
         data.mocap_pos[self.placed[name]] = T_world[:3, 3]
@@ -112,7 +135,7 @@ class WorldView(Protocol):
         raise UnknownName("robot", name, list(names))
 
     def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
-        """T_base_flange (4, 4) of the compiled model at `data`, translation in m.
+        """Returns T_base_flange (4, 4) of the compiled model at `data`, translation in m.
 
         Raises:
             UnknownName: no such robot.
@@ -128,7 +151,7 @@ class WorldView(Protocol):
         return np.asarray(inverse(base) @ flange)
 
     def frame(self, data: mujoco.MjData, name: str) -> Array:
-        """T_world_name (4, 4) of a named frame (`lwr/flange`) at `data`, translation in m.
+        """Returns T_world_name (4, 4) of a named frame (`lwr/flange`) at `data`, translation in m.
 
         Raises:
             UnknownName: no such frame.

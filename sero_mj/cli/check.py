@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"  about   {scene.description}")
     for name, part in world.robots.items():
         robot = part.robot
-        look = "meshes" if robot.filenames else "shapes grown from its DH table"
+        look = "meshes" if robot.filenames else "shapes generated from its DH table"
         reach = f"reach {robot.reach:.4g} m"
         print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}, {reach}")
         estimated = robot_dynamics(robot).estimated

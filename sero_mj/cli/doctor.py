@@ -12,7 +12,7 @@ import subprocess
 import sys
 from typing import Any
 
-from ..show.headless.backend import BACKENDS, PACKAGES, has_display, osmesa_is_there
+from ..show.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
 from ._arguments import Commands, add_command
 
 _EPILOG = """\
@@ -129,6 +129,6 @@ def try_backend(name: str) -> dict[str, Any]:
     lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
     errors = [line for line in lines if "Error" in line and not line.startswith(" ")]
     reason = errors[0] if errors else lines[-1] if lines else f"signal {-done.returncode}"
-    if name == "osmesa" and not osmesa_is_there():
+    if name == "osmesa" and not has_osmesa():
         reason = "libOSMesa is not installed"
     return {"works": False, "reason": re.sub(r"^\S+\.py:\d+: ", "", reason)[:160]}

@@ -1,7 +1,7 @@
-"""Smart axes: x red, y green, z blue, at the base, every joint, the flange and named frames.
+"""Smart axes: coordinate axes at the base, every joint, the flange and named frames.
 
-Frames at one place are nested: each further one has shorter and thicker bars, so that all of them
-can be told apart and clicked on, whatever their orientation (section 2.5).
+x is red, y green, z blue. Coinciding frames are nested: each further one has shorter and thicker
+bars, so that all of them can be distinguished and clicked on in any orientation (section 2.5).
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from .pen import GREY, Kind, Pen
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# Red, green, blue as is customary, in shades that differ in lightness as well.
+# Red, green, blue, in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
 _HALF_WIDTH_OF_LENGTH = 0.022
-_STALE_SHARE = 0.75  # how grey a frame without fresh data is
-# Frames nearer than the first are at one place; further than the second they are not. Between
-# the two sizes change gradually, so that frames that move apart do not flicker.
+_STALE_SHARE = 0.75  # fraction of grey in the colour of a stale frame
+# Frames closer than the first coincide, farther than the second they do not. In between, sizes
+# change continuously, so that frames that move apart do not flicker.
 _AT_ONE_PLACE = (0.004, 0.02)  # m
-_SHORTER, _THICKER = 0.45, 0.35  # per frame at the same place
-# A rotation of the bar's z onto x, y and z.
+_SHORTER, _THICKER = 0.45, 0.35  # scale factors per coinciding frame
+# Rotations of the bar's z onto x, y and z.
 _ONTO_AXIS = np.array(
     [
         [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
@@ -50,13 +50,13 @@ class SmartAxes(Feature):
 
 
 def ranks(positions: Array) -> Array:
-    """How many earlier frames every frame shares its place with.
+    """Returns how many earlier frames coincide with every frame.
 
     Args:
         positions: (m, 3), m.
 
     Returns:
-        (m,), 0 for the first one at a place; continuous in the positions.
+        (m,), 0 for the first of coinciding frames; continuous in the positions.
     """
     squares = np.einsum("ij,ij->i", positions, positions)
     apart = squares[:, None] + squares - 2.0 * positions @ positions.T
@@ -68,21 +68,22 @@ def ranks(positions: Array) -> Array:
 
 @cache
 def _earlier(m: int) -> Array:
-    """1 where the column's frame comes before the row's, (m, m)."""
+    """Returns 1 where the column's frame comes before the row's, (m, m)."""
     return np.tril(np.ones((m, m)), -1)
 
 
 def draw_axes(pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, stale: Bools) -> None:
     """Draws three bars for every frame whose axes are shown.
 
-    Bars, for a box has 12 triangles and an arrow a thousand: axes would cost more than the robot.
+    Bars are boxes of 12 triangles. Arrow geoms have a thousand: axes would cost more than the
+    robot.
 
     Args:
         pen: where to.
         world: the compiled scene.
         data: its state.
-        shown: which frames' axes to draw, (M,).
-        stale: which ones have no fresh data and are grey, (M,).
+        shown: which frames' axes to draw, (M,) bool.
+        stale: which frames have no fresh data and are drawn grey, (M,) bool.
     """
     table = world.frames
     index = (shown & (table.alpha > 0)).nonzero()[0]
@@ -119,14 +120,14 @@ def draw_bars(
         size: length and half the width of the bars, (k,) each, m.
         rgb: of the three bars, (3, 3) or (k, 3, 3).
         alpha: (k,).
-        items: which frames they are, (k,); None for what cannot be clicked on.
+        items: rows of the frames in `FrameTable`, (k,); None for axes that cannot be clicked on.
     """
     kind = Kind.NONE if items is None else Kind.AXES
     owners = 0 if items is None else np.repeat(items, 3)
     rows = pen.take(3 * len(origins), int(mujoco.mjtGeom.mjGEOM_BOX), kind, owners)
     if not len(rows):
         return
-    grid = rows.reshape(-1, 3)  # three bars a frame
+    grid = rows.reshape(-1, 3)  # three bars per frame
     length, half_width = size[0][:, None], size[1][:, None]
     onto = rotation[:, None] @ _ONTO_AXIS
     grid["pos"] = origins[:, None] + onto[..., 2] * (length / 2)[..., None]

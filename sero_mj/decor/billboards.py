@@ -1,4 +1,4 @@
-"""Billboards: the numbers of every joint on a panel that faces the camera (section 2.1)."""
+"""Billboards: panels with the values of every joint that face the camera (section 2.1)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .picture_view import PictureView
 Array = NDArray[np.float64]
 
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
-_TINT = 0.30  # how much of a double's colour its panels have
+_TINT = 0.30  # fraction of the double's colour in the colour of its panels
 
 
 class Billboards(Feature):
-    """The billboards of one world; holds what their lines look like."""
+    """The billboards of one world."""
 
     order = 10
 
@@ -34,7 +34,7 @@ class Billboards(Feature):
         declared = [declared_lines(part, world.scene) for part in parts]
         for owner, joint, revolute in zip(joints.owner, joints.names, joints.revolute, strict=True):
             name, part = joint, parts[owner]
-            # A name alone would not say whose joint it is.
+            # With several robots, joint names alone are ambiguous.
             if len(world.robots) > 1 or isinstance(part, DoublePart):
                 name = f"{part.declared.name} {joint}"
             self._lines.append(billboard_lines(name, declared[owner], not revolute))
@@ -47,7 +47,7 @@ class Billboards(Feature):
         self._widths: dict[tuple[int, int], int] = {}
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the billboards of all joints in the picture that are to show one."""
+        """Adds the billboards that are shown, of joints in the picture."""
         cards = self._cards(frame)
         if cards is not None:
             frame.cards.append(cards)
@@ -73,7 +73,7 @@ class Billboards(Feature):
             [line.text(float(values[line.key][i])) for line in of_joint]
             for i, of_joint in zip(index, lines, strict=True)
         ]
-        # Clear of the round arrows of the joint that is nearest to the eye.
+        # Clear of the round arrows of the joint closest to the camera.
         clear = 2.0 * joints.arrow_radius[index].max() / view.pixel_size(float(depth.min()))
         return Cards(
             kind=Kind.BILLBOARD,
@@ -88,7 +88,7 @@ class Billboards(Feature):
         )
 
     def _sizes(self, view: PictureView, lines: list[list[Line]], texts: list[list[bytes]]) -> Array:
-        """Panel sizes that do not change with the digits, unless a number is unusually long."""
+        """Returns panel sizes (k, 2), pixels, constant except for unusually long numbers."""
         font, known = view.font, self._widths
         widths = np.empty(len(lines))
         for k, (of_joint, of_text) in enumerate(zip(lines, texts, strict=True)):
@@ -103,7 +103,7 @@ class Billboards(Feature):
 
 
 def _tinted(part: object) -> Array:
-    """Colour of a panel: that of a double is tinted, so that its numbers are not the robot's."""
+    """Returns the colour of a panel (4,); panels of doubles are tinted in the double's colour."""
     rgba = np.array(PANEL_RGBA)
     if isinstance(part, DoublePart):
         rgba[:3] += _TINT * (part.double.rgba[:3] - rgba[:3])
@@ -111,7 +111,7 @@ def _tinted(part: object) -> Array:
 
 
 def _declared_heights(world: WorldView) -> Array:
-    """Height of every joint where the scene declares it, a double's where its robot's is, (N,)."""
+    """Returns the height of every joint in the declared pose (N,), m; doubles as their robots."""
     data = world.state(world.make_data())
     joints = world.joints
     heights = np.array(data.site_xpos[joints.centre_site, 2])

@@ -1,4 +1,4 @@
-"""Cards: panels beside the robots, each with a leader to what it belongs to, in one layout."""
+"""Cards: panels beside the robots, with a leader line to the item they describe."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from .picture_view import PictureView
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-# Dark on a light scene, and the other way round.
+# Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
 
 
 @dataclass(frozen=True, eq=False)
 class Cards:
-    """Cards of one kind, not yet laid out.
+    """Cards of one kind, before layout.
 
     Attributes:
-        kind: what they belong to.
-        items: which of them, (k,).
-        anchors: pixel that their leaders point at, (k, 2).
+        kind: kind of the items they describe.
+        items: indices of these items, (k,).
+        anchors: pixels that their leaders point at, (k, 2).
         sizes: width and height, (k, 2), pixels.
         texts: the lines of every card, top first.
         side: `layout.LEFT` or `RIGHT`, (k,).
-        rank: the order in which they stand above each other, lowest first, (k,).
-        clear: how far from the anchors their columns begin, pixels.
+        rank: vertical order, lowest first, (k,).
+        clear: minimum horizontal distance of their columns from the anchors, pixels.
         rgba: (k, 4), or one for all.
     """
 
@@ -54,14 +54,14 @@ def lay_out(
     corners: list[Panels],
     leader_rgba: tuple[float, float, float, float] = LEADER_RGBA["light"],
 ) -> list[Panels]:
-    """Gives every card its place, draws the leaders and returns the panels for `draw_panels`.
+    """Places every card, draws the leaders and returns the panels for `draw_panels`.
 
     Args:
         pen: where to.
         view: of the picture.
         groups: cards of every kind.
-        points: of the robots and doubles that are shown, (m, 3), m; cards stand beside them.
-        corners: what stands in the corners of the picture, to be kept clear of.
+        points: of the robots and doubles that are shown, (m, 3), m; cards are placed beside them.
+        corners: panels in the corners of the picture, which cards must not cover.
         leader_rgba: of the leaders.
     """
     groups = [group for group in groups if group.texts]
@@ -98,8 +98,8 @@ def lay_out(
     return panels
 
 
-def below(right: Panels, left: Panels) -> Panels:
-    """The panels of the upper left corner, moved below those of the right one if they meet."""
+def move_below(right: Panels, left: Panels) -> Panels:
+    """Returns the upper left corner's panels, moved below the right one's if they overlap."""
     low, _ = _bounds(right)
     _, high = _bounds(left)
     down = high[1] - low[1]
@@ -109,13 +109,13 @@ def below(right: Panels, left: Panels) -> Panels:
 
 
 def _bounds(panels: Panels) -> tuple[Array, Array]:
-    """Lower left and upper right pixel of all panels of a corner."""
+    """Returns the lower left and upper right pixel of all panels of a corner."""
     half = panels.sizes / 2
     return (panels.centres - half).min(axis=0), (panels.centres + half).max(axis=0)
 
 
 def _span(view: PictureView, points: Array, anchors: Array) -> tuple[float, float]:
-    """First and last column of pixels that the robots take, of those that the host leaves free."""
+    """Returns the first and last pixel column of the robots, within the host's free area."""
     pixels, depth = view.project(points)
     across = np.concatenate([pixels[depth > view.near, 0], anchors[:, 0]])
     low, high = view.free[0][0], view.free[1][0]
@@ -123,10 +123,10 @@ def _span(view: PictureView, points: Array, anchors: Array) -> tuple[float, floa
 
 
 def heights_in_order(heights: Array) -> Ints:
-    """Rank of every height, the lowest first, (k,).
+    """Returns the rank of every height, the lowest first, (k,).
 
-    The order is taken once, where the scene declares things: sorting by the heights of the
-    moment would make panels swap places.
+    The order is computed once, in the declared pose: sorting by the current heights would make
+    panels swap places.
     """
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), np.intp)

@@ -1,16 +1,16 @@
-"""`Decor`: everything that is drawn over a world, as one function of data, toggles and view."""
+"""`Decor`: all features of a world, as a function of data, toggles and view."""
 
 from __future__ import annotations
 
 import logging
 
 import mujoco
+import numpy as np
 
 from ..assemble.world_view import WorldView
 from .cards import LEADER_RGBA, lay_out
 from .feature import Feature, Frame, make_features
-from .hover import hover_panel
-from .panels import draw_panels
+from .panels import Panels, draw_panels, labels_at, panel_sizes
 from .pen import CAPACITY, Pen
 from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
@@ -20,18 +20,23 @@ from .toggles import Toggles
 
 log = logging.getLogger(__name__)
 
+_BESIDE = 0.6  # distance of the label from the pointer, of a line's height
+# Positions of the label: lower right, where pointers do not cover it, then above, then left.
+_CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
+_HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
+
 
 class Decor:
     """The decor of one world.
 
     Args:
         world: the compiled scene.
-        capacity: how many geoms the host takes.
-        max_segments: how many of them a round arrow has at most.
+        capacity: maximum number of geoms that the host takes.
+        max_segments: maximum number of geoms of a round arrow.
 
     Attributes:
-        pen: the geoms of the frame that was drawn last.
-        features: what is drawn, in order.
+        pen: the geoms of the last frame.
+        features: the features, in drawing order.
     """
 
     def __init__(
@@ -48,15 +53,15 @@ class Decor:
 
         Args:
             data: the world's state, with frames up to date (`drive.Placer`).
-            toggles: what is shown; those that packets switch are switched.
-            view: from where, and how large the picture is.
+            toggles: what is shown; updated from inputs that packets set.
+            view: camera and picture size.
         """
         pen, world = self.pen, self._world
         data = world.state(data)
         pen.clear()
         toggles.follow(data)
         pen.hidden = toggles.hidden_geoms()
-        pen.ghosts = world.drawn_doubles(data, toggles.doubles)
+        pen.drawn_doubles = world.drawn_doubles(data, toggles.doubles)
         stale = self._staleness.find(data)
         for name, on in zip(world.doubles, toggles.doubles, strict=True):
             if not on:
@@ -85,22 +90,46 @@ class Decor:
             *frame.panels,
             *self._staleness.panels(pen, data, view, stale),
         ]
-        # Numbers first: what finds no room are boxes of arrows, and no text.
-        draw_panels(pen, view, [*panels, *hover_panel(toggles, view, panels)])
+        # Text first: where the capacity is exceeded, arrows are dropped and not text.
+        draw_panels(pen, view, [*panels, *_hover_panel(toggles, view, panels)])
         self._each("draw", frame)
         return pen
 
     def _each(self, step: str, frame: Frame) -> None:
-        """Has all features do a step; one that fails is taken out, the others go on."""
+        """Runs a step of all features; one that raises is logged and removed."""
         for feature in [*self.features]:
             try:
                 getattr(feature, step)(frame)
             except Exception:
                 if _is_own(feature):
                     raise
-                log.exception("%s cannot be drawn and is left out from now on", type(feature))
+                log.exception("%s cannot be drawn and is disabled", type(feature))
                 self.features.remove(feature)
 
 
 def _is_own(feature: Feature) -> bool:
     return type(feature).__module__.startswith(__package__)
+
+
+def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> list[Panels]:
+    """Returns the label beside the pointer in a list; empty if there is nothing under it.
+
+    Args:
+        toggles: `hover` has the text and the pointer's position.
+        view: of the picture.
+        others: all panels of the frame; the label is placed where it covers least of them.
+    """
+    if toggles.hover is None:
+        return []
+    text, pixel = toggles.hover
+    lines = [[text.encode("ascii", "replace")[:99]]]
+    width = np.array([view.font.width(lines[0][0])])
+    size = panel_sizes(width, 1, view)[0]
+    centres = np.array(pixel) + (size / 2 + _BESIDE * view.font.height) * _CORNERS
+    centres, sizes = labels_at(view, centres, lines * len(_CORNERS))
+    covered = np.zeros(len(_CORNERS))
+    for panels in others:
+        overlap = (sizes[0] + panels.sizes) / 2 - np.abs(centres[:, None] - panels.centres)
+        covered += np.maximum(overlap, 0.0).prod(axis=2).sum(axis=1)
+    best = covered.argmin()  # ties go to the first candidate
+    return [Panels(centres[best : best + 1], sizes[:1], lines, _HOVER_RGBA, in_front=True)]

@@ -1,4 +1,4 @@
-"""`Feature`: one thing that decor shows, of ours or of another package; and what it is given.
+"""`Feature`: the base class of visual features, built-in or of another package; and its `Frame`.
 
 A package adds a feature by an entry point in the group `sero_mj.decor`:
 
@@ -32,23 +32,23 @@ Bools = NDArray[np.bool_]
 
 @dataclass(eq=False)
 class Frame:
-    """One frame while it is laid out.
+    """A frame during layout.
 
     Attributes:
         pen: takes geoms.
         data: the state of the world: `time`, `xpos`, `site_xpos`, `userdata`, ... as of `MjData`.
-        view: from where, and how large the picture is.
+        view: camera and picture size.
         toggles: what is switched on.
-        shown: what of that is anywhere.
+        shown: the part of it that has a pose.
         values: per-joint values by name, (N,) each: `torques`, `torque_error`, `joint_angles`, and
             every other input of robots; NaN for no data.
-        arrow_values: what the joints' arrows show, (N,), NaN for no data.
-        arrow_limit: at which value an arrow is at full width, (N,), inf where there is none.
-        stale: what to say of robots, doubles, arrows and frames without fresh data, by name.
-        stale_joints: which joints have no fresh data, (N,).
-        max_segments: how many boxes a round arrow has at most.
-        cards: panels beside the robots with leaders; features add theirs.
-        corners: panels in the corners of the picture, which cards keep clear of; likewise.
+        arrow_values: values that the joints' arrows show, (N,), NaN for no data.
+        arrow_limit: values at which arrows have full width, (N,), inf for none.
+        stale: message by name of robots, doubles, arrows and frames without fresh data.
+        stale_joints: which joints have no fresh data, (N,) bool.
+        max_segments: maximum number of boxes of a round arrow.
+        cards: panels beside the robots with leaders; features append theirs.
+        corners: panels in the corners of the picture, which cards do not cover; likewise.
         panels: other panels; likewise.
     """
 
@@ -68,23 +68,23 @@ class Frame:
     panels: list[Panels] = field(default_factory=list)
 
     def is_stale(self, names: list[str]) -> Bools:
-        """Which of these have no fresh data."""
+        """Returns which of these names have no fresh data, (k,) bool."""
         if not self.stale:
             return np.zeros(len(names), bool)
         return np.array([name in self.stale for name in names], bool)
 
 
 class Feature:
-    """Something that decor shows in a world.
+    """A visual feature of a world.
 
-    All features lay out first, then text is drawn, then all of them draw: where a host has no room
-    for everything, numbers are kept.
+    All features lay out first, then text is drawn, then all of them draw. So text is kept where
+    the number of geoms exceeds the host's capacity.
 
     Args:
-        world: whose decor it is.
+        world: the compiled scene.
 
     Attributes:
-        order: features of lower numbers come first, in both passes; sero-mj's own have 10 to 90.
+        order: position in both passes, lowest first; built-in features have 10 to 90.
     """
 
     order: ClassVar[int] = 100
@@ -100,7 +100,7 @@ class Feature:
 
 
 def make_features(world: WorldView) -> list[Feature]:
-    """Every feature that is installed, for one world; what cannot be loaded is logged and left."""
+    """Returns all installed features for a world; logs those that cannot be loaded."""
     found: list[tuple[int, str, type[Feature]]] = []
     for name in plugins(DECOR):
         try:

@@ -1,7 +1,7 @@
-"""Consistency (section 3.1): a received base-to-flange frame against the robot's own.
+"""Flange check (section 3.1): compares a received base-to-flange frame with the robot's own.
 
-It is shown as a second, paler flange frame with a line to the first. The difference is written
-into the upper right corner, or in red beside the flange when it is above the robot's
+The received frame is drawn as a second, paler flange frame with a line to the first. The difference
+is shown in the upper right corner, or in red beside the flange if it exceeds the robot's
 `flange_tolerance`.
 """
 
@@ -26,7 +26,7 @@ from .smart_arrows import frames_along
 Array = NDArray[np.float64]
 
 OFF_RGBA = (0.55, 0.04, 0.04, 0.92)
-_PALE = 0.45  # how near to white the received axes are
+_PALE = 0.45  # fraction of white in the colour of the received axes
 _LINE_RGBA = (0.78, 0.07, 0.07, 1.0)
 _RIGHT_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
 _LINE_HALF_WIDTH = 0.003  # m
@@ -38,7 +38,7 @@ _MARGIN = 0.5  # of a line's height
 def flange_difference(
     world: WorldView, data: mujoco.MjData, robot: str
 ) -> tuple[float, float] | None:
-    """How far the received flange frame is from the robot's own.
+    """Returns the difference between the received flange frame and the robot's own.
 
     Args:
         world: the compiled scene.
@@ -46,8 +46,8 @@ def flange_difference(
         robot: its name.
 
     Returns:
-        distance of the origins in m and angle between the two in rad; None where no frame, or
-        one with NaN, was received.
+        distance of the origins, m, and angle between the two, rad; None if no frame, or one
+        with NaN, was received.
     """
     received = _received(world, data, robot)
     if received is None:
@@ -58,7 +58,7 @@ def flange_difference(
 
 
 def _received(world: WorldView, data: mujoco.MjData, robot: str) -> Array | None:
-    """T_base_flange (4, 4) as received."""
+    """Returns the received T_base_flange (4, 4)."""
     target = f"{robot}.flange_check"
     if data.userdata[world.flags[target]] <= 0:
         return None
@@ -67,7 +67,7 @@ def _received(world: WorldView, data: mujoco.MjData, robot: str) -> Array | None
 
 
 class FlangeCheck(Feature):
-    """Draws the comparison for every robot that one has been received for."""
+    """Draws the comparison for every robot with a received flange frame."""
 
     order = 30
 
@@ -76,10 +76,10 @@ class FlangeCheck(Feature):
         self._flags = np.array([world.flags[f"{name}.flange_check"] for name in world.robots], int)
 
     def lay_out(self, frame: Frame) -> None:
-        """Draws the received flange frames, and adds what is said of them.
+        """Draws the received flange frames and adds panels with the differences.
 
-        Flanges that are off get a card; those that are not, or are out of the picture, stand in
-        the upper right corner.
+        Differences above tolerance are shown on a card at the flange; the others, and those of
+        flanges outside the picture, in the upper right corner.
         """
         data, view = frame.data, frame.view
         if not frame.toggles.flange_checks or not (data.userdata[self._flags] > 0).any():
@@ -122,7 +122,7 @@ class FlangeCheck(Feature):
         clear: float,
     ) -> Cards:
         widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
-        top = len(self.world.joints.names)  # above all billboards
+        top = len(self.world.joints.names)  # ranked above all billboards
         return Cards(
             kind=Kind.CHECK,
             items=np.array(items, np.intp),
@@ -136,7 +136,7 @@ class FlangeCheck(Feature):
         )
 
     def _draw_frame(self, pen: Pen, data: mujoco.MjData, name: str, off: bool) -> Array:
-        """Draws the received frame and the line to it; returns where it is in the world."""
+        """Draws the received frame and the line to it; returns its position (3,), m."""
         world = self.world
         part: RobotPart = world.robots[name]
         received = _received(world, data, name)
@@ -160,7 +160,7 @@ class FlangeCheck(Feature):
 
 
 def _corner(view: PictureView, lines: list[bytes], off: bool) -> Panels:
-    """A panel in the upper right corner, red where one is off."""
+    """Returns a panel in the upper right corner, red if a difference is above tolerance."""
     widest = np.array([max(view.font.width(line) for line in lines)])
     size = panel_sizes(widest, len(lines), view)
     margin = _MARGIN * view.font.height

@@ -1,4 +1,4 @@
-"""Widths of the characters in MuJoCo's built-in label font."""
+"""Character widths of MuJoCo's built-in label font."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..assemble.world_view import WorldView
 
 Widths = NDArray[np.intp] | NDArray[np.float64]
 
-# MjrContext.charWidth[32:127] at font scale 150 %, read from MuJoCo 4.0.0; a test compares.
+# MjrContext.charWidth[32:127] at font scale 150 %, from MuJoCo 4.0.0; verified by a test.
 _WIDTHS_150 = (
     6, 6, 9, 14, 12, 18, 15, 6, 7, 7, 12, 12, 6, 7, 6, 8, 12, 12, 12, 12, 12, 12, 12, 12, 12,
     12, 6, 6, 12, 12, 12, 10, 18, 15, 14, 16, 15, 14, 13, 16, 15, 6, 12, 15, 12, 18, 15, 17, 14,
@@ -20,7 +20,7 @@ _WIDTHS_150 = (
     5, 11, 5, 17, 12, 12, 12, 12, 7, 11, 6, 12, 11, 15, 11, 11, 11, 8, 12, 8, 12,
 )  # fmt: skip
 
-# Heights of the sizes that MuJoCo has: font scale in percent to pixels.
+# Line heights of MuJoCo's font sizes: font scale in percent to pixels.
 FONT_HEIGHTS = {100: 18, 150: 28, 200: 37, 250: 45, 300: 54}
 
 
@@ -31,8 +31,8 @@ class Font:
     Attributes:
         height: of a line, pixels.
         widths: of the characters 0 to 127, pixels.
-        anchor: which point of its line a label's position is, as shares of its width and height
-            from the lower left corner.
+        anchor: point of a line at a label's position, as fractions of its width and height from
+            the lower left corner.
     """
 
     height: int
@@ -47,12 +47,12 @@ class Font:
         return cls(int(context.charHeight), widths)
 
     def width(self, text: str | bytes) -> int:
-        """Returns how many pixels wide a text of printable ASCII is."""
+        """Returns the width of a text of printable ASCII, pixels."""
         codes = np.frombuffer(text if isinstance(text, bytes) else text.encode("ascii"), np.uint8)
         return int(np.ceil(self.widths[codes & 127].sum()))
 
     def line_widths(self, lines: list[bytes]) -> NDArray[np.float64]:
-        """Returns how many pixels wide every line (k,) of printable ASCII is."""
+        """Returns the widths of lines of printable ASCII (k,), pixels."""
         codes = np.frombuffer(b"".join(lines), np.uint8)
         until = np.concatenate([[0.0], np.cumsum(self.widths[codes & 127])])
         ends = np.cumsum([len(line) for line in lines])
@@ -60,7 +60,7 @@ class Font:
 
 
 def nearest_font_scale(height: float) -> int:
-    """Returns the font scale (percent) whose lines are nearest to that many pixels."""
+    """Returns the font scale (percent) whose line height is closest to `height` pixels."""
     return min(FONT_HEIGHTS, key=lambda scale: abs(FONT_HEIGHTS[scale] - height))
 
 

@@ -1,4 +1,4 @@
-"""The names of coordinate axes that were clicked on (section 2.5)."""
+"""Labels with the names of coordinate frames (section 2.5)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from .pen import Kind
 from .picture_view import PictureView
 from .toggles import Bools
 
-_SPACED = 1.05  # distance of two names that stand under each other, over their height
+_SPACED = 1.05  # vertical distance of two labels over their height
 
 
 class FrameNames(Feature):
-    """The names of the frames that were clicked on."""
+    """Shows the names of frames whose name is switched on, by a click for example."""
 
     order = 60
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds a panel under the origin of every frame whose name is shown."""
+        """Adds a label below the origin of every frame whose name is shown."""
         panels = name_panels(self.world, frame.data, frame.shown.frame_names, frame.view)
         if panels is not None:
             frame.panels.append(panels)
@@ -31,7 +31,14 @@ class FrameNames(Feature):
 def name_panels(
     world: WorldView, data: mujoco.MjData, named: Bools, view: PictureView
 ) -> Panels | None:
-    """Returns a panel under the origin of every frame whose name is shown (M,), or None."""
+    """Returns labels below the origins of frames, or None if there are none.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        named: whether a frame's name is shown, (M,) bool.
+        view: of the picture.
+    """
     shown = named.nonzero()[0]
     if not len(shown):
         return None
@@ -49,7 +56,7 @@ def name_panels(
 
 
 def move_apart(centres: NDArray[np.float64], sizes: NDArray[np.float64]) -> None:
-    """Moves names under those of earlier frames that they would cover, in place.
+    """Moves labels below those of earlier frames that they overlap, in place.
 
     Args:
         centres: (k, 2), pixels.
@@ -58,7 +65,7 @@ def move_apart(centres: NDArray[np.float64], sizes: NDArray[np.float64]) -> None
     for k in range(1, len(centres)):
         beside = np.abs(centres[:k, 0] - centres[k, 0]) < (sizes[:k, 0] + sizes[k, 0]) / 2
         apart = (sizes[:k, 1] + sizes[k, 1]) / 2 * _SPACED
-        # From the highest down: each that is in the way moves the name below it.
+        # From the highest down: the label moves below each one that it overlaps.
         for other in np.argsort(-centres[:k, 1]):
             if beside[other] and abs(centres[other, 1] - centres[k, 1]) < apart[other]:
                 centres[k, 1] = centres[other, 1] - apart[other]

@@ -1,4 +1,4 @@
-"""The geoms of an `MjvScene` as one numpy array, so that a thousand cost a few array writes."""
+"""The geoms of an `MjvScene` as one structured numpy array, for vectorized writes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 log = logging.getLogger(__name__)
 
-# mjvGeom of MuJoCo 4.0 (mjvisualize.h). `struct_view` checks it against the running library.
+# mjvGeom of MuJoCo 4.0 (mjvisualize.h). `struct_view` compares it with the loaded library.
 GEOM = np.dtype(
     {
         "names": [
@@ -35,8 +35,8 @@ _POS_OFFSET = 52
 def struct_view(scene: mujoco.MjvScene) -> NDArray[Any] | None:
     """Returns all geoms of a scene as a structured array that shares their memory.
 
-    The array is valid as long as the scene lives. None when the memory is not laid out as
-    `GEOM` says, which a later MuJoCo may change; then geoms are copied one by one.
+    The array is valid as long as the scene exists. Returns None if the memory layout differs from
+    `GEOM`, as it may in a later MuJoCo; geoms are then copied one by one.
     """
     count = scene.maxgeom
     if count < 2:
@@ -44,22 +44,28 @@ def struct_view(scene: mujoco.MjvScene) -> NDArray[Any] | None:
     first = scene.geoms[0].pos.__array_interface__["data"][0] - _POS_OFFSET
     last = scene.geoms[count - 1].pos.__array_interface__["data"][0] - _POS_OFFSET
     if last - first != (count - 1) * GEOM.itemsize:
-        log.warning("geoms are not %d bytes apart; drawing takes the slow path", GEOM.itemsize)
+        log.warning(
+            "mjvGeom does not have %d bytes; geoms are copied one by one, which is slower",
+            GEOM.itemsize,
+        )
         return None
     memory = (ctypes.c_char * (GEOM.itemsize * count)).from_address(first)
     view = np.frombuffer(memory, GEOM)
     view.flags.writeable = True
     if not (_agrees(view, scene, 0) and _agrees(view, scene, count - 1)):
-        log.warning("mjvGeom has another layout than expected; drawing takes the slow path")
+        log.warning(
+            "mjvGeom has an unexpected memory layout; geoms are copied one by one, which is slower"
+        )
         return None
     return view
 
 
 def _agrees(view: NDArray[Any], scene: mujoco.MjvScene, i: int) -> bool:
-    """Writes every field of one geom through the binding and reads it back through the view."""
+    """Whether every field of one geom, written by the binding, reads back through the view."""
     geom = scene.geoms[i]
     before = view[i : i + 1].tobytes()
-    view[i : i + 1] = np.zeros(1, GEOM)  # fresh memory holds anything, also behind a label's end
+    # New memory is uninitialized, also after the end of a label.
+    view[i : i + 1] = np.zeros(1, GEOM)
     marks = np.zeros(1, GEOM)
     for k, name in enumerate(GEOM.names or ()):
         marks[name] = b"label" if name == "label" else 1 if name == "castshadow" else k + 2
@@ -70,7 +76,7 @@ def _agrees(view: NDArray[Any], scene: mujoco.MjvScene, i: int) -> bool:
 
 
 def set_geom(geom: mujoco.MjvGeom, row: Any) -> None:
-    """Sets one geom from one row, field by field: the path that needs no memory layout."""
+    """Sets one geom from one row, field by field, without relying on the memory layout."""
     for name in GEOM.names or ():
         value = row[name]
         if name == "label":

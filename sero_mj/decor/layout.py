@@ -1,8 +1,8 @@
-"""Where billboards stand in the picture: tidy columns left and right of the robots.
+"""Layout of panels in columns left and right of the robots.
 
-Panels keep their side, their column and their order, whatever the camera does, and their heights
-follow the joints continuously: nothing jumps or flickers while the camera or the robot moves.
-Panels never cover each other as long as the picture has room for them.
+Panels keep their side, column and order for all camera poses, and their heights follow the joints
+continuously, so that nothing jumps while the camera or the robot moves. Panels do not overlap as
+long as the picture is large enough.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 LEFT, RIGHT = 0, 1
-_RAMP = 6  # gaps over which a column that comes near a corner makes way for it
+_RAMP = 6  # distance, in gaps, over which a column that approaches a corner gradually avoids it
 
 
 def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
-    """Moves intervals apart, in their given order, as little as needed.
+    """Moves intervals apart, in their given order, as little as necessary.
 
     Args:
-        centres: where they would like to be, (k,), pixels.
-        heights: how tall they are, (k,), pixels.
-        gap: least space between two, pixels.
-        low: none begins below.
-        high: none ends above. When there is no room for all, they shrink the gap, then overlap
-            evenly, rather than leave the picture.
+        centres: desired centres, (k,), pixels.
+        heights: (k,), pixels.
+        gap: minimum space between two intervals, pixels.
+        low: lower bound of all intervals.
+        high: upper bound of all intervals. If they do not fit, the gap is reduced, then they
+            overlap evenly.
 
     Returns:
         centres (k,), the first lowest.
@@ -38,10 +38,10 @@ def spread(centres: Array, heights: Array, gap: float, low: float, high: float) 
     if needed > room and len(heights) > 1:
         gap = (room - float(heights.sum())) / (len(heights) - 1)
         needed = room
-    below = np.concatenate([[0.0], np.cumsum(heights[:-1] + gap)])  # packed from zero
+    below = np.concatenate([[0.0], np.cumsum(heights[:-1] + gap)])
     start = centres - heights / 2 - below
-    # The mean of the least non-decreasing sequence above and the greatest below is itself
-    # non-decreasing, and continuous in the centres.
+    # The mean of the smallest non-decreasing upper bound and the largest non-decreasing lower
+    # bound is itself non-decreasing, and continuous in the centres.
     rising = np.maximum.accumulate(start)
     falling = np.minimum.accumulate(start[::-1])[::-1]
     start = (rising + falling) / 2
@@ -64,18 +64,18 @@ def columns(
     """Lays out all panels of a picture.
 
     Args:
-        anchors: pixel of every panel's joint, (k, 2), in the order in which panels stand above
-            each other: the first lowest.
+        anchors: pixel of every panel's joint, (k, 2), in vertical order of the panels, lowest
+            first.
         sizes: width and height of every panel, (k, 2), pixels.
         side: `LEFT` or `RIGHT`, (k,).
-        gap: least space between panels, pixels.
+        gap: minimum space between panels, pixels.
         beside: space between the innermost columns and the outermost joint, pixels.
         width: of the picture, pixels.
         height: of the picture, pixels.
-        span: first and last column of pixels that the robots take, to be left free; None for
+        span: first and last pixel column of the robots, which panels do not cover; None for
             those of the anchors.
-        kept_free: rectangles in the corners of the picture (legend, faults, flange check) that no
-            panel covers: left, bottom, right, top, (c, 4), pixels.
+        kept_free: rectangles in the corners of the picture (legend, faults, flange check) that
+            panels do not cover: left, bottom, right, top, (c, 4), pixels.
 
     Returns:
         centres of the panels, (k, 2), pixels from the lower left corner.
@@ -88,14 +88,14 @@ def columns(
     sides = (corners[on_left], corners[~on_left])
     groups = []
     for which in (LEFT, RIGHT):
-        # A corner that reaches over the middle leaves less room to the other side as well.
+        # A corner panel that extends beyond the middle limits the other side too.
         wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
         low, high = _limits(corners[wide | (on_left == (which == LEFT))], height)
         groups.append(_chunks((side == which).nonzero()[0], sizes, gap, high - low))
     widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
     left, right = (sum(group) for group in widths)
-    # Both sides move inward, over the robot if need be, before anything leaves the picture or
-    # covers the other side.
+    # Both sides move inward, over the robot if necessary, so that panels neither leave the picture
+    # nor cover the other side.
     first, last = span or (float(anchors[:, 0].min()), float(anchors[:, 0].max()))
     inner_left = max(first - beside, left)
     inner_right = min(last + beside, width - right)
@@ -104,7 +104,7 @@ def columns(
     for which, outward, start in ((LEFT, -1.0, inner_left), (RIGHT, 1.0, inner_right)):
         edge = start
         for column, column_width in zip(groups[which], widths[which], strict=True):
-            # Panels of one column stand flush on the side of the robot.
+            # Panels of one column are aligned on the side of the robot.
             half = sizes[column, 0] / 2
             x = edge + outward * half
             centres[column, 0] = np.maximum(np.minimum(x, width - half), half)
@@ -120,7 +120,7 @@ def columns(
 
 
 def _limits(corners: Array, height: float) -> tuple[float, float]:
-    """Between which heights corners leave room, a third of the picture at least."""
+    """Returns the vertical range that corners leave free, at least a third of the picture."""
     at_bottom = corners[:, 1] + corners[:, 3] < height
     below = float(corners[at_bottom, 3].max(initial=0.0))
     above = float(corners[~at_bottom, 1].min(initial=height))
@@ -129,10 +129,10 @@ def _limits(corners: Array, height: float) -> tuple[float, float]:
 
 
 def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
-    """Corners of the other side, as high as they matter to a column that begins at `inner`.
+    """Returns corners of the other side, with heights scaled for a column that begins at `inner`.
 
-    One that reaches the column matters as a whole, one that is `ramp` pixels away not at all, and
-    between that in part, so that nothing jumps when the robot moves.
+    The height is full for a corner that reaches the column, zero for one `ramp` pixels away, and
+    interpolated in between, so that panels do not jump when the robot moves.
     """
     away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
     share = np.clip(1.0 - away / ramp, 0.0, 1.0)
@@ -144,7 +144,7 @@ def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: 
 
 
 def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
-    """Splits one side's panels into as few columns as the height allows, of like length."""
+    """Splits one side's panels into as few columns of similar length as the height allows."""
     if not len(index):
         return []
     needed = float(sizes[index, 1].sum()) + gap * len(index)

@@ -1,4 +1,4 @@
-"""The legend: what the arrows show, which way is positive, and what full width means."""
+"""The legend: quantity of the arrows, positive direction, and meaning of full width."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .toggles import Toggles
 Array = NDArray[np.float64]
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
-# The colours of `round_arrows`, in words; a test holds the two together.
+# Names of the colours in `round_arrows`; verified by a test.
 _SIGNS = b"orange: + about z, blue: -"
-_LARGEST_SHARE = 0.10  # of the picture
+_LARGEST_SHARE = 0.10  # maximum fraction of the picture
 _MARGIN = 0.5  # of a line's height
 _WORDS = {
     "torques": ("joint torque", "full width: torque limit"),
@@ -26,13 +26,13 @@ _WORDS = {
     "singularity": ("towards the singularity", "full width: at it"),
 }
 _NICE = (1.0, 2.0, 5.0)
-_STATED_LENGTH = 0.1  # m; the legend states a round number that is about so long
+_STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 
 
 class Legend(Feature):
-    """One panel for every quantity that arrows show, in the lower left corner."""
+    """Panels for all quantities that arrows show, in the lower left corner."""
 
     order = 40
 
@@ -42,7 +42,7 @@ class Legend(Feature):
         self._panels: Panels | None = None
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the legend where an arrow is on and it is wanted."""
+        """Adds the legend if it is switched on and an arrow is."""
         panels = self._shown(frame.toggles, frame.view, frame.arrow_limit)
         if panels is not None:
             frame.corners.append(panels)
@@ -56,10 +56,10 @@ class Legend(Feature):
             toggles.vectors.tobytes(),
             view.font.height,
         )
-        if key != self._key:  # it stands in a corner and changes only when toggles do
+        if key != self._key:  # cached: it changes only with the toggles and the picture size
             self._key, self._panels = key, self._laid_out(toggles, view, limit)
         assert self._panels is not None
-        # In a small picture it would hide more than it explains.
+        # Omitted in a small picture, of which it would cover too much.
         room = _LARGEST_SHARE * view.width * view.height
         panels = self._panels
         kept = int((np.cumsum(panels.sizes.prod(axis=1)) < room).sum())
@@ -95,7 +95,7 @@ class Legend(Feature):
         return Panels(centres, sizes, texts, _RGBA)
 
     def _scales(self, toggles: Toggles) -> list[bytes]:
-        """A line for every kind of smart arrow and every scale: what a length or width means."""
+        """Returns a line for every kind and scale of smart arrow: value per length or width."""
         scene = self.world.scene
         lines: dict[str, list[str]] = {}
         for name, on in zip(self.world.arrows.names, toggles.vectors, strict=True):
@@ -113,6 +113,6 @@ class Legend(Feature):
 
 
 def nice(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above a positive value."""
+    """Returns the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in _NICE if step * power <= value * (1 + 1e-9)) * power)

@@ -1,4 +1,4 @@
-"""Lines of billboards: what a number is called, how it is written, and how wide it may be."""
+"""Lines of billboards: label, unit, number format and width."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 NO_DATA = b"no data"
 NO_LIMIT = b"none"
-# What lines are called where a billboard has several of them.
+# Labels of lines on billboards with several lines.
 _LABELS = {
     "torques": "msr",
     "commanded_torques": "cmd",
@@ -25,8 +25,8 @@ _LABELS = {
     "joint_angles": "pos",
     "billboard_values": "val",
 }
-_PLAIN_BELOW = 1e6  # larger values are written with an exponent
-# Unit and decimals of a value by itself, for revolute and for prismatic joints.
+_PLAIN_BELOW = 1e6  # above it values are written with an exponent
+# Default unit and decimals of a value, for revolute and for prismatic joints.
 _UNITS = {
     "torques": (("Nm", 1), ("N", 1)),
     "commanded_torques": (("Nm", 1), ("N", 1)),
@@ -37,7 +37,7 @@ _UNITS = {
     "torque_share": (("%", 1), ("%", 1)),
 }
 _OWN_UNIT = (("", 2), ("", 2))  # of `billboard_values` and a robot's own inputs
-# What a click on an arrow brings up: the precise numbers (section 2.2), and what they are called.
+# Values and labels that a click on an arrow shows (section 2.2).
 _DETAILS = {
     "commanded_torques": "cmd",
     "torques": "msr",
@@ -49,7 +49,7 @@ _DETAILS = {
 
 @dataclass(frozen=True)
 class Line:
-    """One line of one joint's billboard, ready to be filled."""
+    """The format of one line of a joint's billboard."""
 
     head: str
     form: str
@@ -60,25 +60,25 @@ class Line:
     widest: str
 
     def text(self, value: float) -> bytes:
-        """The line with its number; `no data` for NaN and infinity."""
+        """Returns the line with its number; `no data` for NaN and infinity."""
         if not math.isfinite(value):
             missing = NO_LIMIT if self.key == "torque_limit" else NO_DATA
             return self.head.encode("ascii") + missing
-        # Adding zero turns -0.0, which rounding makes of a small negative, into 0.0.
+        # Adding zero converts -0.0, the result of rounding a small negative value, to 0.0.
         value = round(value * self.scale, self.decimals) + 0.0
         form = self.form if abs(value) < _PLAIN_BELOW else self.scientific
         return (self.head + form % value).encode("ascii", "replace")
 
 
 def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
-    """Returns what billboards say: as declared, else what is routed to the robot or double.
+    """Returns the lines of billboards: as declared, else the inputs routed to the robot or double.
 
-    A double says what its robot says, as far as it has values for it.
+    A double has the lines of its robot, as far as it has values for them.
     """
     declared = part.declared
 
     def comes(key: str) -> bool:
-        if key == "torque_error":  # it follows from the two
+        if key == "torque_error":  # computed from the two
             return comes("commanded_torques") and comes("torques")
         return f"{declared.name}.{key}" in scene.routes or getattr(declared, key, None) is not None
 
@@ -95,7 +95,13 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
 
 
 def billboard_lines(joint: str, declared: list[BillboardLine], prismatic: bool) -> list[Line]:
-    """The lines of one joint's billboard."""
+    """Returns the line formats of one joint's billboard.
+
+    Args:
+        joint: its name.
+        declared: the declared lines.
+        prismatic: whether the joint is prismatic, for units.
+    """
     several = len(declared) > 1
     labels = [
         line.label or (_LABELS.get(line.value, line.value) if several else "") for line in declared
@@ -107,7 +113,7 @@ def billboard_lines(joint: str, declared: list[BillboardLine], prismatic: bool) 
 
 
 def detail_lines(joint: str, prismatic: bool) -> list[Line]:
-    """The lines with the precise numbers of one joint's arrow."""
+    """Returns the line formats of the precise values of one joint's arrow."""
     return [
         _line(joint, k, key, label, prismatic) for k, (key, label) in enumerate(_DETAILS.items())
     ]
@@ -121,7 +127,7 @@ def _line(
     prismatic: bool,
     declared: BillboardLine | None = None,
 ) -> Line:
-    """Prepares a line: the joint's name stands on the first one, labels on all."""
+    """Returns the format of line k: the joint's name is on the first, labels are on all."""
     unit, decimals = _UNITS.get(key, _OWN_UNIT)[prismatic]
     scale = 1.0
     if declared is not None:

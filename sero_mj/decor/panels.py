@@ -1,4 +1,4 @@
-"""Semitransparent panels with text, in pixels, in front of everything."""
+"""Semitransparent panels with text, laid out in pixels, in front of the scene."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .picture_view import PictureView
 Array = NDArray[np.float64]
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
-# Depths in units of the near plane: text over panels over leaders over the scene.
+# Depths in units of the near plane: text before panels before leaders before the scene.
 _PANEL_DEPTH, _LEADER_DEPTH = 1.5, 1.6
-_FRONT_DEPTH = 1.3  # of panels in front of the others
+_FRONT_DEPTH = 1.3  # offset of panels in front of the others
 _TEXT_NEARER = 0.1
 _UPPER_LEFT = np.array([-0.5, 0.5])
 _LEADER_BASE = 0.22  # of a line's height
@@ -24,7 +24,13 @@ PADDING = 0.35  # of a line's height, on every side
 
 
 def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: PictureView) -> Array:
-    """Width and height (k, 2) of panels for so many lines of that width (k,), pixels."""
+    """Returns width and height of panels, (k, 2), pixels.
+
+    Args:
+        text_widths: of the widest line of every panel, (k,), pixels.
+        lines: number of lines of every panel, (k,).
+        view: of the picture.
+    """
     line = view.font.height
     sizes = np.empty((len(text_widths), 2))
     sizes[:, 0] = text_widths + 2 * PADDING * line
@@ -41,9 +47,9 @@ class Panels:
         sizes: (k, 2), pixels.
         texts: the lines of every panel, top first.
         rgba: their colour, or one for each, (k, 4).
-        kind: what they belong to.
-        items: which joint or frame every panel belongs to, (k,).
-        in_front: whether they cover other panels; what is under them is not written.
+        kind: kind of the items they belong to.
+        items: index of the joint or frame that every panel belongs to, (k,).
+        in_front: whether they cover other panels; covered text is not drawn.
     """
 
     centres: Array
@@ -56,11 +62,11 @@ class Panels:
 
 
 def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
-    """Centres and sizes of panels, moved into the picture where they stand out.
+    """Returns centres and sizes of panels, moved to be inside the picture.
 
     Args:
         view: of the picture.
-        centres: where they would like to be, (k, 2), pixels.
+        centres: desired centres, (k, 2), pixels.
         texts: the lines of each.
     """
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
@@ -71,7 +77,7 @@ def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tu
 
 
 def draw_panels(pen: Pen, view: PictureView, groups: list[Panels]) -> None:
-    """Draws all panels of a frame at once, for every array write costs as much for one as for all.
+    """Draws all panels of a frame in one vectorized pass.
 
     Args:
         pen: where to.
@@ -134,7 +140,7 @@ def draw_panels(pen: Pen, view: PictureView, groups: list[Panels]) -> None:
 def _covered(
     view: PictureView, starts: Array, lines: list[bytes], centres: Array, sizes: Array
 ) -> NDArray[np.bool_]:
-    """Which lines (k,) of text, by their lower left pixels (k, 2), are under panels (m, 2)."""
+    """Returns which lines of text (k,), by their lower left pixels (k, 2), panels (m, 2) cover."""
     text = np.stack(
         [view.font.line_widths(lines), np.full(len(lines), float(view.font.height))], axis=1
     )
@@ -146,7 +152,7 @@ def _covered(
 def draw_leaders(
     pen: Pen, view: PictureView, starts: Array, ends: Array, rgba: Array | tuple[float, ...]
 ) -> None:
-    """Draws slender pointers in the picture plane, one triangle each.
+    """Draws leaders as thin triangles in the picture plane.
 
     Args:
         pen: where to.
@@ -166,7 +172,7 @@ def draw_leaders(
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
     along /= length[:, None]
     across = along[:, ::-1] * (1.0, -1.0)
-    # x across, y along, z towards the eye: seen from its front.
+    # x across, y along, z towards the camera, so that the front is visible.
     rows["pos"] = view.at(starts - across * (base / 2), depth)
     in_world = view.facing[:, :2].T
     rows["mat"][..., 0] = across @ in_world

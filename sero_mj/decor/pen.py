@@ -1,4 +1,4 @@
-"""`Pen`: where decor puts its geoms, before any host sees them."""
+"""`Pen`: the buffer of decor geoms, and `SceneWriter`, which copies it into a host's scene."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.parts import Ghost
+from ..assemble.parts import DrawnDouble
+from .drawn_doubles import DoublePainter
 from .geoms import GEOM, set_geom, struct_view
-from .ghosts import GhostPainter
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-MAX_GEOMS = 1024  # MuJoCo Studio's web viewer silently drops what is over it
-CAPACITY = 4 * MAX_GEOMS  # for other hosts, when more is switched on than finds room there
-# Both renderers draw an arrow half as long as its size[2]: a third of it shaft, a sixth head
-# (glScalef by size[2] / 6 in render_gl3.c, seen with 4.0.0); a test measures it in a picture.
+MAX_GEOMS = 1024  # MuJoCo Studio's web viewer ignores geoms above this number
+CAPACITY = 4 * MAX_GEOMS  # for other hosts
+# Both renderers of MuJoCo 4.0.0 draw an arrow half as long as its size[2] (glScalef by size[2] / 6
+# in render_gl3.c): a third of it shaft, a sixth head; verified by a test in a picture.
 ARROW_SIZE_OF_LENGTH = 2.0
 
 
 class Kind(IntEnum):
-    """What a geom belongs to; a click finds it by this and by the number of its item."""
+    """Kind of item that a geom belongs to; with the item's index it identifies what was clicked."""
 
     NONE = 0
     ARROW = 1  # item: joint of the world
@@ -40,12 +40,12 @@ class Pen:
     Attributes:
         rows: all geoms as a structured array (`geoms.GEOM`); the first `count` are in use.
         count: how many are in use.
-        kinds: what every geom belongs to (`Kind`).
-        items: which joint, frame, smart arrow or robot that is.
-        dropped: how many found no room in this frame.
-        grey: which geoms of the model are to be shown grey, (ngeom,) bool; None for none.
-        hidden: which geoms of the model are not to be shown, (ngeom,) bool; None for none.
-        ghosts: doubles to be drawn that are not compiled in.
+        kinds: kind of item that every geom belongs to (`Kind`).
+        items: index of this item.
+        dropped: number of geoms of this frame that exceeded the capacity.
+        grey: geoms of the model to draw grey, (ngeom,) bool; None for none.
+        hidden: geoms of the model not to draw, (ngeom,) bool; None for none.
+        drawn_doubles: doubles to draw that are not compiled into the model.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -53,7 +53,7 @@ class Pen:
         self.rows["dataid"] = self.rows["objid"] = self.rows["matid"] = -1
         self.rows["texid"] = self.rows["segid"] = -1
         self.rows["texrepeat"] = 1.0
-        # Without this the classic renderer lets billboards throw shadows on the robot.
+        # Prevents the classic renderer from casting shadows of billboards on the robot.
         self.rows["category"] = int(mujoco.mjtCatBit.mjCAT_DECOR)
         self.rows["objtype"] = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
         self.rows["shininess"] = 0.3
@@ -61,7 +61,7 @@ class Pen:
         self.items = np.zeros(capacity, np.intp)
         self.grey: NDArray[np.bool_] | None = None
         self.hidden: NDArray[np.bool_] | None = None
-        self.ghosts: list[Ghost] = []
+        self.drawn_doubles: list[DrawnDouble] = []
         self._labelled: list[slice] = []
         self.count = 0
         self.dropped = 0
@@ -77,16 +77,16 @@ class Pen:
     def take(
         self, n: int, geom: int, kind: Kind = Kind.NONE, items: NDArray[np.intp] | int = 0
     ) -> NDArray[Any]:
-        """Returns the next n rows to be filled, of one geom type.
+        """Allocates n rows for geoms of one type and returns them.
 
-        The caller sets size, pos, mat and rgba. When there is no room for all of them none is
-        given and `dropped` grows, so that nothing is drawn in part.
+        The caller sets size, pos, mat and rgba. If the capacity does not suffice for all of them,
+        none are returned and `dropped` is increased, so that nothing is drawn in part.
 
         Args:
-            n: how many.
+            n: number of geoms.
             geom: `mjtGeom`.
-            kind: what they belong to.
-            items: which joint, frame, smart arrow or robot, (n,).
+            kind: kind of item that they belong to.
+            items: index of the joint, frame, smart arrow or robot, (n,).
         """
         if self.count + n > len(self.rows):
             self.dropped += n
@@ -97,7 +97,7 @@ class Pen:
         self.items[place] = items
         self.count += n
         rows["type"] = geom
-        if geom == _LABEL:  # the others have none, and clearing theirs would cost the most
+        if geom == _LABEL:  # others have no label; clearing it for all would be the slowest part
             self._labelled.append(place)
         rows["emission"] = 0.35
         rows["specular"] = 0.1
@@ -105,22 +105,22 @@ class Pen:
 
 
 GREY = (0.50, 0.50, 0.51)
-GREYNESS = 0.8  # how much of a grey robot's colour is grey
+GREYNESS = 0.8  # fraction of grey in the colour of a stale robot
 
 
-class Host:
-    """An `MjvScene` that decor is added to, after MuJoCo has filled it."""
+class SceneWriter:
+    """Adds decor to an `MjvScene` that MuJoCo has filled."""
 
     def __init__(self, scene: mujoco.MjvScene) -> None:
         self._scene = scene
         self._view = struct_view(scene)
-        self._painter: GhostPainter | None = None
+        self._painter: DoublePainter | None = None
 
     def add(self, pen: Pen) -> int:
         """Appends the pen's geoms to the scene.
 
         Returns:
-            how many found no room.
+            number of geoms that exceeded the scene's capacity.
         """
         scene = self._scene
         if pen.hidden is not None:
@@ -128,10 +128,12 @@ class Host:
         if pen.grey is not None:
             self._grey(pen.grey, scene.ngeom)
         dropped = 0
-        if pen.ghosts:
+        if pen.drawn_doubles:
             if self._painter is None:
-                self._painter = GhostPainter(pen.ghosts[0].model)
-            dropped = sum(self._painter.add(ghost, scene, self._view) for ghost in pen.ghosts)
+                self._painter = DoublePainter(pen.drawn_doubles[0].model)
+            dropped = sum(
+                self._painter.add(drawn, scene, self._view) for drawn in pen.drawn_doubles
+            )
         start = scene.ngeom
         count = min(pen.count, scene.maxgeom - start)
         if self._view is not None:
@@ -143,7 +145,7 @@ class Host:
         return int(pen.count - count) + dropped
 
     def _hide(self, hidden: NDArray[np.bool_]) -> None:
-        """Takes geoms of the model out of the scene."""
+        """Removes geoms of the model from the scene."""
         scene = self._scene
         kind = int(mujoco.mjtObj.mjOBJ_GEOM)
         if self._view is not None:
@@ -158,7 +160,7 @@ class Host:
                 geom.rgba[3] = 0.0
 
     def _grey(self, grey: NDArray[np.bool_], count: int) -> None:
-        """Greys the model's geoms among the first `count` of the scene."""
+        """Makes the model's geoms grey, among the first `count` of the scene."""
         kind = int(mujoco.mjtObj.mjOBJ_GEOM)
         if self._view is not None:
             rows = self._view[:count]

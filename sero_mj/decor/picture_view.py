@@ -1,4 +1,4 @@
-"""`PictureView`: from where, and into how many pixels, a frame is drawn."""
+"""`PictureView`: camera pose, field of view and size of a picture."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PictureView:
     Pixels are counted from the lower left corner, x to the right, y up.
 
     Attributes:
-        position: of the eye, (3,), m.
+        position: of the camera, (3,), m.
         right: unit vector (3,).
         up: unit vector (3,).
         forward: unit vector (3,).
@@ -32,9 +32,9 @@ class PictureView:
         width: of the picture, pixels.
         height: of the picture, pixels.
         font: of the host's labels.
-        inset: how much of the picture the host covers with its own windows, from the left, from
-            below, from the right and from above, pixels; panels stay clear of it.
-        least_alpha: of panels, for a host in which they shine through more.
+        inset: margins of the picture that the host's own windows cover: left, bottom, right,
+            top, pixels; panels are placed inside.
+        least_alpha: minimum opacity of panels, for a host that draws them more transparent.
     """
 
     position: Array
@@ -59,7 +59,16 @@ class PictureView:
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
         least_alpha: float = 0.0,
     ) -> PictureView:
-        """Returns the view of an `MjvScene` that `mjv_updateScene` has filled."""
+        """Returns the view of an `MjvScene` that `mjv_updateScene` has filled.
+
+        Args:
+            scene: with camera.
+            width: of the picture, pixels.
+            height: of the picture, pixels.
+            font: of the host's labels.
+            inset: see the attributes.
+            least_alpha: see the attributes.
+        """
         left, right = scene.camera[0], scene.camera[1]
         position = (np.array(left.pos, np.float64) + right.pos) / 2
         forward = np.array(left.forward, np.float64)
@@ -81,14 +90,14 @@ class PictureView:
 
     @cached_property
     def free(self) -> tuple[Array, Array]:
-        """Lower left and upper right pixel (2,) of what the host does not cover."""
+        """Lower left and upper right pixel (2,) of the area that the host does not cover."""
         left, below, right, above = self.inset
         low = np.array([left, below])
         return low, np.maximum(np.array([self.width - right, self.height - above]), low)
 
     @cached_property
     def facing(self) -> Array:
-        """Rotation (3, 3) whose columns x, y, z are right, up and towards the eye."""
+        """Rotation (3, 3) with columns right, up, and towards the camera."""
         return np.stack([self.right, self.up, -self.forward], axis=1)
 
     @cached_property
@@ -100,14 +109,14 @@ class PictureView:
         return np.array([self.width / 2, self.height / 2])
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Where world points are in the picture.
+        """Projects points of the world into the picture.
 
         Args:
             points: (..., 3), m.
 
         Returns:
-            pixels (..., 2), and depth along the line of sight (...), m; a point behind the eye
-            has a depth below zero and its pixels mean nothing.
+            pixels (..., 2), and depth along the viewing direction (...), m; a point behind the
+            camera has a negative depth and undefined pixels.
         """
         in_eye = (points - self.position) @ self.facing
         depth = -in_eye[..., 2]
@@ -116,21 +125,26 @@ class PictureView:
         return pixels + self._centre, depth
 
     def sees(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """Whether what `project` returned is in the picture, (...)."""
+        """Whether projected points are in the picture, (...) bool.
+
+        Args:
+            pixels: as returned by `project`, (..., 2).
+            depth: as returned by `project`, (...), m.
+        """
         inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
         return np.asarray(inside & (depth > self.near))
 
     def at(self, pixels: Array, depth: Depth) -> Array:
-        """World points (..., 3) that are seen at pixels (..., 2).
+        """Returns the world points (..., 3), m, at pixels and depths.
 
         Args:
             pixels: (..., 2).
-            depth: along the line of sight, m; one, or (..., 1).
+            depth: along the viewing direction, m; a scalar, or (..., 1).
         """
         scale = self.pixel_size(depth)
         middle = self.position + depth * self.forward
         return np.asarray(middle + ((pixels - self._centre) * scale) @ self.facing[:, :2].T)
 
     def pixel_size(self, depth: Depth) -> Depth:
-        """How many metres one pixel is at a depth."""
+        """Returns the size of a pixel at a depth, m."""
         return depth / self._pixels_per_tan

@@ -1,4 +1,4 @@
-"""Per-joint values as decor shows them: what was received, and what follows from it."""
+"""Per-joint values that decor shows: received values and those computed from them."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ QUANTITY_NAMES = {
     "joint_accelerations": "acceleration",
     "singularity": "towards singularity",
 }
-# Beyond this many times its limit a value is a fault of its source, not a measurement.
+# A value above this multiple of its limit is considered a fault of its source.
 IMPLAUSIBLE_FACTOR = 1e3
 
 
 def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
-    """All received values of all joints, and those that follow from them.
+    """Returns all received values of all joints, and those computed from them.
 
     Returns:
-        name to (N,): everything that can be received, `joint_angles`, and `torque_error`
-        (commanded - measured); NaN where there is no data.
+        arrays (N,) by name: all per-joint inputs, `joint_angles`, and `torque_error`
+        (commanded - measured); NaN for no data.
     """
     data = world.state(data)
     joints, userdata = world.joints, data.userdata
@@ -41,16 +41,14 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
 
 
 def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
-    """Joints whose measured torque is over `IMPLAUSIBLE_FACTOR` times its limit, in words.
+    """Returns messages for torques over `IMPLAUSIBLE_FACTOR` times their limit.
 
     Args:
         world: the compiled scene.
-        values: what `joint_values` returned.
+        values: as returned by `joint_values`.
     """
     joints, torques = world.joints, values["torques"]
-    found = (np.abs(torques) > IMPLAUSIBLE_FACTOR * joints.torque_limit).nonzero()[
-        0
-    ]  # false for NaN
+    found = np.flatnonzero(np.abs(torques) > IMPLAUSIBLE_FACTOR * joints.torque_limit)  # not NaN
     return [
         f"{joints.names[i]}: {torques[i]:.3g} {'Nm' if joints.revolute[i] else 'N'} is over "
         f"{IMPLAUSIBLE_FACTOR:.0f} times the limit; not drawn"
@@ -61,16 +59,16 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
 def arrow_values(
     world: WorldView, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """What every joint's arrow shows, and at which value it is at full width.
+    """Returns the value that every joint's arrow shows, and the value of full width.
 
     Args:
         world: the compiled scene.
         data: its state.
-        values: what `joint_values` returned.
+        values: as returned by `joint_values`.
         quantity: index in `ARROW_QUANTITIES`, (N,).
 
     Returns:
-        values (N,), NaN where there is no data, and limits (N,), inf where there is none.
+        values (N,), NaN for no data, and limits (N,), inf for none.
     """
     joints = world.joints
     shown = np.full(len(joints.names), np.nan)

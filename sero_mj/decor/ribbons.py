@@ -1,7 +1,7 @@
-"""The ribbon of a round arrow: thin boxes along an arc, with a head that tapers.
+"""Draws round arrows as ribbons of thin boxes along an arc, with a tapered head.
 
-The head tapers in width and in thickness, so that it reads as an arrow head both from the side
-and along the axis.
+The head tapers in width and in thickness, so that it is recognizable both from the side and along
+the axis.
 """
 
 from __future__ import annotations
@@ -23,25 +23,27 @@ TURNING_SPEED = 1.6  # rad/s
 _ARC = np.deg2rad(300.0)
 _HEAD_ARC = np.deg2rad(52.0)
 _THICKNESS = 0.05  # of the radius
-_HEAD_THICKNESS = 0.30  # of the radius, where the head is thickest
-_HEAD_WIDER = (1.5, 0.28)  # the head is this times the width, plus this of the radius, wide
-_FULL_HEAD_WIDTH = 0.14  # of the radius: the width at 2 % of the limit, from where heads are full
+_HEAD_THICKNESS = 0.30  # of the radius, maximum thickness of the head
+# Width of the head: factor of the ribbon's width, plus fraction of the radius.
+_HEAD_WIDER = (1.5, 0.28)
+# Ribbon width from which heads have full size (about 2 % of the limit), of the radius.
+_FULL_HEAD_WIDTH = 0.14
 
 
 @dataclass(frozen=True, eq=False)
 class Ribbons:
-    """Where k round arrows stand and what they look like.
+    """Pose and appearance of k round arrows.
 
     Attributes:
-        items: what they belong to, (k,).
+        items: indices of the items they belong to, (k,).
         centre: (k, 3), m.
-        axes: rotations whose z they turn about by the right-hand rule, (k, 3, 3).
-        phase: angle of their tail about z from x, turning the way they point, (k,), rad.
-        sign: 1, or -1 for one that turns the other way, (k,).
+        axes: rotations with z along the axis of the arrow (right-hand rule), (k, 3, 3).
+        phase: angle of the tail about z from x, in the arrow's direction, (k,), rad.
+        sign: 1, or -1 for the opposite direction, (k,).
         radius: (k,), m.
         width: (k,), m.
         rgba: (k, 4).
-        striped: beyond the limit they are striped like a warning tape, (k,).
+        striped: whether they are striped, for values beyond the limit, (k,) bool.
     """
 
     items: NDArray[np.intp]
@@ -56,7 +58,14 @@ class Ribbons:
 
 
 def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
-    """Draws round arrows of so many boxes each."""
+    """Draws round arrows.
+
+    Args:
+        pen: where to.
+        kind: kind of the items they belong to.
+        ribbons: the arrows.
+        segments: number of boxes of each arrow.
+    """
     count = len(ribbons.items)
     box = int(mujoco.mjtGeom.mjGEOM_BOX)
     rows = pen.take(count * segments, box, kind, np.repeat(ribbons.items, segments))
@@ -74,14 +83,14 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
     grid["mat"][..., 0] = outward
     grid["mat"][..., 1] = cos * y - sin * x
     grid["mat"][..., 2] = ribbons.axes[:, None, :, 2]
-    # A head of constant size on a hair-thin arrow would make noise look like a torque.
+    # A head of constant size on a very thin arrow would make noise look like a torque.
     grown = np.minimum(widths / (_FULL_HEAD_WIDTH * radius), 1.0)
     head_width = _HEAD_WIDER[0] * widths + _HEAD_WIDER[1] * radius * grown
     width = np.where(head, head_width[:, None] * taper, widths[:, None])
     thickness = np.where(head, _HEAD_THICKNESS * grown[:, None] * taper, _THICKNESS)
     thickness = radius[:, None] * np.maximum(thickness, _THICKNESS)
     grid["size"][..., 0] = thickness / 2
-    # Neighbours meet at the ribbon's outer edge.
+    # Adjacent boxes meet at the ribbon's outer edge.
     grid["size"][..., 1] = (radius[:, None] + thickness / 2) * np.tan(half_angle)
     grid["size"][..., 2] = width / 2
     grid["rgba"] = ribbons.rgba[:, None]
@@ -93,10 +102,10 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
 
 @cache
 def _shape(segments: int) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-    """The ribbon's shape along its arc, from tail to tip.
+    """Returns the ribbon's shape along its arc, from tail to tip.
 
     Returns:
-        middle angle and half the angle of every segment (rad), which ones are of the head, and
+        centre angle and half the angle of every segment (rad), which segments form the head, and
         the head's taper from 1 to 0.
     """
     heads = max(4, round(0.35 * segments))

@@ -1,12 +1,12 @@
-"""Round arrows turn about their joint and show a value by direction and width.
+"""Round arrows: they turn about their joint and show a value by direction, colour and width.
 
 An arrow turns at constant speed, by the right-hand rule about the joint's z for a positive torque;
-a colour tells the sign as well. Those of doubles are see-through and a little smaller.
+the colour shows the sign as well. Arrows of doubles are transparent and slightly smaller.
 
-Width: with a limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the limit and with the
-square root of the value below it, so that 2 % of the limit still has a seventh of the full width;
-nothing below the dead band. Without a limit, `arrow_width_scale` m per unit. Beyond the limit the
-ribbon is striped. Source: the paper's section 2.2; root, dead band and stripes are ours.
+Width: with a limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the limit and proportional
+to the square root of the value below it, so that 2 % of the limit has a seventh of the full width;
+zero in the dead band. Without a limit, `arrow_width_scale` m per unit. Beyond the limit the ribbon
+is striped. Source: the paper's section 2.2; square root, dead band and stripes are additions.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
 
 Array = NDArray[np.float64]
 
-# Orange and blue: told apart by every common kind of colour blindness (Okabe and Ito 2008).
+# Orange and blue: distinct for all common kinds of colour blindness (Okabe and Ito 2008).
 POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
 NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
-DEFAULT_WIDTH_SCALE = 0.01  # the proto's arrow_width_scale
-INVISIBLE_WIDTH = 0.03  # of the radius; narrower (0.1 % of a torque limit) is no arrow
+DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
+INVISIBLE_WIDTH = 0.03  # of the radius; narrower arrows (0.1 % of a torque limit) are not drawn
 WIDEST = 1.5  # of the radius
 
-_STRAIGHT_LENGTH = 2.5  # of the radius: a prismatic joint's arrow
-DARKER = 0.4  # how bright a straight arrow beyond its limit is
-MAX_SEGMENTS, _FEWEST_SEGMENTS = 34, 10  # boxes of a ribbon
-_GEOMS_FOR_THE_REST = 60  # legend, status, names, smart arrows
+_STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
+DARKER = 0.4  # brightness of a straight arrow beyond its limit
+MAX_SEGMENTS, _FEWEST_SEGMENTS = 34, 10  # bounds of the boxes of a ribbon
+_GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
 
 
 def arrow_widths(
     values: Array, limit: Array, radius: Array, width_scale: Array, dead_band: Array
 ) -> NDArray[np.float64]:
-    """Width of the arrow for every joint.
+    """Returns the width of the arrow of every joint.
 
     Args:
-        values: what arrows show, (N,); the sign does not matter.
-        limit: at which value an arrow is at full width, (N,); inf where there is none.
+        values: values of the arrows, (N,); the sign is ignored.
+        limit: value at which an arrow has full width, (N,); inf for none.
         radius: `arrow_radius` (N,), m.
         width_scale: `arrow_width_scale` (N,), m per unit of the value.
-        dead_band: share of the limit below which an arrow has no width, (N,).
+        dead_band: fraction of the limit below which the width is zero, (N,).
 
     Returns:
         (N,), m; continuous and monotone in the value, 0 up to the dead band and for NaN, at most
@@ -62,9 +62,9 @@ def arrow_widths(
 
 
 class RoundArrows(Feature):
-    """Draws the arrows of one world's joints."""
+    """The arrows of one world's joints."""
 
-    order = 90  # what finds no room are boxes of arrows
+    order = 90  # last, so that arrows are dropped first if the capacity is exceeded
 
     def draw(self, frame: Frame) -> None:
         """Draws an arrow for every joint that has a value and whose arrow is shown."""
@@ -84,8 +84,8 @@ class RoundArrows(Feature):
         if len(turning):
             sites = joints.centre_site[turning]
             sign = np.sign(values[turning])
-            # The site turns with its link; without q the arrow would turn faster or slower than
-            # all others whenever its joint moves.
+            # The site turns with its link; subtracting q keeps the arrow's speed constant while its
+            # joint moves.
             phase = TURNING_SPEED * data.time - joints.angles(data)[turning] * sign
             ribbons = Ribbons(
                 items=turning,
@@ -109,9 +109,9 @@ class RoundArrows(Feature):
         index: NDArray[np.intp],
         look: tuple[Array, Array, NDArray[np.bool_], Array],
     ) -> None:
-        """A prismatic joint's force: a straight arrow along its axis, beside the link.
+        """Draws the force of prismatic joints: straight arrows along the axis, beside the link.
 
-        It is one geom and cannot be striped; beyond the limit it is dark.
+        An arrow is one geom and cannot be striped; beyond the limit it is dark.
         """
         forces, widths, over, rgba = (of_all[index] for of_all in look)
         joints = self.world.joints
@@ -119,7 +119,7 @@ class RoundArrows(Feature):
         if not len(rows):
             return
         mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()
-        mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # half a turn about x: stays a rotation
+        mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # a half turn about x: still a rotation
         radius = joints.arrow_radius[index][:, None]
         length = _STRAIGHT_LENGTH * radius
         centre = data.site_xpos[joints.centre_site[index]]
@@ -132,9 +132,9 @@ class RoundArrows(Feature):
 
 
 def _segments(frame: Frame) -> int:
-    """How finely ribbons are drawn, so that everything that is shown finds room in every host.
+    """Returns the number of boxes of a ribbon, such that all geoms fit into the host's capacity.
 
-    It depends on what is switched on and not on the values, which would make them flicker.
+    It depends on the toggles and not on the values, which would make ribbons flicker.
     """
     of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
     others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards

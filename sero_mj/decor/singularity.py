@@ -1,9 +1,9 @@
-"""Nearness to singularity, joint by joint, from the Jacobian.
+"""Proximity to a singularity per joint, from the Jacobian.
 
-Round arrows were first made to show it (the paper's reference 14). The measure is the inverse
+This was the first use of round arrows (the paper's reference 14). The measure is the inverse
 condition number c of the Jacobian with lengths in units of the robot's reach: 0 at a singularity,
-at most 1. Near it every joint's arrow turns the way that leads closer to the singularity, as wide
-as the joint's part in it.
+at most 1. Close to one, every joint's arrow turns in the direction of motion that leads towards
+the singularity, with a width in proportion to the joint's contribution.
 
 Source: inverse condition number as in Angeles, Fundamentals of Robotic Mechanical Systems, 4.9;
 the Jacobian's derivative as in Haviland and Corke, Manipulator Differential Kinematics, part 2.
@@ -20,11 +20,11 @@ from ..assemble.world_view import WorldView
 
 Array = NDArray[np.float64]
 
-FAR = 0.15  # inverse condition number above which nothing is shown
+FAR = 0.15  # inverse condition number above which no arrow is shown
 
 
 def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
-    """How near a singularity is, and which way every joint leads to it.
+    """Returns the proximity to a singularity and the direction of every joint towards it.
 
     Args:
         world: the compiled scene.
@@ -32,8 +32,8 @@ def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> A
         part: the robot or double, n joints.
 
     Returns:
-        (n,), -1 to 1: the sign is the direction of motion that leads nearer; the largest
-        magnitude is the nearness, 0 at `FAR` and above, 1 at the singularity.
+        (n,), -1 to 1: the sign is the direction of motion towards the singularity; the largest
+        magnitude is the proximity, 0 at `FAR` and above, 1 at the singularity.
     """
     towards = np.zeros(part.robot.n)
     if not len(part.chain):
@@ -47,16 +47,21 @@ def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> A
 
 
 def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
-    """Geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
+    """Returns the geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
 
-    Its columns are those joints that move the flange, all n of a serial robot. It is made from the
-    sites at the joints, for a double has no degrees of freedom in MuJoCo.
+    It has a column for every joint that moves the flange, all n of a serial robot. It is computed
+    from the sites at the joints, because a double has no degrees of freedom in MuJoCo.
+
+    Args:
+        world: the compiled scene.
+        data: its state, kinematics up to date.
+        part: the robot or double, n joints.
     """
     chain = part.chain
     sites = world.joints.centre_site[part.joints][chain]
     rotation = data.site_xmat[sites].reshape(-1, 3, 3)
     axis = rotation[:, :, 2]
-    # The site is moved from the axis by `offsets_to_center_of_joints`.
+    # The site is offset from the axis by `offsets_to_center_of_joints`.
     on_axis = data.site_xpos[sites] - np.einsum("nij,nj->ni", rotation, part.robot.offsets[chain])
     flange = world.frames.names.index(part.flange_name)
     lever = data.site_xpos[world.frames.site[flange]] - on_axis
@@ -66,13 +71,13 @@ def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
 
 
 def inverse_condition(J: Array) -> tuple[float, Array]:
-    """Inverse condition number of a Jacobian and its gradient in the joint angles.
+    """Returns the inverse condition number of a Jacobian and its gradient in the joint angles.
 
     Args:
         J: (6, n), base frame; a prismatic joint's angular part is zero.
 
     Returns:
-        smallest over largest singular value, and its gradient (n,).
+        smallest over largest singular value, and its gradient (n,), per rad or m.
     """
     u, s, vt = np.linalg.svd(J, full_matrices=False)
     if s[0] < 1e-12:
@@ -84,7 +89,7 @@ def inverse_condition(J: Array) -> tuple[float, Array]:
 
 
 def _hessian(J: Array) -> Array:
-    """dJ/dq, (n, 6, n): the derivative by joint i of column j is [i, :, j]."""
+    """Returns dJ/dq, (n, 6, n): the derivative of column j by joint i is [i, :, j]."""
     n = J.shape[1]
     linear, angular = J[:3].T, J[3:].T
     i, j = np.indices((n, n))

@@ -1,8 +1,8 @@
-"""Smart arrows: Cartesian forces, torques and velocities, drawn where they act (section 2.4).
+"""Smart arrows: Cartesian forces, torques and velocities at their point of action (section 2.4).
 
-A straight arrow begins at its point and is as long as its scale says; a round one turns about its
-direction by the right-hand rule and is as wide. The scale is stated in the legend. What is
-larger than `longest` is drawn so long and dark, or so wide and striped.
+The magnitude is the length of a straight arrow, or the width of a round arrow that turns about its
+direction by the right-hand rule. The legend states the scale. Magnitudes above `longest` are drawn
+at that length and dark, or at that width and striped.
 """
 
 from __future__ import annotations
@@ -12,19 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
+from .lines import NO_DATA
+from .panels import panel_sizes
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
+from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
 from .round_arrows import DARKER
-from .vector_cards import VectorCards
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-SHORTEST = 0.004  # m; what is shorter is not drawn, for its direction is noise
+SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
 _SEGMENTS = 30
-# Where directions are turned from: near no axis, for forces and torques often lie along one.
+# Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
 _FROM = np.array([0.36, 0.48, 0.80])
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
 _HALF_TURN = 2.0 * np.outer(_START[:, 0], _START[:, 0]) - np.eye(3)
@@ -33,16 +36,16 @@ _HALF_WIDTHS = (0.004, 0.012)  # m
 
 
 class SmartArrows(Feature):
-    """The smart arrows of one world, and the cards with their numbers."""
+    """The smart arrows of one world, and the cards with their values."""
 
     order = 20
 
     def __init__(self, world: WorldView) -> None:
         super().__init__(world)
-        self._cards = VectorCards(world)
+        self._cards = _VectorCards(world)
 
     def lay_out(self, frame: Frame) -> None:
-        """Draws the arrows, and adds the cards of those that were clicked on."""
+        """Draws the arrows, and adds the cards that are switched on, by a click for example."""
         if not frame.shown.vectors.any():
             return
         world, names = self.world, self.world.arrows.names
@@ -59,15 +62,15 @@ class SmartArrows(Feature):
 
 
 def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
-    """What every smart arrow shows.
+    """Returns the vectors of all smart arrows.
 
     Returns:
-        components as received (K, 3), and the same in the world's directions (K, 3); NaN where
-        there is no data, or a value `IMPLAUSIBLE_FACTOR` times what the longest arrow shows.
+        components as received (K, 3), and in world coordinates (K, 3), SI units; NaN for no data
+        and for values above `IMPLAUSIBLE_FACTOR` times that of the longest arrow.
     """
     table = world.arrows
     components = data.userdata[table.slots]
-    with np.errstate(invalid="ignore"):  # as with joints: a fault of its source, no measurement
+    with np.errstate(invalid="ignore"):  # considered a fault of its source, as with joint torques
         believable = (
             np.abs(components) <= IMPLAUSIBLE_FACTOR * (table.longest / table.scale)[:, None]
         )
@@ -81,15 +84,15 @@ def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
 def draw_smart_arrows(
     pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, vectors: Array, stale: Bools
 ) -> None:
-    """Draws every smart arrow that is shown, has data and is long enough to have a direction.
+    """Draws every smart arrow that is shown, has data and is not too short.
 
     Args:
         pen: where to.
         world: the compiled scene.
         data: its state.
-        shown: which ones to draw, (K,).
-        vectors: in the world's directions, (K, 3), NaN for no data.
-        stale: which ones have no fresh data and are grey, (K,).
+        shown: which arrows to draw, (K,) bool.
+        vectors: in world coordinates, (K, 3), SI units, NaN for no data.
+        stale: which arrows have no fresh data and are drawn grey, (K,) bool.
     """
     table = world.arrows
     magnitude = np.linalg.norm(vectors, axis=1)
@@ -132,7 +135,7 @@ def draw_smart_arrows(
 
 
 def drawn_sizes(world: WorldView, vectors: Array) -> Array:
-    """How far every smart arrow reaches from its point (K,), m; 0 where there is no data."""
+    """Returns the size of every smart arrow about its point (K,), m; 0 for no data."""
     table = world.arrows
     magnitude = np.nan_to_num(np.linalg.norm(vectors, axis=1))
     length = np.minimum(table.scale * magnitude, table.longest)
@@ -140,17 +143,86 @@ def drawn_sizes(world: WorldView, vectors: Array) -> Array:
 
 
 def frames_along(directions: Array) -> Array:
-    """Rotations (k, 3, 3) whose z are unit vectors (k, 3).
+    """Returns rotations (k, 3, 3) whose z are unit vectors (k, 3).
 
-    They are continuous but at the opposite of `_FROM`, so that noise does not make an arrow jump.
+    They are continuous except at -`_FROM`, so that noise does not make an arrow jump.
     """
     along = directions @ _FROM
     axis = np.cross(_FROM, directions)
     skew = np.zeros((len(directions), 3, 3))
     skew[:, [2, 0, 1], [1, 2, 0]] = axis
     skew[:, [1, 2, 0], [2, 0, 1]] = -axis
-    # The smallest rotation that takes one onto the other (Rodrigues).
+    # The smallest rotation from `_FROM` to the direction (Rodrigues).
     opposite = along < -1.0 + 1e-9
     rotation = np.eye(3) + skew + skew @ skew / np.where(opposite, 1.0, 1.0 + along)[:, None, None]
     rotation[opposite] = _HALF_TURN
     return np.asarray(rotation @ _START)
+
+
+class _VectorCards:
+    """The cards of one world's smart arrows."""
+
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        heights = world.state(world.make_data()).site_xpos[world.arrows.site, 2]
+        self._rank = heights_in_order(heights)
+
+    def cards(
+        self,
+        data: mujoco.MjData,
+        shown: Bools,
+        view: PictureView,
+        components: Array,
+        reach: Array,
+        stale: list[str],
+    ) -> Cards | None:
+        """Returns the cards that are shown and whose arrow is in the picture.
+
+        Args:
+            data: the world's state.
+            shown: which cards are shown, (K,) bool.
+            view: of the picture.
+            components: as received, (K, 3), NaN for no data.
+            reach: size of every arrow about its point, (K,), m.
+            stale: message for arrows without fresh data, K; empty for the others.
+        """
+        index = shown.nonzero()[0]
+        if not len(index):
+            return None
+        anchors, depth = view.project(data.site_xpos[self._world.arrows.site[index]])
+        inside = view.sees(anchors, depth)
+        index, anchors, depth = index[inside], anchors[inside], depth[inside]
+        if not len(index):
+            return None
+        texts = [self._text(int(i), components[i], stale[i]) for i in index]
+        widest = np.array([max(view.font.width(line) for line in lines) for lines in texts])
+        return Cards(
+            kind=Kind.CARD,
+            items=index,
+            anchors=anchors,
+            sizes=panel_sizes(widest, np.array([len(lines) for lines in texts]), view),
+            texts=texts,
+            side=(index + 1) % 2,
+            rank=self._rank[index],
+            clear=float((reach[index] / view.pixel_size(1.0) / depth).max()),
+        )
+
+    def _text(self, i: int, components: Array, stale: str) -> list[bytes]:
+        name = self._world.arrows.names[i]
+        arrow = self._world.scene.arrows[name]
+        lines = [f"{name}: {arrow.kind.replace('_', ' ')}"]
+        if np.isfinite(components).all():
+            width, decimals = arrow.decimals + 5, arrow.decimals
+            numbers = {"x": components[0], "y": components[1], "z": components[2]}
+            numbers["size"] = np.linalg.norm(components)
+            lines += [
+                f"  {label:4} {round(float(value), decimals) + 0.0:{width}.{decimals}f} "
+                f"{arrow.unit_text}"
+                for label, value in numbers.items()
+            ]
+        else:
+            lines.append("  " + NO_DATA.decode())
+        lines.append(f"  in {arrow.components_in}")
+        if stale:
+            lines.append(f"  {stale}")
+        return [line.encode("ascii", "replace")[:99] for line in lines]

@@ -1,4 +1,4 @@
-"""What has no fresh data is never shown as live: it is grey, and a robot says since when."""
+"""Marks items without fresh data: they are grey, and a label states the age of the data."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ NO_DATA_YET = "no data yet"
 
 
 @dataclass(frozen=True, eq=False)
-class _Fed:
-    """Something that is routed to.
+class _Routed:
+    """An item with routes.
 
     Attributes:
         name: of a robot, a double, a smart arrow or a received frame.
-        ages: where in userdata the ages of its sources are.
-        stale_after: s.
-        base: body beside whose origin its age is written; -1 for arrows and frames.
-        geoms: which geoms of the model are its own, (ngeom,).
+        ages: indices in `userdata` of the ages of its sources.
+        stale_after: age from which data is stale, s.
+        base: body at whose origin the label is shown; -1 for arrows and frames.
+        geoms: its geoms in the model, (ngeom,) bool.
     """
 
     name: str
@@ -42,11 +42,11 @@ class _Fed:
 
 
 class Staleness:
-    """Finds what has no fresh data, greys it and labels it."""
+    """Finds items without fresh data, makes them grey and labels them."""
 
     def __init__(self, world: WorldView) -> None:
         scene = world.scene
-        self._fed: list[_Fed] = []
+        self._routed: list[_Routed] = []
         names = (*world.robots, *world.doubles, *scene.arrows, *scene.frames)
         for name in names:
             targets = [
@@ -55,73 +55,73 @@ class Staleness:
                 if item.name == name and item.kind != "toggle" and item.target in scene.routes
             ]
             sources = scene.sources_of(*targets) if targets else set()
-            if not sources:  # what nothing is routed to stands as declared
+            if not sources:  # items without routes are as declared and never stale
                 continue
             slots = [world.slots[f"sources.{source}"].start + _AGE for source in sorted(sources)]
-            self._fed.append(_fed(world, name, np.array(slots, np.intp)))
+            self._routed.append(_routed_item(world, name, np.array(slots, np.intp)))
         self._owner, self._owners = world.joints.owner, list(world.owners)
-        self._soonest = min((fed.stale_after for fed in self._fed), default=np.inf)
-        self._all = np.array(sorted({int(i) for fed in self._fed for i in fed.ages}), np.intp)
+        self._soonest = min((item.stale_after for item in self._routed), default=np.inf)
+        self._all = np.array(sorted({int(i) for item in self._routed for i in item.ages}), np.intp)
 
     def find(self, data: mujoco.MjData) -> dict[str, str]:
-        """Names of what has no fresh data, and what to say about it."""
+        """Returns a message by name, for all items without fresh data."""
         ages = data.userdata[self._all]
         if not len(ages) or (ages.min() >= 0 and ages.max() <= self._soonest):
             return {}
         stale = {}
-        for fed in self._fed:
-            ages = data.userdata[fed.ages]
+        for item in self._routed:
+            ages = data.userdata[item.ages]
             if (ages < 0).any():
-                stale[fed.name] = NO_DATA_YET
-            elif ages.max() > fed.stale_after:
-                faults = data.userdata[fed.ages + _FAULT_AGE - _AGE]
+                stale[item.name] = NO_DATA_YET
+            elif ages.max() > item.stale_after:
+                faults = data.userdata[item.ages + _FAULT_AGE - _AGE]
                 good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
-                stale[fed.name] = f"no {good}data for {_duration(float(ages.max()))}"
+                stale[item.name] = f"no {good}data for {_duration(float(ages.max()))}"
         return stale
 
     def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:
-        """Which joints of the world, (N,), are of robots and doubles without fresh data.
+        """Returns which joints belong to robots and doubles without fresh data, (N,) bool.
 
         Args:
-            stale: what `find` returned.
+            stale: as returned by `find`.
         """
-        return among(self._owners, stale)[self._owner]
+        return stale_mask(self._owners, stale)[self._owner]
 
-    def silence(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
-        """How long there has been no data for every joint of the world, (N,), s.
+    def time_without_data(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
+        """Returns the time without data of every joint, (N,), s.
 
         Args:
             data: the world's state.
-            stale: what `find` returned.
+            stale: as returned by `find`.
 
         Returns:
-            0 for fresh joints, inf where there never was any.
+            0 for joints with fresh data, inf before the first data.
         """
         of_owner = dict.fromkeys(self._owners, 0.0)
-        for fed in self._fed:
-            if fed.name in stale and fed.name in of_owner:
-                ages = data.userdata[fed.ages]
-                of_owner[fed.name] = np.inf if (ages < 0).any() else float(ages.max())
+        for item in self._routed:
+            if item.name in stale and item.name in of_owner:
+                ages = data.userdata[item.ages]
+                of_owner[item.name] = np.inf if (ages < 0).any() else float(ages.max())
         return np.array([*of_owner.values()], np.float64)[self._owner]
 
     def panels(
         self, pen: Pen, data: mujoco.MjData, view: PictureView, stale: dict[str, str]
     ) -> list[Panels]:
-        """Greys stale robots and doubles and returns their labels.
+        """Makes stale robots and doubles grey and returns their labels.
 
         Args:
-            pen: gets the geoms to be grey.
+            pen: its `grey` is set.
             data: the world's state.
             view: of the picture.
-            stale: what `find` returned.
+            stale: as returned by `find`.
         """
         pen.grey = None
-        texts: dict[int, list[bytes]] = {}  # a robot's and its doubles' under each other
-        for fed in self._fed:
-            if fed.name in stale and fed.geoms is not None:
-                pen.grey = fed.geoms if pen.grey is None else pen.grey | fed.geoms
-                text = f"{fed.name}: {stale[fed.name]}".encode("ascii", "replace")[:99]
-                texts.setdefault(fed.base, []).append(text)
+        texts: dict[int, list[bytes]] = {}  # labels of a robot and its doubles below each other
+        for item in self._routed:
+            if item.name in stale and item.geoms is not None:
+                pen.grey = item.geoms if pen.grey is None else pen.grey | item.geoms
+                text = f"{item.name}: {stale[item.name]}".encode("ascii", "replace")[:99]
+                texts.setdefault(item.base, []).append(text)
         if not texts:
             return []
         anchors, depth = view.project(data.xpos[list(texts)])
@@ -134,24 +134,24 @@ class Staleness:
         return [Panels(centres, sizes, lines, _RGBA, in_front=True)]
 
 
-def among(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
-    """Which names have no fresh data."""
+def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
+    """Returns which names have no fresh data, (k,) bool."""
     if not stale:
         return np.zeros(len(names), bool)
     return np.array([name in stale for name in names], bool)
 
 
-def _fed(world: WorldView, name: str, ages: NDArray[np.intp]) -> _Fed:
+def _routed_item(world: WorldView, name: str, ages: NDArray[np.intp]) -> _Routed:
     model = world.model
     if name in world.robots:
         part = world.robots[name]
         own = model.body_rootid[model.geom_bodyid] == part.bodies[0]
-        return _Fed(name, ages, part.robot.stale_after, int(part.bodies[0]), own)
+        return _Routed(name, ages, part.robot.stale_after, int(part.bodies[0]), own)
     if name in world.doubles:
         double: DoublePart = world.doubles[name]
         own = np.isin(model.geom_bodyid, double.bodies)
-        return _Fed(name, ages, double.robot.stale_after, int(double.of.bodies[0]), own)
-    return _Fed(name, ages, QUIET_AFTER, -1, None)
+        return _Routed(name, ages, double.robot.stale_after, int(double.of.bodies[0]), own)
+    return _Routed(name, ages, QUIET_AFTER, -1, None)
 
 
 def _duration(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""What is wrong with the sources, written into the corner of the picture."""
+"""Faults of the sources, shown in the upper left corner of the picture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.world_view import WorldView
 from ..receive import fri_layout as fri
-from .cards import below
+from .cards import move_below
 from .feature import Feature, Frame
 from .panels import Panels, panel_sizes
 from .picture_view import PictureView
@@ -25,18 +25,18 @@ _MARGIN = 0.5  # of a line's height
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
 _MOST_MORE = 3  # lines
-SHOWN_FOR = 5.0  # s after a malformed packet, or one that was lost
+SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
 
 
-def _complaints(name: str, state: Any) -> list[str]:
-    """What is wrong with one source, a line each."""
+def _source_faults(name: str, state: Any) -> list[str]:
+    """Returns the faults of one source, one per line."""
     lines = []
     if state.malformed and state.fault_age < SHOWN_FOR:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
             lines.append(f"  {state.last_size:.0f} bytes, expected {state.size:.0f}")
         if state.not_frames:
-            lines.append("  a matrix that is no frame")
+            lines.append("  a matrix that is not a frame")
         if state.wrong_constant:
             lines.append("  another kind of packet: a constant is wrong")
         if state.malformed > state.wrong_size + state.not_frames + state.wrong_constant:
@@ -44,28 +44,29 @@ def _complaints(name: str, state: Any) -> list[str]:
     return lines
 
 
-def _link_complaints(name: str, state: Any) -> list[str]:
-    """What went wrong between a source and who sends to it."""
+def _link_faults(name: str, state: Any) -> list[str]:
+    """Returns the faults between a source and its sender, one per line."""
     lines = []
     if 0 <= state.link_age < SHOWN_FOR:
-        # One of another size, or kind, has no number that could be read: it may be one of these.
+        # A malformed packet has no readable sequence number and may be one of the missing ones.
         unread = " or not applied" if state.wrong_size or state.wrong_constant else ""
         counts = {
             f"{_packets(state.lost)} lost{unread}": state.lost,
-            f"{state.late:.0f} came late": state.late,
-            f"{_packets(state.duplicates)} came twice": state.duplicates,
-            f"{state.dropped:.0f} thrown away here": state.dropped,
+            f"{state.late:.0f} late": state.late,
+            f"{_packets(state.duplicates)} duplicated": state.duplicates,
+            f"{state.dropped:.0f} dropped by this machine": state.dropped,
         }
-        said = [text for text, count in counts.items() if count]
-        lines += [f"{name}: {', '.join(said[:2])}"] * bool(said)
-        lines += [f"  {', '.join(said[2:])}"] * bool(said[2:])  # the panel stays narrow
+        counted = [text for text, count in counts.items() if count]
+        lines += [f"{name}: {', '.join(counted[:2])}"] * bool(counted)
+        # A second line limits the width of the panel.
+        lines += [f"  {', '.join(counted[2:])}"] * bool(counted[2:])
         if state.restarts:
             times = f" {state.restarts:.0f} times" if state.restarts > 1 else ""
-            lines.append(f"{name}: the sender began anew{times}")
+            lines.append(f"{name}: the sender restarted{times}")
     if state.foreign and 0 <= state.foreign_age < SHOWN_FOR:
-        lines.append(f"{name}: {_packets(state.foreign)} of others than its sender")
+        lines.append(f"{name}: {_packets(state.foreign)} from other senders")
     if state.senders > 1:
-        lines.append(f"{name}: {state.senders:.0f} senders at once; sender = ... chooses one")
+        lines.append(f"{name}: {state.senders:.0f} concurrent senders; sender = ... chooses one")
     return lines
 
 
@@ -73,9 +74,9 @@ def _packets(count: float) -> str:
     return f"{count:.0f} packet{'' if count == 1 else 's'}"
 
 
-def _controller_complaints(name: str, state: Any, answers: bool) -> list[str]:
-    """What a robot's controller says is not good, now or when it was last heard of."""
-    # Where nothing was received yet, all is 0, which here would mean something.
+def _controller_faults(name: str, state: Any, answers: bool) -> list[str]:
+    """Returns the faults that a robot's controller reports in its last packet, one per line."""
+    # Before the first packet the fields are 0, which would be a valid state here.
     if not state.received or state.link_quality < 0:
         return []
     if fri.is_good(state.robot_state, state.link_quality):
@@ -84,19 +85,19 @@ def _controller_complaints(name: str, state: Any, answers: bool) -> list[str]:
     of_robot = fri.STATES.get(int(state.robot_state), f"{state.robot_state:.0f}")
     lines = [f"{name}: quality {quality}, state {of_robot}"]
     if quality == "unacceptable" and not answers:
-        lines.append("  it gets no answers: answer = false")
+        lines.append("  no answers are sent to it: answer = false")
     return lines
 
 
 def _answers(source: Any) -> bool:
-    """Whether a source, or what declares it, answers."""
+    """Whether a source, or its declaration, sends answers."""
     if isinstance(source, Mapping):
         return bool(source.get("answer", False))
     return bool(getattr(source, "answer", False))
 
 
 class Status(Feature):
-    """What is wrong with sources that send what cannot be used."""
+    """Shows the faults of the sources."""
 
     order = 50
 
@@ -109,7 +110,7 @@ class Status(Feature):
         ]
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds what is wrong to the upper left corner, below the right one where they meet."""
+        """Adds the panel to the upper left corner, below the right one's if they overlap."""
         wrong = implausible_torques(self.world, frame.values)
         panel = self.panels(frame.data, frame.toggles, frame.view, wrong)
         if panel is not None:
@@ -117,25 +118,25 @@ class Status(Feature):
             middle = (low[1] + high[1]) / 2
             for other in frame.corners:
                 if other.centres[:, 1].max() > middle:
-                    panel = below(other, panel)
+                    panel = move_below(other, panel)
             frame.corners.append(panel)
 
     def panels(
         self, data: mujoco.MjData, toggles: Toggles, view: PictureView, more: Sequence[str] = ()
     ) -> Panels | None:
-        """Returns the panel in the upper left corner, or None when there is nothing to say.
+        """Returns the panel in the upper left corner, or None if there are no faults.
 
         Args:
             data: the world's state.
             toggles: whether it is shown.
             view: of the picture.
-            more: what else is wrong, a line each; the first few are written.
+            more: other faults, one per line; only the first few are shown.
         """
         lines = [*more[:_MOST_MORE]]
         for name, slot, answers in self._slots:
             state = SourceState(*data.userdata[slot])
-            lines += _complaints(name, state) + _link_complaints(name, state)
-            lines += _controller_complaints(name, state, answers)
+            lines += _source_faults(name, state) + _link_faults(name, state)
+            lines += _controller_faults(name, state, answers)
         if not lines or not toggles.status:
             return None
         texts = [line.encode("ascii", "replace")[:99] for line in lines]

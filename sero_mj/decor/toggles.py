@@ -1,4 +1,4 @@
-"""`Toggles`: which features are shown, per robot and per joint."""
+"""`Toggles`: which features are shown, by robot, joint, frame and arrow."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What there is to be drawn in one frame: what is switched on and is anywhere.
+    """The items to draw in one frame: those that are switched on and have a pose.
 
     Attributes:
-        joints: whether the joint is anywhere, (N,).
-        arrows: for every joint of the world, (N,).
-        billboards: likewise, those with an arrow's precise numbers included.
-        axes: for every frame, (M,).
-        frame_names: likewise.
-        vectors: for every smart arrow, (K,).
-        cards: likewise, whether its numbers are shown.
+        joints: whether a joint has a pose, (N,) bool.
+        arrows: arrows of the joints, (N,) bool.
+        billboards: billboards of the joints, including those with an arrow's precise values,
+            (N,) bool.
+        axes: axes of the frames, (M,) bool.
+        frame_names: names of the frames, (M,) bool.
+        vectors: smart arrows, (K,) bool.
+        cards: cards of the smart arrows, (K,) bool.
     """
 
     joints: Bools
@@ -42,22 +43,22 @@ class Shown:
 
 
 class Toggles:
-    """Which features are shown; a scene declares them, a user or a packet changes them.
+    """Which features are switched on: initially as declared, changed by users and packets.
 
     Attributes:
-        arrows: for every joint of the world, (N,).
-        arrow_quantity: what its arrow shows, index in `ARROW_QUANTITIES`, (N,).
-        billboards: for every joint, (N,).
-        details: whether a joint's billboard has the precise numbers of its arrow, (N,).
-        frame_names: whether a frame's name is shown, (M,).
-        axes: for every frame of the world, (M,).
-        vectors: for every smart arrow, (K,).
-        cards: whether a smart arrow's numbers are shown, (K,).
-        doubles: for every double, paths included, whether it is shown, (D,).
-        legend: whether it is written what arrows show.
-        status: whether faults of the sources are written into the picture.
+        arrows: arrows of the joints, (N,) bool.
+        arrow_quantity: quantity of the arrows, index in `ARROW_QUANTITIES`, (N,).
+        billboards: billboards of the joints, (N,) bool.
+        details: whether a joint's billboard has the precise values of its arrow, (N,) bool.
+        frame_names: names of the frames, (M,) bool.
+        axes: axes of the frames, (M,) bool.
+        vectors: smart arrows, (K,) bool.
+        cards: cards of the smart arrows, with their values, (K,) bool.
+        doubles: doubles, including paths, (D,) bool.
+        legend: whether the legend of the arrows is shown.
+        status: whether faults of the sources are shown.
         flange_checks: whether received flange frames are compared with the robots' own.
-        hover: what is written beside the pointer, and where that is (pixels); None for nothing.
+        hover: text beside the pointer, and the pointer's position (pixels); None for no text.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -69,7 +70,7 @@ class Toggles:
             doubles.index(name) if isinstance(part, DoublePart) else -1
             for name, part in world.owners.items()
         ]
-        of_owner = np.array([*owners, -1], np.intp)  # the last is for frames of nobody
+        of_owner = np.array([*owners, -1], np.intp)  # the last entry is for frames without owner
         self._double_of_joint = of_owner[world.joints.owner]
         self._double_of_frame = of_owner[world.frames.owner]
         switches = [item for item in world.inputs.values() if item.kind == "toggle"]
@@ -79,7 +80,7 @@ class Toggles:
         self.reset()
 
     def reset(self) -> None:
-        """Shows what the scene declares."""
+        """Resets the toggles to those that the scene declares."""
         world, scene = self._world, self._world.scene
         declared = [part.declared for part in world.owners.values()]
 
@@ -101,22 +102,22 @@ class Toggles:
         self.legend = scene.toggles.legend
         self.status = scene.toggles.status
         self.flange_checks = scene.toggles.flange_checks
-        self._last = np.full(len(self._switches), np.nan)  # what is routed holds on
+        self._last = np.full(len(self._switches), np.nan)  # routed toggles keep their value
 
     def snapshot(self) -> dict[str, Any]:
-        """Returns what is shown now, for `restore`."""
+        """Returns a copy of the toggles, for `restore`."""
         state = {key: value for key, value in vars(self).items() if not key.startswith("_")}
         return copy.deepcopy(state)
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Shows again what was shown when the snapshot was taken."""
+        """Restores the toggles of a snapshot."""
         vars(self).update(copy.deepcopy(snapshot))
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Switches what packets switch.
+        """Applies the toggles that packets have set.
 
-        A switch acts when its value changes, so that a user may still click in between. Above
-        0.5 is on; NaN leaves it as it is.
+        Only changes of an input act, so that a user can click in between. A value above 0.5 is
+        on; NaN is ignored.
         """
         userdata = data.userdata
         if not userdata[self._switch_flags].any():
@@ -150,7 +151,7 @@ class Toggles:
             feature[world.owners[item.name].joints] = on
 
     def shown(self, data: mujoco.MjData) -> Shown:
-        """What there is to be drawn: doubles without data and frames not received are nowhere."""
+        """Returns the items to draw; doubles without data and frames not received have no pose."""
         has = data.userdata[self._world.frames.has] > 0
         frames = has | (self._world.frames.has < 0)
         joints = np.ones(len(self.arrows), bool)
@@ -159,7 +160,7 @@ class Toggles:
             frames &= visible[self._double_of_frame]
             came = data.userdata[self._world.joints.has["joint_angles"]] > 0
             joints = (came & visible[self._double_of_joint]) | (self._double_of_joint < 0)
-        # An arrow is nowhere while the frame that it stands at, or is given in, is.
+        # An arrow has a pose only if the frames that it acts at and is expressed in have one.
         anywhere = np.append(frames, True)[self._world.arrows.frames].all(axis=1)
         vectors = self.vectors & anywhere
         return Shown(
@@ -173,7 +174,7 @@ class Toggles:
         )
 
     def hidden_geoms(self) -> Bools | None:
-        """Which geoms of the model are those of doubles that are switched off; None for none."""
+        """Returns the geoms of doubles that are switched off, (ngeom,) bool; None for none."""
         if self.doubles.all():
             return None
         hidden = np.zeros(self._world.model.ngeom, bool)

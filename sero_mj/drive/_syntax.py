@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
-from ..assemble.route_text import NOT, Word, words_of
+from ..assemble.route_text import NOT, Token, tokens_of
 from ..errors import RouteError
 
 _MAX_DEPTH = 40  # brackets within each other
@@ -41,7 +41,7 @@ class Expression:
     text: str
     negated: bool
     tree: ast.expr
-    words: list[Word]
+    words: list[Token]
 
     @property
     def name(self) -> str | None:
@@ -71,7 +71,7 @@ def parse(text: str) -> Expression:
     Raises:
         RouteError: points at the first word that is wrong.
     """
-    words = list(words_of(text))
+    words = list(tokens_of(text))
     if len(words) > _MAX_WORDS:
         word, found = words[_MAX_WORDS], f"{len(words)} numbers, names and signs"
         reason = f"expected at most {_MAX_WORDS} before the end; there are {found}"
@@ -89,12 +89,12 @@ def parse(text: str) -> Expression:
     if tree is None:
         counts = range(1, len(words) + 1)
         right = bisect_left(counts, True, key=lambda count: not _is_beginning(signs[:count]))
-        word = words[right] if right < len(words) else Word("end", "", len(text))
+        word = words[right] if right < len(words) else Token("end", "", len(text))
         raise RouteError(text, word.at, _expected(signs[:right], word), len(word.text))
     return Expression(text, negated, tree, words)
 
 
-def _sign_of(word: Word) -> str:
+def _sign_of(word: Token) -> str:
     """What stands for a word in the text that Python parses, one character."""
     if word.kind == "sign":
         return word.text
@@ -149,7 +149,7 @@ def _is_beginning(signs: Sequence[str]) -> bool:
     return any(_tree_of([*signs, *rest, *reversed(opened)]) is not None for rest in ("", "1"))
 
 
-def _expected(before: Sequence[str], found: Word) -> str:
+def _expected(before: Sequence[str], found: Token) -> str:
     """What would be right behind the words before."""
 
     def fits(sign: str) -> bool:

@@ -1,7 +1,7 @@
-"""Somebody else's model, seen as a world.
+"""External models: a `WorldView` of a model that sero-mj has not compiled.
 
-In: an `MjModel` and `MjData` that sero-mj has not made. Out: a `ModelWorld`, of which decor reads
-what it reads of a `World`: robots, joints, frames and sizes, found in the model.
-Open first: `model_world.py`; `model_trees.py` finds robots, `model_sizes.py` says how large their
-decor is.
+In: an `MjModel` and its `MjData`. Out: a `ModelWorld`, with the robots, joints, frames and decor
+sizes that decor reads of a `World`, derived from the model.
+Open first: `model_world.py`; `model_trees.py` finds robots, `model_sizes.py` computes the sizes of
+their decor.
 """

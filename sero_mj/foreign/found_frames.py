@@ -1,4 +1,4 @@
-"""Named frames of a model that nobody declared: its bodies and sites, and where each is read."""
+"""Named frames of an external model: its bodies and sites."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ BASE = "base"
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a frame is read.
+class FrameSource:
+    """Where the pose of a frame is read from.
 
     Attributes:
-        of: the double in whose pose it is; empty for the model's own state.
-        row: of `xpos`, and behind all bodies of `site_xpos`.
+        of: the double in whose state it is read; empty for the model's own state.
+        row: row of `xpos` for a body; number of bodies plus row of `site_xpos` for a site.
     """
 
     of: str
@@ -39,25 +39,25 @@ def list_found_frames(
     robots: Mapping[str, FoundPart],
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
-) -> tuple[dict[str, NamedFrame], dict[str, Place]]:
-    """Lists the frames of a model.
+) -> tuple[dict[str, NamedFrame], dict[str, FrameSource]]:
+    """Lists the named frames of a model.
 
     Args:
         model: compiled.
-        robots: whose bodies have frames, named `robot/body`, shown with the robot.
-        doubles: likewise, their moving bodies.
-        wanted: names of other bodies and sites; these are shown from the start.
+        robots: robots whose bodies have frames, named `robot/body`, shown with the robot.
+        doubles: likewise for their moving bodies.
+        wanted: names of other bodies and sites; these are initially shown.
 
     Returns:
-        the frames by name, and where each of them is read.
+        the frames by name, and the source of each of them.
 
     Raises:
         UnknownName: a wanted name is neither a body nor a site.
     """
     frames: dict[str, NamedFrame] = {}
-    places: dict[str, Place] = {}
+    places: dict[str, FrameSource] = {}
 
-    def add(frame: NamedFrame, place: Place) -> None:
+    def add(frame: NamedFrame, place: FrameSource) -> None:
         frames[frame.name], places[frame.name] = frame, place
 
     for name, part in robots.items():
@@ -65,7 +65,7 @@ def list_found_frames(
         for body, label in body_labels(model, part.tree).items():
             frame = f"{name}/{label}"
             size = _axes_length(model, part, body)
-            add(NamedFrame(frame, frame, name, name, size, alpha), Place("", body))
+            add(NamedFrame(frame, frame, name, name, size, alpha), FrameSource("", body))
     for name, double in doubles.items():
         part = robots[double.of]
         alpha = _DOUBLE_ALPHA * (1.0 - part.robot.axes_transparency)
@@ -73,15 +73,15 @@ def list_found_frames(
             for body, label in list(body_labels(model, part.tree).items())[1:]:
                 frame = f"{name}/{label}"
                 size = _axes_length(model, part, body)
-                add(NamedFrame(frame, frame, name, name, size, alpha), Place(name, body))
+                add(NamedFrame(frame, frame, name, name, size, alpha), FrameSource(name, body))
     size = max([part.robot.axes_length for part in robots.values()], default=0.2)
     for name in wanted:
-        add(NamedFrame(name, name, "", "", size, 1.0), Place("", _find(model, name)))
+        add(NamedFrame(name, name, "", "", size, 1.0), FrameSource("", _find(model, name)))
     return frames, places
 
 
 def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
-    """What the frames of a robot's bodies are called; the first is its base."""
+    """Returns the labels of the frames of a robot's bodies; the first is its base."""
     labels: dict[int, str] = {int(tree.bodies[0]): BASE}
     bodies = [int(body) for body in tree.bodies[1:]]
     names = [model.body(body).name or f"body{body}" for body in bodies]
@@ -92,7 +92,7 @@ def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
 
 
 def _axes_length(model: mujoco.MjModel, part: FoundPart, body: int) -> float:
-    """Length of a body's axes, m: that of the joint that moves it, the first one's for a base."""
+    """Returns the length of a body's axes, m: that of its joint, for a base of the first joint."""
     robot = part.robot
     moved = model.jnt_bodyid[part.tree.joints]
     while body and body not in moved:
@@ -102,7 +102,7 @@ def _axes_length(model: mujoco.MjModel, part: FoundPart, body: int) -> float:
 
 
 def _find(model: mujoco.MjModel, name: str) -> int:
-    """Row of a site or body."""
+    """Returns the row of a site or body, as in `FrameSource`."""
     kinds = mujoco.mjtObj
     site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
     body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)

@@ -1,4 +1,4 @@
-"""A robot that was found in a model: what decor knows of a `SerialRobot`, without a DH table."""
+"""A robot found in an external model: a `SerialRobot` without a DH table."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..errors import DeclarationError, Problem, did_you_mean
 from .model_sizes import GRAVITY, Sizes
 from .model_trees import Tree
 
-# What may be said of a robot that was found; all else is as the model has it.
+# Fields that a user can set for a found robot; the others come from the model.
 FIELDS = (
     "torque_limits",
     "acceleration_limits",
@@ -35,11 +35,11 @@ FIELDS = (
     "inputs",
     "enable_touch_sensor",
 )
-_FULL_WIDTH_G = 5.0  # accelerations are at full width at this many times free fall
+_FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations have full width
 
 
 def _positive(value: Any) -> Any:
-    """One positive number, or one for each joint; inf for a joint without a limit."""
+    """Converts one positive number, or one for each joint; inf for a joint without a limit."""
     if value is None:
         return None
     array = np.asarray(value)
@@ -56,14 +56,14 @@ PerJoint = Annotated[Array, BeforeValidator(_positive)]
 
 
 class FoundRobot(SerialRobot):
-    """What decor needs to know of a robot in somebody else's model.
+    """The declaration of a robot found in an external model.
 
-    It has no table: where its joints are is what the model says. `dh` only says which of them
-    turn. Its numbers may differ from joint to joint where a `SerialRobot` has one for all.
+    It has no DH table: the model has the joint poses, and `dh` only tells revolute from
+    prismatic joints. Some fields have one value per joint where a `SerialRobot` has one for all.
 
     Attributes:
-        joint_names: as the model has them, of any characters.
-        torque_limits: (n,), inf where nothing is known.
+        joint_names: as in the model, of any characters.
+        torque_limits: (n,), Nm or N, inf where unknown.
         arrow_radius: (n,) or one for all, m.
     """
 
@@ -74,7 +74,7 @@ class FoundRobot(SerialRobot):
     @field_validator("dh_params")
     @classmethod
     def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
-        return rows  # as many as the model has
+        return rows  # any number of joints
 
     @field_validator("arrow_radius")
     @classmethod
@@ -89,7 +89,7 @@ class FoundRobot(SerialRobot):
 
     @property
     def arrow_loads(self) -> Array:
-        """At which torque an arrow without limit is as wide as its radius (n,), Nm or N."""
+        """Effort at which an arrow without limit is as wide as its radius (n,), Nm or N."""
         return super().arrow_loads if self._loads is None else self._loads
 
     @property
@@ -104,19 +104,19 @@ class FoundRobot(SerialRobot):
 
     @property
     def axes_lengths(self) -> Array:
-        """Length of the axes of what each joint moves (n,), m: a finger's are smaller."""
+        """Length of the axes of the body that each joint moves (n,), m; smaller for fingers."""
         return np.full(self.n, self.axes_size) if self._axes is None else self._axes
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPart(RobotPart):
-    """Where a found robot is in the model.
+    """Indices of a found robot in the model.
 
     Attributes:
         tree: its bodies and joints.
         size: its reach, m.
-        tool: name of the frame at the end of its chain, without the robot's.
-        labels: what its links are called, (n + 1).
+        tool: name of the frame at the end of its chain, without the robot's name.
+        labels: names of its base and links, n + 1.
     """
 
     tree: Tree
@@ -136,32 +136,34 @@ class FoundPart(RobotPart):
 
     @property
     def chain(self) -> Ints:
-        """Which of its joints lead to where it first branches; none where that is at once."""
+        """Indices of its joints up to the first branch of its tree; empty if the root branches."""
         return self.tree.chain
 
     @property
     def reach(self) -> float:
-        """The sum of the distances along its chain, m."""
+        """Sum of the distances between joints along its chain, m."""
         return self.size
 
 
 def found_robot(
-    tree: Tree, revolute: Any, limits: Array, sizes: Sizes, said: Mapping[str, Any]
+    tree: Tree, revolute: Any, limits: Array, sizes: Sizes, overrides: Mapping[str, Any]
 ) -> SerialRobot:
-    """Makes the declaration of a robot from what the model says, and the user over it.
+    """Builds the declaration of a robot from the model, with the user's fields as overrides.
 
     Args:
         tree: the robot.
-        revolute: which of its joints turn, (n,).
-        limits: of their torques, (n,), inf where there is none.
+        revolute: True for revolute joints, (n,) bool.
+        limits: torque limits, (n,), Nm or N, inf for none.
         sizes: of its decor.
-        said: fields of `FIELDS`.
+        overrides: the user's fields, of `FIELDS`.
 
     Raises:
         DeclarationError: other fields, or values that do not fit.
     """
     problems = [
-        Problem(key, f"unknown key{did_you_mean(key, FIELDS)}") for key in said if key not in FIELDS
+        Problem(key, f"unknown key{did_you_mean(key, FIELDS)}")
+        for key in overrides
+        if key not in FIELDS
     ]
     if problems:
         raise DeclarationError([problem.inside(f"robots.{tree.name}") for problem in problems])
@@ -172,7 +174,7 @@ def found_robot(
         "acceleration_limits": _FULL_WIDTH_G * GRAVITY / np.where(revolute, sizes.link, 1.0),
         "arrow_radius": sizes.arrow_radius,
         "axes_size": float(np.median(sizes.axes)),
-        **said,
+        **overrides,
     }
     n = len(tree.joints)
     if np.ndim(fields["torque_limits"]) == 0 and fields["torque_limits"] is not None:
@@ -184,12 +186,12 @@ def found_robot(
             dh_params=np.zeros((n, 4)),
             joint_types=["revolute" if turns else "prismatic" for turns in revolute],
             joint_names=tree.joint_names,
-            torques=np.zeros(n),  # comes from the model, which billboards must know
+            torques=np.zeros(n),  # provided by the model; billboards have to show it
             **fields,
         )
-        if "arrow_width_scale" not in said:
+        if "arrow_width_scale" not in overrides:
             robot._loads = sizes.load
-        if "axes_size" not in said:
+        if "axes_size" not in overrides:
             robot._axes = sizes.axes
     except DeclarationError as error:
         raise DeclarationError([p.inside(f"robots.{tree.name}") for p in error.problems]) from None

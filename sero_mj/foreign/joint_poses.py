@@ -1,4 +1,4 @@
-"""Where the axes of joints are, for models that have no sites there."""
+"""Poses of joint axes, for external models that have no sites at their joints."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-_PARALLEL = 1e-6  # length of what is left of a unit vector when its part along an axis is taken off
+_PARALLEL = 1e-6  # minimum length of a unit vector's component perpendicular to an axis
 
 
 @dataclass(frozen=True, eq=False)
 class JointPoses:
-    """Some joints of a model, ready to be placed.
+    """Frames of some joints of a model.
 
-    A frame stands at a joint's anchor, its z along the axis; like the sites of our own robots it
-    turns with the link, and it is the link's own frame where the axis is the link's z. Hinges of
-    one body turn one after the other.
+    A frame is at a joint's anchor with z along the axis. Like the sites of a compiled scene it
+    turns with the link, and it is parallel to the link's frame where the axis is the link's z.
+    Several hinges of one body rotate in sequence.
 
     Attributes:
         joints: ids, (n,).
-        bodies: what they move, (n,).
-        parents: what these hang on, (n,).
-        hinge: whether it turns, (n,).
+        bodies: ids of the bodies they move, (n,).
+        parents: ids of their parents, (n,).
+        hinge: True for hinges, False for slides, (n,).
         start: x of the frame in the parent's, at the joint's reference angle, (n, 3).
-        second: y of it, for the case that x lies along the axis, (n, 3).
+        second: y of it, used where x is along the axis, (n, 3).
         anchor: position of the joint in its body, (n, 3), m.
         qpos: index of its angle, (n,).
         reference: that angle, (n,).
@@ -48,7 +48,13 @@ class JointPoses:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joints: Ints, offset: Array) -> JointPoses:
-        """Prepares joints (n,); offsets (n, 3) in m are in the frames of the joints."""
+        """Prepares the frames of joints.
+
+        Args:
+            model: compiled.
+            joints: their ids, (n,).
+            offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
+        """
         bodies = model.jnt_bodyid[joints].astype(np.intp)
         frames = np.empty((len(joints), 3, 3))
         for i, joint in enumerate(joints):
@@ -73,10 +79,10 @@ class JointPoses:
         )
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Places the frames.
+        """Computes the frames at the current joint angles.
 
         Args:
-            data: with frames up to date.
+            data: kinematics up to date.
 
         Returns:
             positions (n, 3), m, and rotations (n, 3, 3).
@@ -94,12 +100,12 @@ class JointPoses:
         angle = np.where(self.hinge, data.qpos[self.qpos] - self.reference, 0.0)[:, None]
         x = np.cos(angle) * x + np.sin(angle) * np.cross(axis, x)
         rotation = np.stack([x, np.cross(axis, x), axis], axis=2)
-        # MuJoCo's anchor of a slide stays behind; its arrow goes along with the link.
+        # MuJoCo's anchor of a slide does not move; its arrow moves with the link.
         along = data.xpos[self.bodies] + np.einsum("nij,nj->ni", body, self.anchor)
         at = np.where(self.hinge[:, None], data.xanchor[self.joints], along)
         return at + np.einsum("nij,nj->ni", rotation, self.offset), rotation
 
     @staticmethod
     def _across(axis: Array, vectors: Array) -> Array:
-        """What of vectors (n, 3) is square to axes (n, 3)."""
+        """Returns the components of vectors (n, 3) perpendicular to axes (n, 3)."""
         return np.asarray(vectors - np.einsum("ni,ni->n", axis, vectors)[:, None] * axis)

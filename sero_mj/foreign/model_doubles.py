@@ -1,4 +1,4 @@
-"""Poses of the doubles of a borrowed model: scratch states that its own kinematics moves."""
+"""Poses of the doubles of an external model, computed in separate `MjData`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE, PATH_FADE
-from ..assemble.parts import DoublePart, Ghost
+from ..assemble.parts import DoublePart, DrawnDouble
 
 Array = NDArray[np.float64]
 
 
 class ModelDoubles:
-    """Moves the doubles of a model.
+    """Computes the poses of the doubles of a model.
 
     Args:
         model: compiled.
@@ -34,11 +34,11 @@ class ModelDoubles:
     def pose(
         self, data: mujoco.MjData, angles: Mapping[str, Array]
     ) -> dict[str, list[mujoco.MjData]]:
-        """Poses every double that has angles, all else standing where it stands in `data`.
+        """Computes the state of every double that has joint angles; all else is as in `data`.
 
         Args:
-            data: the user's, frames up to date.
-            angles: of every double that is anywhere but a path, (n,).
+            data: the user's, kinematics up to date.
+            angles: (n,) of every double that has any, except paths, rad or m.
         """
         poses = {}
         for name, part in self._doubles.items():
@@ -53,8 +53,8 @@ class ModelDoubles:
                 mujoco.mj_kinematics(self._model, scratch)
         return poses
 
-    def ghosts(self, state: Any, name: str) -> list[Ghost]:
-        """What is to be drawn of one double: its links, but those that are where the robot's are.
+    def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
+        """Returns what to draw of one double: its links that do not coincide with the robot's.
 
         Args:
             state: the `ModelState`.
@@ -64,7 +64,7 @@ class ModelDoubles:
         poses = state.doubles.get(name, [])
         fade = np.linspace(*PATH_FADE, len(poses)) if len(poses) > 1 else np.ones(1)
         return [
-            Ghost(
+            DrawnDouble(
                 name,
                 self._model,
                 pose,
@@ -77,7 +77,7 @@ class ModelDoubles:
     def _apart(
         self, part: DoublePart, data: mujoco.MjData, pose: mujoco.MjData
     ) -> NDArray[np.bool_]:
-        """Which geoms of the model belong to links of the double away from the robot's."""
+        """Returns the geoms of links that do not coincide with the robot's, (ngeom,) bool."""
         model = self._model
         apart = np.linalg.norm(pose.xpos - data.xpos, axis=1) > HIDDEN_DISTANCE
         # The trace of R_target^T R_actual is 1 + 2 cos(angle between them).

@@ -1,4 +1,4 @@
-"""How large decor must be on a robot that nobody declared: from its links' shapes and masses."""
+"""Sizes of the decor of an external model's robot, from the shapes and masses of its links."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from .model_trees import Tree
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-_CLEAR = 1.45  # radius of an arrow over that of the housing it goes round
-_SMALLEST, _LARGEST = 0.12, 0.5  # radius of an arrow, of the length of a link
-_AXES = 2.0  # length of axes over the radius of arrows: they look out of the housings
-_OF_PARENT = 1.4  # how much larger than what turns that may be in which it turns
-_SLAB = 0.2  # of the length of a link: how far from a joint its housing is measured
+_CLEAR = 1.45  # radius of an arrow over that of the housing it encloses
+# Bounds of an arrow's radius, fractions of the link length.
+_SMALLEST, _LARGEST = 0.12, 0.5
+_AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
+_OF_PARENT = 1.4  # largest considered ratio of the housing of the parent to that of the moving body
+# Half the length along the axis in which the housing is measured, fraction of the link length.
+_SLAB = 0.2
 _SECTORS = 12
 _MOST_POINTS = 1500  # of a mesh
 _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _AT_ONE_PLACE = 0.02  # of the robot's extent
 GRAVITY = 9.81  # m/s2
-_LEAST_SHARE = 0.02  # of the largest load of a robot, that any joint's is taken for
+_LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
 _ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
 _RING = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
 _TYPES = mujoco.mjtGeom
@@ -35,10 +37,10 @@ class Sizes:
 
     Attributes:
         link: typical distance of neighbouring joints, m.
-        arrow_radius: (n,), m; clear of the housing that the arrow goes round.
-        axes: length of the coordinate axes of what each joint moves, (n,), m.
-        load: what gravity asks of each joint at most, about (n,), Nm or N: the weight behind it
-            times its distance.
+        arrow_radius: (n,), m; larger than the housing that the arrow encloses.
+        axes: length of the coordinate axes of the body that each joint moves, (n,), m.
+        load: approximate maximum gravity load of each joint, (n,), Nm or N: the weight it
+            carries times its distance.
     """
 
     link: float
@@ -48,11 +50,11 @@ class Sizes:
 
 
 def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
-    """Measures a robot.
+    """Computes the sizes of a robot's decor.
 
     Args:
         model: compiled.
-        data: with frames up to date (`mj_fwdPosition`) in the pose to be measured.
+        data: in the pose to measure, after `mj_fwdPosition`.
         tree: the robot.
     """
     anchors, axes = data.xanchor[tree.joints], data.xaxis[tree.joints]
@@ -67,7 +69,7 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
             _housing_radius(points[of_body == around] - anchors[i], axes[i], _SLAB * links[i])
             for around in (bodies[i], parents[i])
         )
-        # A finger is not as thick as its palm; a body without a surface is part of its parent.
+        # A finger is thinner than its palm; a body without a surface counts as part of its parent.
         housing = max(own, min(other, _OF_PARENT * own)) if own > 0 else other
         most = _LARGEST * max(links[i], link)
         radius[i] = np.clip(_CLEAR * housing, _SMALLEST * links[i], most)
@@ -75,13 +77,13 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
 
 
 def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Array) -> Array:
-    """For every joint, how far it is to the farther of its neighbours in the tree, (n,), m.
+    """Returns every joint's distance to the farther of its neighbours in the tree, (n,), m.
 
-    Joints at one place, as those of a wrist or a hip, are taken for one.
+    Joints that coincide, as in a wrist or a hip, count as one.
     """
     extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     row = {int(body): i for i, body in enumerate(model.jnt_bodyid[tree.joints])}
-    before = np.full(len(anchors), -1)  # the joint that each hangs on
+    before = np.full(len(anchors), -1)  # the parent joint of each
     for i, body in enumerate(model.jnt_bodyid[tree.joints]):
         at = int(body)
         while at and before[i] < 0:
@@ -93,7 +95,7 @@ def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Arr
     for i in (before >= 0).nonzero()[0].tolist():
         step = float(np.linalg.norm(anchors[i] - anchors[before[i]]))
         links[i], links[before[i]] = max(links[i], step), max(links[before[i]], step)
-    for i in range(len(anchors)):  # those at one place share the longest
+    for i in range(len(anchors)):  # coinciding joints share the longest
         beside = np.linalg.norm(anchors - anchors[i], axis=1) <= _AT_ONE_PLACE * extent
         links[i] = max(links[i], float(links[beside].max()))
     known = links > 0
@@ -102,12 +104,12 @@ def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Arr
 
 
 def _housing_radius(points: Array, axis: Array, slab: float) -> float:
-    """How far a body reaches from an axis on most sides; a link leads away on one or two.
+    """Returns the radius of a body about an axis on most sides; links extend on one or two, m.
 
     Args:
-        points: of its surface, seen from the joint's anchor, (k, 3), m.
+        points: of its surface, relative to the joint's anchor, (k, 3), m.
         axis: unit vector (3,).
-        slab: how far along the axis to look, m.
+        slab: half the length along the axis in which points count, m.
     """
     along = points @ axis
     across = points - along[:, None] * axis
@@ -138,7 +140,7 @@ def _loads(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, link: float) 
 
 
 def _surface(model: mujoco.MjModel, data: mujoco.MjData, bodies: Ints) -> tuple[Array, Ints]:
-    """Points on the visible geoms of bodies (k, 3), m, and which body each belongs to, (k,)."""
+    """Returns points on the visible geoms of bodies (k, 3), m, and the body of each, (k,)."""
     mine = np.isin(model.geom_bodyid, bodies)
     shown = mine & (model.geom_group < _SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0)
     points, owners = [np.empty((0, 3))], [np.empty(0, np.intp)]
@@ -150,7 +152,7 @@ def _surface(model: mujoco.MjModel, data: mujoco.MjData, bodies: Ints) -> tuple[
 
 
 def _geom_points(model: mujoco.MjModel, geom: int) -> Array:
-    """Points on the surface of a geom in its own frame, (k, 3), m."""
+    """Returns points on the surface of a geom in its own frame, (k, 3), m."""
     kind, size = _TYPES(int(model.geom_type[geom])), np.array(model.geom_size[geom])
     if kind == _TYPES.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
@@ -161,7 +163,7 @@ def _geom_points(model: mujoco.MjModel, geom: int) -> Array:
     if kind in (_TYPES.mjGEOM_SPHERE, _TYPES.mjGEOM_ELLIPSOID):
         return _ball(np.full(3, size[0]) if kind == _TYPES.mjGEOM_SPHERE else size)
     if kind in (_TYPES.mjGEOM_CAPSULE, _TYPES.mjGEOM_CYLINDER, _TYPES.mjGEOM_BOX):
-        if kind == _TYPES.mjGEOM_BOX:  # the ring pushed out to a rectangle
+        if kind == _TYPES.mjGEOM_BOX:  # the ring projected onto a rectangle
             ring = ring / np.abs(ring).max(axis=1, keepdims=True) * [size[0], size[1], 1.0]
             half = size[2]
         else:
@@ -172,11 +174,11 @@ def _geom_points(model: mujoco.MjModel, geom: int) -> Array:
             ends = _ball(np.full(3, size[0]))
             points = np.concatenate([points, ends + np.sign(ends[:, 2:]) * [0.0, 0.0, half]])
         return np.asarray(points)
-    return np.empty((0, 3))  # planes, height fields: no part of a robot
+    return np.empty((0, 3))  # planes and height fields are not part of a robot
 
 
 def _ball(radii: Array) -> Array:
-    """Points on an ellipsoid, (k, 3)."""
+    """Returns points on an ellipsoid, (k, 3)."""
     polar = np.linspace(0.0, np.pi, 13)[:, None, None]
     return np.asarray(
         ((np.sin(polar) * _RING + np.cos(polar) * [0.0, 0.0, 1.0]) * radii).reshape(-1, 3)

@@ -1,10 +1,9 @@
-"""`ModelState`: what decor reads, for a model that has neither our sites nor our userdata.
+"""`ModelState`: the state that decor reads, for an external model.
 
-Decor reads an `MjData`: where sites are, and what lies in userdata. Somebody else's model has
-neither, a compiled model cannot be given any, and its data is not ours to write into. So an
-overlay's world makes this object for every frame: it has the few fields that decor reads, with a
-site for every joint and frame, and an array of our own for userdata. Decor, picking and clicks
-are the same for both; nothing of a scene is copied, and nothing of the user's is changed.
+Decor reads the poses of sites and the contents of `userdata`. An external model has no sites and
+slots for decor, and neither can be added to a compiled model. So `ModelWorld` creates this object
+for every frame: it has the fields of `MjData` that decor reads, with a site for every joint and
+frame, and a `userdata` array of its own. The user's model and data are not changed.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class ModelState:
-    """One moment of somebody else's model, as decor reads it.
+    """The state of an external model, as decor reads it.
 
     Attributes:
         data: the user's.
         userdata: values of all inputs.
-        site_xpos: where the joints, then the frames, then points of the world are, (S, 3), m.
+        site_xpos: positions of the joints, then the frames, then fixed points, (S, 3), m.
         site_xmat: their rotations, (S, 9).
-        doubles: the poses of doubles that have one, by name; several for a path.
+        doubles: states of the doubles that have a pose, by name; several for a path.
     """
 
     data: mujoco.MjData
@@ -63,15 +62,15 @@ class ModelState:
 
 @dataclass(frozen=True, eq=False)
 class Sites:
-    """Where the sites of a `ModelState` are read.
+    """Sources of the site poses of a `ModelState`.
 
     Attributes:
-        joints: of every robot, then of every double, with whose pose they are read; "" for the
-            user's own.
-        frames: whose pose each frame is read in, (M,); 0 is the user's, k the k-th double's.
-        rows: of `xpos` and, behind that, of `site_xpos`, (M,).
-        points: of the world, (P, 3), m.
-        names: of the poses after the user's own.
+        joints: joint frames of every robot and every double, with the name of the double in
+            whose state they are read; "" for the user's data.
+        frames: state in which each frame is read, (M,); 0 is the user's, k the k-th double's.
+        rows: rows of `xpos` followed by those of `site_xpos`, (M,).
+        points: fixed points in the world, (P, 3), m.
+        names: names of the doubles in `frames`, from 1 on.
     """
 
     joints: list[tuple[str, JointPoses]]
@@ -83,13 +82,13 @@ class Sites:
     def read(
         self, data: mujoco.MjData, doubles: dict[str, list[mujoco.MjData]]
     ) -> tuple[Array, Array]:
-        """Positions (S, 3), m, and rotations (S, 9); out of sight where there is no pose."""
+        """Returns positions (S, 3), m, and rotations (S, 9)."""
         positions, rotations = [np.empty((0, 3))], [np.empty((0, 3, 3))]
         for name, joints in self.joints:
             at, turned = joints.place(doubles[name][0] if name in doubles else data)
             positions.append(at)
             rotations.append(turned)
-        # What has no pose yet is read in the user's own, and shown by nothing.
+        # A double without a pose is read in the user's data; nothing shows it.
         states = [data, *(doubles[name][0] if name in doubles else data for name in self.names)]
         used = np.unique(self.frames)
         at_frames, of_frames = np.empty((len(self.rows), 3)), np.empty((len(self.rows), 3, 3))
@@ -104,7 +103,7 @@ class Sites:
         upright = np.broadcast_to(np.eye(3), (len(self.points), 3, 3))
         site_xpos = np.concatenate([*positions, at_frames, self.points])
         site_xmat = np.concatenate([*rotations, of_frames, upright])
-        # What has flown off to infinity is not drawn there.
+        # A diverged simulation has positions that cannot be drawn.
         lost = ~(np.isfinite(site_xpos).all(axis=1) & np.isfinite(site_xmat).all(axis=(1, 2)))
         if lost.any():
             site_xpos[lost], site_xmat[lost] = OUT_OF_SIGHT, np.eye(3)

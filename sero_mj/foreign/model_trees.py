@@ -1,7 +1,7 @@
-"""The robots in a compiled model that nobody declared: its kinematic trees with driven joints.
+"""Finds the robots in an external model: its kinematic trees with hinge or slide joints.
 
-A tree is everything below one child of the world. It is a robot if it has a hinge or a slide;
-free and ball joints, which have no single axis, carry no arrow.
+A tree consists of one child of the world and all of its descendants. Free and ball joints have no
+single axis and therefore no arrow.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Ints = NDArray[np.intp]
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _DIRECT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
-_RESERVED = ("world", "toggles")  # they mean something in routes
+_RESERVED = ("world", "toggles")  # reserved names in routes
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +28,12 @@ class Tree:
     """One kinematic tree.
 
     Attributes:
-        name: of the root body, made fit for routes and unlike all others.
+        name: of the root body, made unique and valid in routes.
         bodies: ids, parents before children, the root first.
         joints: ids of its hinges and slides, (n,).
-        joint_names: without the scope that all of them share, n.
-        chain: which of the joints lie between the root and the first body that branches, as
-            numbers from 0; these move the tool of a serial arm.
+        joint_names: without their common scope, n.
+        chain: indices of the joints between the root and the first branch; these move the
+            tool of a serial arm.
         last: id of the body at the end of that chain.
     """
 
@@ -46,7 +46,7 @@ class Tree:
 
 
 def find_trees(model: mujoco.MjModel) -> list[Tree]:
-    """All trees of a model that have a hinge or a slide, in the order of their bodies."""
+    """Returns all trees of a model that have a hinge or a slide, in the order of their bodies."""
     trees: list[Tree] = []
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
     tree_of_joint = model.body_rootid[model.jnt_bodyid]
@@ -60,7 +60,7 @@ def find_trees(model: mujoco.MjModel) -> list[Tree]:
 
 
 def _as_name(text: str) -> str:
-    """A body's name as the name of a robot."""
+    """Converts a body's name to a valid name of a robot."""
     name = re.sub(r"[^A-Za-z0-9_-]", "_", text.strip("/"))
     if not name:
         return "robot"
@@ -68,7 +68,7 @@ def _as_name(text: str) -> str:
 
 
 def _unlike(name: str, taken: Iterable[str]) -> str:
-    """The name, with a number behind it where another one has it."""
+    """Returns the name, with a number appended if it is taken."""
     taken = {*taken, *_RESERVED}
     candidate, number = name, 2
     while candidate in taken:
@@ -77,7 +77,7 @@ def _unlike(name: str, taken: Iterable[str]) -> str:
 
 
 def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
-    """Names of joints; one without has its body's, else its number."""
+    """Returns the names of joints; an unnamed joint has its body's name, else its number."""
     names: list[str] = []
     for joint in joints:
         name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
@@ -86,7 +86,7 @@ def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
 
 
 def without_scope(names: list[str]) -> list[str]:
-    """Names without the scopes (`jaco/` in `jaco/hand/finger_1`) that all of them share."""
+    """Returns names without their common scopes (`jaco/` in `jaco/hand/finger_1`)."""
     split = [name.split("/") for name in names]
     common, most = 0, min((len(parts) - 1 for parts in split), default=0)
     while common < most and len({parts[common] for parts in split}) == 1:
@@ -95,9 +95,9 @@ def without_scope(names: list[str]) -> list[str]:
 
 
 def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, int]:
-    """The joints from the root to the first branch, and the last body of that chain."""
+    """Returns the joints from the root to the first branch, and the last body of that chain."""
     moving = set(model.jnt_bodyid[joints].tolist())
-    below: dict[int, list[int]] = {}  # children with something that moves at or below them
+    below: dict[int, list[int]] = {}  # children that have joints or descendants with joints
     carries = set(moving)
     for body in range(model.nbody - 1, 0, -1):
         if body in carries:
@@ -107,7 +107,7 @@ def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, 
     while len(below.get(body, [])) == 1:
         body = below[body][0]
         along.add(body)
-    if body not in below:  # nothing moves behind it: the tool is the last body fixed to it
+    if body not in below:  # end of the chain: the tool is the last body fixed to it
         fixed = [b for b in range(body + 1, model.nbody) if int(model.body_weldid[b]) == body]
         body = fixed[-1] if fixed else body
     chain = np.array([i for i, j in enumerate(joints) if int(model.jnt_bodyid[j]) in along])
@@ -115,10 +115,10 @@ def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, 
 
 
 def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """What the drives of joints can put out at most, (n,), Nm or N; inf where nothing says.
+    """Returns the torque limits of joints, (n,), Nm or N; inf where the model states none.
 
-    It is the joint's `actuatorfrcrange`, or the `forcerange` of the actuators on it (for a motor
-    without one its `ctrlrange`) times their gear, whichever is less.
+    The lower of the joint's `actuatorfrcrange` and the `forcerange` of its actuators (for a motor
+    without one its `ctrlrange`) times their gear.
     """
     limits = np.full(len(joints), np.inf)
     for i, joint in enumerate(joints):

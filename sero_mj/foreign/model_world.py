@@ -1,7 +1,7 @@
-"""`ModelWorld`: a world made from a model that somebody else has compiled.
+"""`ModelWorld`: the `WorldView` of an external model.
 
-It has everything that decor, picking and clicks read of a `World`, found in the model instead of
-declared in a scene. What the user's data has no room for is kept here (see `model_state`).
+It provides what decor, picking and clicks read of a `World`, derived from the model instead of
+declared in a scene. Input values are stored here, not in the user's data (see `model_state`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..assemble.inputs import BLANKABLE, list_inputs, userdata_slots
 from ..assemble.joint_table import joint_table
 from ..assemble.looks import View
 from ..assemble.named_frames import NamedFrame
-from ..assemble.parts import DoublePart, Ghost
+from ..assemble.parts import DoublePart, DrawnDouble
 from ..assemble.scene import Scene, SceneToggles
 from ..assemble.world_view import WorldView
 from ..declaration import numbers
@@ -41,20 +41,20 @@ log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-_FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input and its field
-_MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation where a model says nothing
+_FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
+_MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation for a model without a view
 _EMPTY = np.empty(0, np.intp)
 
 
 class FoundScene(Scene):
-    """What a scene says, of a model that no scene has declared."""
+    """The scene of an external model."""
 
     def __init__(self, frames: Mapping[str, NamedFrame], **fields: Any) -> None:
-        self._frames = dict(frames)  # is asked for while the rest is checked
+        self._frames = dict(frames)  # needed while the base class checks the rest
         super().__init__(floor=False, **fields)
 
     def named_frames(self) -> dict[str, NamedFrame]:
-        """All frames of the model that have names."""
+        """Returns the named frames of the model."""
         return self._frames
 
 
@@ -64,18 +64,18 @@ class ModelWorld(WorldView):
     Args:
         model: compiled by the user; not changed.
         data: its state, the user's; not changed.
-        robots: what is said of robots over what the model says, by name.
+        robots: fields of robots that override the model, by robot.
         doubles: of its robots.
         arrows: Cartesian vectors.
-        frames: bodies and sites whose axes are shown, beside those of robots.
-        toggles: what is shown of all.
+        frames: bodies and sites whose axes are shown, in addition to those of robots.
+        toggles: initial toggles of the whole scene.
         name: in titles.
 
     Attributes:
-        not_finite: how many values were set that are NaN or infinite; these are not shown.
+        not_finite: number of NaN and infinite values that were set; these are not shown.
 
     Raises:
-        DeclarationError: the model has no joint with an axis, or what is said does not fit it.
+        DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
         UnknownName: no robot, body or site of that name.
     """
 
@@ -96,8 +96,8 @@ class ModelWorld(WorldView):
         trees = find_trees(model)
         if not trees:
             raise DeclarationError([Problem("model", _no_joints(model))])
-        said = dict(robots or {})
-        for robot in said:
+        overrides = dict(robots or {})
+        for robot in overrides:
             if robot not in [tree.name for tree in trees]:
                 raise UnknownName("robot", robot, [tree.name for tree in trees])
         rest = mujoco.MjData(model)
@@ -105,7 +105,7 @@ class ModelWorld(WorldView):
         found: dict[str, FoundPart] = {}
         start = 0
         for tree in trees:
-            found[tree.name] = self._part(tree, rest, said.get(tree.name, {}), start)
+            found[tree.name] = self._part(tree, rest, overrides.get(tree.name, {}), start)
             start += len(tree.joints)
         self.robots = dict(found)
         wanted = {double.name: double for double in doubles if double.of in found}
@@ -163,12 +163,12 @@ class ModelWorld(WorldView):
         self._declare()
 
     def _part(
-        self, tree: Tree, rest: mujoco.MjData, said: Mapping[str, Any], start: int
+        self, tree: Tree, rest: mujoco.MjData, overrides: Mapping[str, Any], start: int
     ) -> FoundPart:
         model = self.model
         sizes = measure(model, rest, tree)
         revolute = model.jnt_type[tree.joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
-        robot = found_robot(tree, revolute, torque_limits(model, tree.joints), sizes, said)
+        robot = found_robot(tree, revolute, torque_limits(model, tree.joints), sizes, overrides)
         labels = body_labels(model, tree)
         bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
         along = rest.xanchor[tree.joints[tree.chain]]
@@ -211,10 +211,10 @@ class ModelWorld(WorldView):
         return JointPoses.of(self.model, of.tree.joints, of.robot.offsets)
 
     def _declare(self) -> None:
-        """Sets what doubles and arrows are declared with, and what robots have from the model."""
+        """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
         self._live = {
             (name, key): True for name in self.robots for key in _FROM_MODEL
-        }  # what is not given by the user
+        }  # not set by the user
         for double in self.doubles.values():
             if double.path is None:
                 keys = ("joint_angles", "torques", "commanded_torques")
@@ -225,16 +225,16 @@ class ModelWorld(WorldView):
             self.set_declared(self.data, arrow, ("vector",))
 
     def make_data(self) -> mujoco.MjData:
-        """Returns a copy of the user's data, frames up to date."""
+        """Returns a copy of the user's data, kinematics up to date."""
         data = copy.copy(self.data)
         mujoco.mj_fwdPosition(self.model, data)
         return data
 
     def reset(self, data: mujoco.MjData) -> None:
-        """Does nothing: the data is the user's."""
+        """Does nothing, because the data belongs to the user."""
 
     def state(self, data: Any) -> ModelState:
-        """What decor reads of `data`, an `MjData` of this model with frames up to date."""
+        """Returns the state that decor reads, from an `MjData` with kinematics up to date."""
         if isinstance(data, ModelState):
             return data
         for (name, key), live in self._live.items():
@@ -251,38 +251,38 @@ class ModelWorld(WorldView):
         positions, rotations = self._sites.read(data, doubles)
         return ModelState(data, self._userdata, positions, rotations, doubles)
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[Ghost]:
-        """What is to be drawn of the doubles that are switched on, (D,)."""
+    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
+        """Returns the doubles to draw, of those that are switched on, (D,)."""
         return [
-            ghost
+            drawn
             for name, on in zip(self.doubles, shown, strict=True)
             if on
-            for ghost in self._posed.ghosts(state, name)
+            for drawn in self._posed.drawn(state, name)
         ]
 
     def geoms_in_view(self) -> NDArray[np.bool_]:
-        """Those of its robots, (ngeom,): what is around them may be a whole house."""
+        """Returns the geoms of its robots, (ngeom,) bool: the surroundings may be large."""
         bases = [part.bodies[0] for part in self.robots.values()]
         of_robots = np.isin(self.model.body_rootid[self.model.geom_bodyid], bases)
         return np.asarray(of_robots & (self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
-        """Sets an input from now on; what the model itself says no longer counts for it.
+        """Sets an input; it then overrides what the model provides for it.
 
         Args:
             data: not changed.
             target: `name.input`, e.g. `arm.torques`; see `inputs`.
-            values: (n,), (3,), or one number, SI units; or a number by name of joint, the others
-                having none. NaN and infinity are no data: they are not shown, do not move a
-                double, and are counted in `not_finite`.
+            values: (n,), (3,), or one number, SI units; or a mapping from joint names to numbers,
+                without data for the other joints. NaN and infinity mean no data: they are not
+                shown, do not move a double, and are counted in `not_finite`.
 
         Raises:
             UnknownName: no such name, input or joint.
-            ValueError: not as many numbers as it takes, or joint angles of a robot.
+            ValueError: wrong number of values, or joint angles of a robot.
         """
         name, _, key = target.partition(".")
         if key == "joint_angles" and name in self.robots:
-            raise ValueError(f"{target}: {name} stands where your data has it; set data.qpos")
+            raise ValueError(f"{target}: {name} has the joint angles of your data; set data.qpos")
         item = self.resolve_input(target)
         if isinstance(values, Mapping) and item.kind in ("angles", "values"):
             values = self._by_name(name, values)
@@ -324,7 +324,7 @@ class ModelWorld(WorldView):
         return array
 
     def clear_input(self, target: str) -> None:
-        """Takes back what was set: what the model says is shown again, else nothing.
+        """Clears an input: the value that the model provides is shown again, if any.
 
         Raises:
             UnknownName: no such input.
@@ -336,7 +336,7 @@ class ModelWorld(WorldView):
 
 
 class _ByName(np.ndarray):
-    """Values of some joints: that the others are NaN is no fault."""
+    """Values given by joint name; the NaN of the other joints are not counted."""
 
 
 def _no_joints(model: mujoco.MjModel) -> str:
@@ -346,6 +346,6 @@ def _no_joints(model: mujoco.MjModel) -> str:
 
 
 def _view(model: mujoco.MjModel) -> View:
-    """The model's own view where it has one, else ours."""
+    """Returns the view stored in the model, else the default view."""
     own = float(model.vis.global_.azimuth), float(model.vis.global_.elevation)
     return View() if own == _MUJOCO_VIEW else View(azimuth_deg=own[0], elevation_deg=own[1])

@@ -283,7 +283,7 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
         message = f"found {declared!r}; expected a table with kind, or a source"
         raise DeclarationError([Problem("", message)])
     if "name" in declared:
-        raise DeclarationError([Problem("name", "is what stands in the header; leave it out")])
+        raise DeclarationError([Problem("name", "belongs in the header; leave it out")])
     kind = kind_of(declared, plugins(SOURCES))
     fields = {key: value for key, value in declared.items() if key != "kind"}
     try:

@@ -1,7 +1,7 @@
-"""Geoms to pixels, and clicks to toggles.
+"""Render geoms to pixels, and apply clicks and keys to toggles.
 
 In: a mirror, or the user's own model and data. Out: pictures and films (`headless/`), a window
-(`window/`), a web page (`web/`); what they share stands beside these folders.
-Open first: `viewer.py` (a live viewer in Python), `interaction.py` (what a click or a key does),
-`picking.py` (what is at a pixel).
+(`window/`), a web page (`web/`); modules that they share are beside these folders.
+Open first: `viewer.py` (a live viewer in Python), `interaction.py` (actions of clicks and keys),
+`picking.py` (finds the item at a pixel).
 """

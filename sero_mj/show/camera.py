@@ -1,4 +1,4 @@
-"""Cameras: named ones of the scene, and a free one by azimuth, elevation and distance."""
+"""Cameras: the scene's named ones, and a free one by azimuth, elevation and distance."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..assemble.world_view import WorldView
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError
 
-_MARGIN = 1.12  # room about the robots
+_MARGIN = 1.12  # margin around the robots
 
 
 def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera:
-    """Returns the camera to look through.
+    """Returns a camera for rendering.
 
     Args:
         world: the compiled scene.
         wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m); or None
-            for what the scene's `view` says.
+            for the scene's `view`.
 
     Raises:
         UnknownName: no camera of that name.
-        UsageError: three numbers were expected, the distance is not positive, or it is no text.
+        UsageError: not a text, not three numbers, or the distance is not positive.
     """
     if wanted is not None and not isinstance(wanted, str):
         raise UsageError(
@@ -54,16 +54,17 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
 
 
 def bounding_sphere(world: WorldView) -> tuple[NDArray[np.float64], float]:
-    """Centre (3,) and radius (m) of a sphere about all but the floor, as declared.
+    """Returns centre (3,), m, and radius, m, of a sphere about all but the floor, as declared.
 
-    What a route hangs on a robot's flange is where the robot has it.
+    Objects that a route attaches to a robot's flange count at the flange.
     """
     model, data = world.model, world.make_data()
     if world.scene.routes:
-        with contextlib.suppress(DeclarationError):  # wrong routes are told by who follows them
+        # Invalid routes are reported elsewhere, when they are wired.
+        with contextlib.suppress(DeclarationError):
             Placer(world).place(data)
     solid = world.geoms_in_view()
-    solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles that are nowhere yet
+    solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
     if not solid.any():
         return np.zeros(3), 1.0
     box = model.geom_aabb[solid]
@@ -75,7 +76,7 @@ def bounding_sphere(world: WorldView) -> tuple[NDArray[np.float64], float]:
 
 
 def list_cameras(world: WorldView) -> list[str]:
-    """Names of the world's cameras, those of MJCF pieces included."""
+    """Returns the names of the world's cameras, including those of MJCF pieces."""
     return [world.model.camera(i).name for i in range(world.model.ncam)]
 
 

@@ -1,4 +1,4 @@
-"""What an overlay draws on: somebody else's scene, how large it is seen, and from where."""
+"""`Canvas`: the scene, picture size and camera that an overlay draws with."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ DEFAULT_SIZE = (640, 480)
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """A scene to be drawn on.
+    """A scene to draw on.
 
     Attributes:
-        scene: geoms are added to it.
+        scene: takes the geoms.
         size: width and height of its picture, pixels.
         font: of its labels.
-        camera: that is to be looked through; None where the scene knows.
+        camera: to update the scene with; None if the scene has one already.
     """
 
     scene: mujoco.MjvScene
@@ -31,7 +31,7 @@ class Canvas:
 
 
 def canvas_of(target: Any, camera: Any, size: tuple[int, int] | None) -> Canvas:
-    """Finds out about what the user wants to be drawn on.
+    """Returns the canvas of an object that the user wants to draw on.
 
     Args:
         target: a `mujoco.Renderer`, the handle of MuJoCo's passive viewer, or an `MjvScene`.
@@ -39,7 +39,7 @@ def canvas_of(target: Any, camera: Any, size: tuple[int, int] | None) -> Canvas:
         size: None for the target's own.
 
     Raises:
-        UsageError: it is something else, or its camera is not known.
+        UsageError: the target is something else, or its camera is unknown.
     """
     if isinstance(target, mujoco.MjvScene):
         canvas = Canvas(target, size or DEFAULT_SIZE, DEFAULT_FONT, camera)
@@ -52,7 +52,7 @@ def canvas_of(target: Any, camera: Any, size: tuple[int, int] | None) -> Canvas:
         seen = DEFAULT_SIZE if view is None else (int(view.width), int(view.height))
         look = target.cam if camera is None else camera
         canvas = Canvas(target.user_scn, size or seen, DEFAULT_FONT, look)
-        canvas.scene.ngeom = 0  # what was added for the last frame; nobody else clears it
+        canvas.scene.ngeom = 0  # clears the geoms of the last frame; MuJoCo does not
     else:
         raise UsageError(
             f"found {type(target).__name__}; expected a mujoco.Renderer, a viewer of "

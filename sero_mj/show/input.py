@@ -1,4 +1,4 @@
-"""What a user does with mouse and keys, as every live host says it; drags told from clicks."""
+"""Mouse and key events of live hosts, and their interpretation as drags and clicks."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from dataclasses import dataclass
 from typing import Literal
 
 LEFT, RIGHT, MIDDLE = 0, 1, 2
-DOUBLE_CLICK_TIME = 0.35  # s between the two presses
+DOUBLE_CLICK_TIME = 0.35  # maximum time between the two presses, s
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that the user did.
+    """A mouse or key event.
 
     Attributes:
         kind: `press` and `release` of a button, `move`, `scroll`, `key`.
-        x: pixels of the framebuffer from its left edge; notches to the right for `scroll`.
-        y: pixels up from its lower edge; notches away from the user for `scroll`.
+        x: pixels of the framebuffer from its left edge; wheel steps to the right for `scroll`.
+        y: pixels up from its lower edge; wheel steps away from the user for `scroll`.
         time: on the clock of `time.monotonic`, s.
         button: `LEFT`, `RIGHT`, `MIDDLE`.
         key: a character in lower case, or a name: `f1`, `left`, `escape`.
         shift: whether Shift or Control was held.
-        is_repeat: whether a key is just held down.
+        is_repeat: whether the event is an automatic repetition of a key.
     """
 
     kind: Literal["press", "release", "move", "scroll", "key"]
@@ -34,18 +34,18 @@ class Event:
     is_repeat: bool = False
 
 
-_STILL = 4.0  # pixels within which a press and its release are a click
-_TOGETHER = 8.0  # pixels between the clicks of a double click
+_STILL = 4.0  # maximum distance between press and release of a click, pixels
+_TOGETHER = 8.0  # maximum distance between the clicks of a double click, pixels
 
 
 @dataclass(frozen=True)
 class Moved:
-    """The pointer was dragged, or the wheel turned.
+    """A drag of the pointer, or a turn of the wheel.
 
     Attributes:
-        how: what that does to the camera.
-        right: pixels; nothing for `zoom`.
-        down: pixels; notches for `zoom`.
+        how: its effect on the camera.
+        right: pixels; zero for `zoom`.
+        down: pixels; wheel steps for `zoom`.
     """
 
     how: Literal["orbit", "pan", "zoom"]
@@ -55,7 +55,7 @@ class Moved:
 
 @dataclass(frozen=True)
 class Clicked:
-    """A button was pressed and released at one place.
+    """A click: a button was pressed and released at the same position.
 
     Attributes:
         x: pixels from the left.
@@ -73,10 +73,10 @@ class Clicked:
 
 
 class Mouse:
-    """Follows the buttons and the pointer.
+    """Interprets mouse events as drags and clicks.
 
     Attributes:
-        position: of the pointer, pixels; None before it came in.
+        position: of the pointer, pixels; None before its first event.
         is_down: whether a button is held.
     """
 
@@ -92,7 +92,7 @@ class Mouse:
         return self._pressed is not None
 
     def take(self, event: Event) -> Moved | Clicked | None:
-        """Takes an event and returns what it means."""
+        """Handles an event and returns the drag or click that it completes, if any."""
         if event.kind == "scroll":
             return Moved("zoom", 0.0, event.y)
         if event.kind == "key":
@@ -115,7 +115,7 @@ class Mouse:
             self._is_drag = _apart(press, event) > _STILL
             if not self._is_drag:
                 return None
-            before = (press.x, press.y)  # what was held back until now
+            before = (press.x, press.y)  # includes the movement before the drag was recognized
         right, down = event.x - before[0], before[1] - event.y
         if press.button == MIDDLE:
             return Moved("pan", right, down)

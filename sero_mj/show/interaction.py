@@ -1,6 +1,6 @@
-"""What a click, a double click, a click with Shift or a key does: one table for every host.
+"""Actions of clicks, double clicks, clicks with Shift, and keys: one table for all hosts.
 
-A host finds what is at a pixel with `picking.pick` and passes on what its user did.
+A host finds the item at a pixel by `picking.pick` and passes on the user's input.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Gesture = Literal["click", "shift", "double"]
 GESTURES: tuple[Gesture, ...] = ("click", "shift", "double")
 Action = Callable[[WorldView, Toggles, Picked], None]
 
-_DOUBLE_CLICK_PIXELS = 8.0  # between the two presses
+_DOUBLE_CLICK_PIXELS = 8.0  # maximum distance between the two presses
 
 
 def _joints(world: WorldView, picked: Picked) -> slice:
-    """All joints of what was clicked on."""
+    """Returns all joints of the robot or double of an item, (N,) bool."""
     return world.owners[picked.owner].joints
 
 
 def _frames(world: WorldView, picked: Picked) -> Any:
-    """All frames of what was clicked on, or the one that belongs to nothing."""
+    """Returns all frames of the owner of an item, or a frame without owner, (M,) bool."""
     if picked.owner not in world.owners:
         return [picked.index]
     return world.frames.owner == list(world.owners).index(picked.owner)
@@ -97,33 +97,33 @@ def _hide_checks(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.flange_checks = False
 
 
-def _leave(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    """Nothing that is shown changes."""
+def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None:
+    """Changes no toggles."""
 
 
-# Gesture and what it is made on: what it does, in words, and how. Every host reads this table.
+# Description and action by gesture and kind of item, for all hosts.
 CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
     ("click", "link"): ("its joint's billboard on or off", _toggle_billboard),
     ("shift", "link"): ("all billboards of the robot on or off", _toggle_billboards),
     ("double", "link"): ("all axes of the robot on or off", _toggle_axes),
     ("click", "billboard"): ("hides it", _hide_billboard),
     ("shift", "billboard"): ("hides all of the robot", _hide_billboards),
-    ("click", "arrow"): ("its precise numbers on or off", _toggle_details),
-    ("shift", "arrow"): ("precise numbers of the whole robot on or off", _toggle_all_details),
+    ("click", "arrow"): ("its precise values on or off", _toggle_details),
+    ("shift", "arrow"): ("precise values of the whole robot on or off", _toggle_all_details),
     ("double", "arrow"): ("the robot's arrows show the next quantity", _next_quantity_here),
     ("click", "axes"): ("their name on or off", _toggle_name),
     ("shift", "axes"): ("names of all axes of the robot on or off", _toggle_names),
     ("double", "axes"): ("hides them", _hide_axes),
     ("click", "name"): ("hides it", _toggle_name),
     ("shift", "name"): ("hides all of the robot", _toggle_names),
-    ("click", "vector"): ("its numbers on or off", _toggle_card),
-    ("shift", "vector"): ("numbers of all smart arrows on or off", _toggle_cards),
+    ("click", "vector"): ("its values on or off", _toggle_card),
+    ("shift", "vector"): ("values of all smart arrows on or off", _toggle_cards),
     ("click", "card"): ("hides it", _toggle_card),
     ("shift", "card"): ("hides all of them", _toggle_cards),
     ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
-    ("double", "object"): ("the view turns about it", _leave),  # the host moves its camera
+    ("double", "object"): ("centres the view on it", _do_nothing),  # the host moves its camera
 }
-# A transparent double is clicked on like a robot; one of a path has nothing to show.
+# Clicks on transparent doubles act as on robots; doubles of a path have no features.
 CLICKS |= {
     (gesture, "double"): entry for (gesture, kind), entry in CLICKS.items() if kind == "link"
 }
@@ -132,14 +132,14 @@ CLICKS |= {
 def click(
     world: WorldView, toggles: Toggles, picked: Picked | None, gesture: Gesture = "click"
 ) -> bool:
-    """Does what a gesture on something does, see `CLICKS`.
+    """Performs the action of a gesture on an item, see `CLICKS`.
 
-    A double click on nothing shows again what the scene declares.
+    A double click on the background resets the toggles to those of the scene.
 
     Args:
         world: the compiled scene.
         toggles: changed in place.
-        picked: what it was made on; None for the sky and the floor.
+        picked: the item; None for the background (sky and floor).
         gesture: a click, one with Shift held, or a double click.
 
     Returns:
@@ -160,8 +160,8 @@ def click(
 
 
 @dataclass
-class Pointer:
-    """Tells clicks from double clicks, and undoes the click that a double click begins with.
+class ClickDetector:
+    """Distinguishes double clicks from clicks, and reverts the first click of a double click.
 
     Attributes:
         world: the compiled scene.
@@ -178,16 +178,16 @@ class Pointer:
     def press(
         self, picked: Picked | None, pixel: tuple[float, float], time: float, *, shift: bool = False
     ) -> Gesture:
-        """Takes one press of the button and does what it means.
+        """Handles a press of the button and performs its action.
 
         Args:
-            picked: what is at the pixel.
-            pixel: where it was.
-            time: when, s on any clock.
+            picked: the item at the pixel.
+            pixel: of the press, x and y.
+            time: of the press, s on any clock.
             shift: whether a modifier was held.
 
         Returns:
-            the gesture it was taken for.
+            the recognized gesture.
         """
         apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
         second = time - self._when <= DOUBLE_CLICK_TIME and apart <= _DOUBLE_CLICK_PIXELS
@@ -206,14 +206,14 @@ class Pointer:
 
 
 def hover(toggles: Toggles, picked: Picked | None, pixel: tuple[float, float]) -> None:
-    """Writes the name of what is under the pointer beside it, from the next frame on.
+    """Shows the name of the item under the pointer beside it, from the next frame on.
 
     Args:
         toggles: changed in place.
-        picked: what is there.
+        picked: the item; None for none.
         pixel: x to the right and y up from the lower left corner of the picture.
     """
-    # A billboard has its name on it, and one in front would hide its numbers.
+    # A billboard shows its name already, and the label would hide its values.
     name = "" if picked is None or picked.kind == "billboard" else picked.name
     toggles.hover = (name, pixel) if name else None
 
@@ -222,18 +222,18 @@ def _next_quantity(toggles: Toggles) -> None:
     toggles.arrow_quantity[:] = (toggles.arrow_quantity + 1) % len(ARROW_QUANTITIES)
 
 
-def _flip(name: str) -> Callable[[Toggles], None]:
-    def flip(toggles: Toggles) -> None:
+def _toggle(name: str) -> Callable[[Toggles], None]:
+    def toggle(toggles: Toggles) -> None:
         shown = getattr(toggles, name)
         if isinstance(shown, bool):
             setattr(toggles, name, not shown)
         else:
             shown[:] = not shown.any()
 
-    return flip
+    return toggle
 
 
-# Key, the field of `Toggles` that it flips, and what that is called.
+# Field of `Toggles` and its description, by key.
 SWITCHES: dict[str, tuple[str, str]] = {
     "a": ("arrows", "arrows"),
     "b": ("billboards", "billboards"),
@@ -248,22 +248,22 @@ SWITCHES: dict[str, tuple[str, str]] = {
 KeyAction = tuple[str, Callable[[Toggles], None]]
 
 
-def _flips(keys: str) -> dict[str, KeyAction]:
-    return {key: (f"{SWITCHES[key][1]} on or off", _flip(SWITCHES[key][0])) for key in keys}
+def _toggle_keys(keys: str) -> dict[str, KeyAction]:
+    return {key: (f"{SWITCHES[key][1]} on or off", _toggle(SWITCHES[key][0])) for key in keys}
 
 
-# Key, what it does, and how: every host reads this one table.
+# Description and action by key, for all hosts.
 KEYS: dict[str, KeyAction] = {
-    **_flips("abx"),
-    "n": ("names of all axes on or off", _flip("frame_names")),  # a click is for one
+    **_toggle_keys("abx"),
+    "n": ("names of all axes on or off", _toggle("frame_names")),  # a click toggles a single one
     "q": ("arrows show the next quantity", _next_quantity),
-    **_flips("dvcls"),
-    "r": ("what the scene declares", Toggles.reset),
+    **_toggle_keys("dvcls"),
+    "r": ("reset to what the scene declares", Toggles.reset),
 }
-# What keys do to the camera, the clock and the window of a live host: the name of what it does, and
-# what that is in words. A host has a function for each, or leaves it to its own controls.
+# Keys for camera, clock and window of a live host: name and description of the action by key.
+# A host has a function for each name, or other controls for it.
 HOST_KEYS: dict[str, tuple[str, str]] = {
-    " ": ("pause", "pause, go on"),
+    " ": ("pause", "pause or continue"),
     ".": ("step", "single step"),
     ",": ("step_back", "single step back"),
     "-": ("slower", "slower"),
@@ -271,19 +271,19 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "backspace": ("reset", "back to the start"),
     "left": ("back", "1 s back"),
     "right": ("on", "1 s on"),
-    "0": ("camera", "0 the first view, 1 to 9 cameras"),
-    "f": ("follow", "follow what is under the pointer"),
+    "0": ("camera", "0 initial view, 1 to 9 cameras"),
+    "f": ("follow", "follow the item under the pointer"),
     "p": ("plot", "torques of the selected joint"),
-    "]": ("next_joint", "select the next joint, [ the last"),
+    "]": ("next_joint", "select the next joint, [ the previous"),
     "t": ("status_line", "status line on or off"),
     "f2": ("screenshot", "screenshot of the scene"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
     "h": ("help", "help, its next page"),
 }
-# What a browser does itself.
+# Actions that a browser provides itself.
 OF_BROWSER = ("f2", "f3", "f11")
-# Other keys for the same, that a help need not list.
+# Alternative keys, which the help does not list.
 MORE_KEYS: dict[str, str] = {
     "?": "help",
     "f1": "help",
@@ -293,12 +293,12 @@ MORE_KEYS: dict[str, str] = {
     "home": "reset",
     **{str(number): "camera" for number in range(1, 10)},
 }
-# What the mouse does to the camera of a live host.
+# Effect of the mouse on the camera of a live host.
 HOST_MOUSE: dict[str, str] = {
-    "drag": "turns the view",
-    "right drag": "moves it, also with Shift",
-    "wheel": "nearer, farther",
-    "right double click": "turns about that point",
+    "drag": "rotates the view",
+    "right drag": "pans, also with Shift",
+    "wheel": "zooms",
+    "right double click": "centres the view there",
 }
 
 
@@ -306,36 +306,36 @@ OnClick = Callable[[Picked | None, str], None]
 _OF_JOINTS = ("link", "double", "arrow", "billboard")
 
 
-class Clickable(Protocol):
-    """What is clicked on.
+class ClickHost(Protocol):
+    """A live host, as seen by `handle_click`.
 
     Attributes:
         joint: the joint of the world whose torques are plotted.
-        on_click: called with what was clicked on and the gesture.
+        on_click: called with the clicked item and the gesture.
     """
 
     joint: int
     on_click: OnClick | None
 
 
-def take_click(
-    host: Clickable,
-    pointer: Pointer,
+def handle_click(
+    host: ClickHost,
+    detector: ClickDetector,
     picked: Picked | None,
     clicked: Clicked,
     centre: Callable[[tuple[float, float]], None],
 ) -> None:
-    """Does what a click means, by the table of `interaction`.
+    """Performs the action of a click, see `CLICKS`.
 
     Args:
-        host: selects the joint of what was clicked on, and is told.
-        pointer: of the host.
-        picked: what is at the pixel.
-        clicked: where and when it was.
-        centre: lets the view turn about what is at a pixel.
+        host: its selected joint is set, and its callback called.
+        detector: of the host.
+        picked: the item at the pixel.
+        clicked: the click.
+        centre: centres the view on what is at a pixel.
     """
     at = (clicked.x, clicked.y)
-    gesture = pointer.press(picked, at, clicked.time, shift=clicked.shift)
+    gesture = detector.press(picked, at, clicked.time, shift=clicked.shift)
     if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
         host.joint = picked.index
     if picked is not None and picked.kind == "object" and gesture == "double":

@@ -1,4 +1,4 @@
-"""What keys do in every live host, by the tables of `interaction`, and what its user is told."""
+"""Key handling of live hosts, by the tables of `interaction`."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .clock import Clock
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, SWITCHES
 from .torque_history import joint_name
 
-Action = Callable[[], str | None]  # returns what to tell the user
+Action = Callable[[], str | None]  # returns a message for the user
 
 _REPEATED = ("step", "step_back", "back", "on", "slower", "faster", "next_joint", "last_joint")
 _JUMP = 1.0  # s
 
 
 class KeyHost(Protocol):
-    """A live host, as its keys see it.
+    """A live host, as seen by `KeyHandler`.
 
     Attributes:
         joint: the joint of the world whose torques are plotted.
@@ -36,18 +36,18 @@ class KeyHost(Protocol):
     joint: int
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Tells the user something for a few seconds."""
+        """Shows a message for a few seconds."""
 
     def choose_camera(self, number: int) -> str:
-        """Looks through a camera, 1 for the first, 0 for the view of the start."""
+        """Selects a camera by number, 1 for the first, 0 for the initial view."""
 
 
-class Keys:
-    """The keys of a live host.
+class KeyHandler:
+    """Handles the keys of a live host.
 
     Args:
-        host: whose keys they are.
-        own: what it does in its own way, by the names in `interaction.HOST_KEYS`.
+        host: the live host.
+        own: actions of the host, by the names in `interaction.HOST_KEYS`.
     """
 
     def __init__(self, host: KeyHost, own: Mapping[str, Action]) -> None:
@@ -68,11 +68,11 @@ class Keys:
         }
 
     def press(self, key: str, *, is_repeat: bool = False) -> None:
-        """Does what a key does, if it does anything here.
+        """Performs the action of a key, if it has one.
 
         Args:
-            key: see `events.Event`.
-            is_repeat: whether it is just held down.
+            key: see `input.Event`.
+            is_repeat: whether it is an automatic repetition.
         """
         host, said = self._host, None
         name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
@@ -97,7 +97,7 @@ class Keys:
 
 
 def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
-    """Does what a key of `KEYS` means.
+    """Performs the action of a key of `KEYS`.
 
     Args:
         key: one of `KEYS`.
@@ -106,7 +106,7 @@ def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggl
         toggles: changed in place.
 
     Returns:
-        what is shown now, in words.
+        a message with the new state.
     """
     words, act = KEYS[key]
     act(toggles)
@@ -122,7 +122,7 @@ def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggl
 
 
 def _arrows_text(world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
-    """What the arrows show, and whether there is anything to show."""
+    """Returns a message with the quantity of the arrows and whether they are shown."""
     quantity = toggles.arrow_quantity
     if not len(quantity):
         return "no arrows in this scene"

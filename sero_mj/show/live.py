@@ -1,4 +1,4 @@
-"""The live hosts: a window where there is a screen, else a web page."""
+"""`LiveHost`: the common interface of window and web page, and functions that open them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class LiveHost(Protocol):
-    """What a window and a page have in common.
+    """The common interface of window and web page.
 
     Attributes:
         world: the compiled scene.
@@ -29,8 +29,8 @@ class LiveHost(Protocol):
         toggles: what is shown.
         clock: pause, speed and time line.
         joint: the joint of the world whose torques are plotted.
-        work: our own work for the last frame, s.
-        on_click: called with what was clicked on and the gesture.
+        work: time spent by sero-mj for the last frame, s.
+        on_click: called with the clicked item and the gesture.
     """
 
     world: WorldView
@@ -53,17 +53,17 @@ class LiveHost(Protocol):
         """Shows one frame; returns whether it is still open."""
 
     def picture(self) -> NDArray[np.uint8]:
-        """What is seen, (height, width, 3)."""
+        """Returns the current picture, (height, width, 3), uint8."""
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Tells the user something for a few seconds."""
+        """Shows a message for a few seconds."""
 
     def close(self) -> None:
-        """Closes it."""
+        """Closes the host."""
 
 
 def open_window(mirror: LiveWorld, **options: Any) -> Window:
-    """Shows a mirror in a window.
+    """Opens a window on a mirror.
 
     Args:
         mirror: must be open.
@@ -79,21 +79,21 @@ def open_window(mirror: LiveWorld, **options: Any) -> Window:
 
 
 def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
-    """Serves a mirror on a web page.
+    """Serves a web page of a mirror.
 
     Args:
         mirror: must be open.
         options: see `WebHost`.
 
     Raises:
-        RenderError: the page cannot be served there, or MuJoCo came without Studio.
+        RenderError: the page cannot be served there, or this MuJoCo does not include Studio.
         UnknownName: no camera of that name.
     """
     try:
         from .web.host import WebHost
     except ImportError as error:  # Studio is not built for every platform
         raise RenderError(
-            f"no web page: this MuJoCo comes without Studio's web viewer ({error}); "
+            f"no web page: this MuJoCo does not include Studio's web viewer ({error}); "
             "`sero-mj view SCENE --window` needs none"
         ) from error
     return WebHost(mirror, **options)

@@ -1,4 +1,4 @@
-"""`overlay`: arrows, billboards, doubles and axes on any model that somebody else has compiled."""
+"""`overlay`: arrows, billboards, doubles and axes on any compiled MuJoCo model."""
 
 from __future__ import annotations
 
@@ -25,24 +25,25 @@ from .headless.film import Picture
 from .headless.renderer import DEFAULT_SIZE, HeadlessRenderer
 from .interaction import Gesture, click, hover
 from .picking import Picked
+from .robot_inputs import RobotInputs
 from .scene_decor import SceneDecor
 
 log = logging.getLogger(__name__)
 
 
 class Overlay:
-    """Decor for a model and its data, which stay the user's and are never changed.
+    """Decor for the user's model and data, which are never changed.
 
     Attributes:
         model: the user's.
-        data: the user's; every frame shows it as it is, so call `mj_step` or `mj_forward` before.
-        world: what was found in the model.
+        data: the user's; frames show its current state, so call `mj_step` or `mj_forward` before.
+        world: the robots and frames found in the model.
     """
 
     def __init__(self, world: ModelWorld) -> None:
         self.model, self.data, self.world = world.model, world.data, world
         self._decor = SceneDecor(world)
-        self._drawn = self._decor  # what was drawn last: this, or that of a picture
+        self._drawn = self._decor  # the last drawn decor: this one, or that of `image`
         self._renderer: HeadlessRenderer | None = None
 
     @property
@@ -52,44 +53,52 @@ class Overlay:
 
     @property
     def view(self) -> PictureView | None:
-        """Of the frame drawn last; None before the first."""
+        """View of the last frame; None before the first."""
         return self._drawn.view
 
     @property
     def dropped(self) -> int:
-        """How many geoms found no room in that frame."""
+        """Number of geoms of the last frame that exceeded the scene's capacity."""
         return self._drawn.dropped
 
     @property
     def robots(self) -> dict[str, list[str]]:
-        """Names of the joints of every robot that was found."""
+        """Joint names of every robot that was found, by robot."""
         return {name: part.robot.names for name, part in self.world.robots.items()}
 
     @property
     def not_finite(self) -> int:
-        """How many values were set that are NaN or infinite; these are not shown."""
+        """Number of NaN and infinite values that were set; these are not shown."""
         return self.world.not_finite
 
     def set(self, target: str, values: Any) -> None:
-        """Sets what is shown at joints, where a double stands, an arrow's vector, or a switch.
+        """Sets an input: joint values, a double's joint angles, an arrow's vector, or a toggle.
 
         Args:
             target: `arm.commanded_torques`, `arm.torques`, `goal.joint_angles`, `push.vector`,
                 `arm.show_axes`, ...
-            values: as many as it takes, SI units; for joints also a number by joint's name.
+            values: of the input's shape, SI units; for joints also a mapping from joint names.
 
         Raises:
-            UnknownName: no such input or joint; names the nearest.
-            ValueError: they do not fit it.
+            UnknownName: no such input or joint; suggests the nearest name.
+            ValueError: the values do not fit the input.
         """
         self.world.set_input(self.data, target, values)
 
+    def robot(self, name: str) -> RobotInputs:
+        """Returns the inputs of a robot or double as attributes: `robot("arm").torques = ...`.
+
+        Raises:
+            UnknownName: no robot or double of that name; suggests the nearest one.
+        """
+        return RobotInputs(self.world, self.data, name)
+
     def clear(self, target: str) -> None:
-        """Takes back what was set: torques and accelerations are the model's own again."""
+        """Clears an input; torques and accelerations are then those of the model again."""
         self.world.clear_input(target)
 
     def frame(self, name: str) -> NDArray[np.float64]:
-        """T_world_name (4, 4) of a frame (`arm/hand`), translation in m.
+        """Returns T_world_name (4, 4) of a frame (`arm/hand`), translation in m.
 
         Raises:
             UnknownName: no such frame.
@@ -97,7 +106,7 @@ class Overlay:
         return self.world.frame(self.data, name)
 
     def draw(self, target: Any, camera: Any = None, size: tuple[int, int] | None = None) -> int:
-        """Adds everything that is switched on to a scene that MuJoCo has filled.
+        """Adds the decor to a scene that MuJoCo has filled.
 
         Args:
             target: a `mujoco.Renderer` after `update_scene`, the viewer of
@@ -108,10 +117,10 @@ class Overlay:
             size: width and height of the picture, pixels; of an `MjvScene` 640 x 480.
 
         Returns:
-            how many geoms found no room; also in `dropped`.
+            number of geoms that exceeded the scene's capacity; also in `dropped`.
 
         Raises:
-            UsageError: it is none of these, or its camera is not known.
+            UsageError: the target is none of these, or its camera is unknown.
         """
         canvas = canvas_of(target, camera, size)
         scene = canvas.scene
@@ -126,12 +135,15 @@ class Overlay:
         )
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
-        """Returns what is seen at a pixel of the frame drawn last, from its upper left corner.
+        """Returns the item at a pixel of the last frame, counted from the upper left corner.
 
         Args:
             x: to the right, pixels.
             y: down, pixels.
-            tolerance: where no decor is hit, decor within so many pixels is.
+            tolerance: maximum distance from decor if none is hit exactly, pixels.
+
+        Returns:
+            the item; None for the background.
 
         Raises:
             UsageError: nothing was drawn yet.
@@ -141,7 +153,7 @@ class Overlay:
     def click(
         self, x: float, y: float, gesture: Gesture = "click", tolerance: float = 0.0
     ) -> Picked | None:
-        """Clicks on a pixel and returns what was hit; the next frame shows it.
+        """Clicks on a pixel and returns the item there; the next frame shows the effect.
 
         Args:
             x: to the right, pixels.
@@ -154,7 +166,7 @@ class Overlay:
         return picked
 
     def hover(self, x: float, y: float) -> Picked | None:
-        """Holds the pointer over a pixel: the name of what is there is written beside it."""
+        """Moves the pointer to a pixel: the next frames show the name of the item there."""
         picked = self.pick(x, y)
         hover(self.toggles, picked, self._from_below(x, y))
         return picked
@@ -170,7 +182,7 @@ class Overlay:
         height: int = DEFAULT_SIZE[1],
         camera: str | mujoco.MjvCamera | None = None,
     ) -> Picture:
-        """Renders a picture without a window; a notebook shows it, `.save("out.png")` writes it.
+        """Renders a picture without a window; notebooks display it, `.save("out.png")` writes it.
 
         Args:
             width: pixels.
@@ -194,11 +206,11 @@ class Overlay:
         return picture
 
     def _repr_png_(self) -> bytes | None:
-        """A picture, which notebooks ask for."""
+        """Returns a picture as PNG, for notebooks."""
         return self.image(*_NOTEBOOK_SIZE)._repr_png_()
 
     def close(self) -> None:
-        """Frees the OpenGL context that `image` has made."""
+        """Frees the OpenGL context of `image`."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -226,29 +238,28 @@ def overlay(
 ) -> Overlay:
     """Finds the robots in a compiled model and returns their decor.
 
-    A robot is what hangs below one child of the world and has a hinge or slide joint; it has the
-    root body's name. Its arrows show `data.qfrc_actuator`, what the drives put out at the joints,
-    until `ROBOT.torques` is set; `ROBOT.commanded_torques` have to be set. Full width is the
-    limit of the joint or of the actuators on it; without one it is what gravity asks of the joint.
-    Free and ball joints, which have no single axis, carry no arrow.
+    A robot is a kinematic tree, one child of the world with its descendants, that has a hinge or
+    slide joint; it is named after the root body. Its arrows show `data.qfrc_actuator`, the
+    actuator forces at the joints, until `ROBOT.torques` is set; `ROBOT.commanded_torques` has no
+    default. Full width of an arrow is the limit of the joint or of its actuators; without one, the
+    gravity load of the joint. Free and ball joints have no single axis and no arrow.
 
     Args:
-        model: a `mujoco.MjModel`, which stays the user's and is not changed; or what one is
-            compiled from: a `mujoco.MjSpec`, PyMJCF's `RootElement`, an entity of dm_control's
-            composer.
-        data: of that model, likewise; None for new data, in the overlay's `data`.
-        robots: fields of robots, by name, over what the model says: `torque_limits`,
+        model: a `mujoco.MjModel`, which is not changed; or a source to compile: a
+            `mujoco.MjSpec`, a PyMJCF `RootElement`, a dm_control composer entity.
+        data: of that model, not changed; None for new data, in the overlay's `data`.
+        robots: fields of robots that override the model, by name: `torque_limits`,
             `arrow_radius`, `axes_size`, `billboard_lines`, `show_axes`, ... as in `SerialRobot`.
         doubles: transparent doubles of its robots; only MuJoCo's classic renderer shows them.
         arrows: Cartesian vectors at frames (`arm/hand`).
         frames: other bodies and sites whose axes are shown.
-        toggles: what is shown of all.
+        toggles: initial toggles of the whole scene.
         name: in the window's title.
 
     Raises:
-        UsageError: `data` belongs to another model, or these are something else.
+        UsageError: `data` belongs to another model, or an argument has another type.
         DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
-        UnknownName: no robot, body or site of that name; names the nearest.
+        UnknownName: no robot, body or site of that name; suggests the nearest name.
     """
     if is_mjcf_object(model):
         model = as_spec(model, Path()).compile()

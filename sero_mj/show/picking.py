@@ -1,7 +1,7 @@
-"""What is at a pixel: the same in every host, found without one.
+"""Finds the item at a pixel, independent of the host.
 
-Robots, doubles and objects are found by `mj_ray`, decor by its own boxes; the nearest to the eye
-wins.
+Robots, doubles and objects are found by `mj_ray`, decor by intersection with its boxes; the item
+closest to the camera is returned.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ PickedKind = Literal[
     "link", "double", "object", "arrow", "billboard", "axes", "name", "vector", "card", "check"
 ]
 
-FINGER = 12.0  # pixels: the tolerance for a touch screen
-_ARROW_HEAD = 1.75  # the head of an arrow geom over its shaft, in MuJoCo's renderers
+TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
+_ARROW_HEAD = 1.75  # width of an arrow geom's head over that of its shaft, in MuJoCo's renderers
 _KINDS: dict[Kind, PickedKind] = {
     Kind.ARROW: "arrow",
     Kind.BILLBOARD: "billboard",
@@ -34,21 +34,21 @@ _KINDS: dict[Kind, PickedKind] = {
     Kind.CARD: "card",
     Kind.CHECK: "check",
 }
-_MOST_HIDDEN = 200  # geoms of doubles that are switched off, behind each other
-_STEP = 1e-6  # m past the surface of one of them
+_MOST_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
+_STEP = 1e-6  # m beyond the surface of one of them
 
 
 @dataclass(frozen=True)
 class Picked:
-    """What is at a pixel.
+    """The item at a pixel.
 
     Attributes:
-        kind: what sort of thing it is.
+        kind: kind of item.
         name: e.g. `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
-        owner: the robot or double it belongs to; empty for anything else.
+        owner: the robot or double it belongs to; empty for other items.
         index: joint of the world for links, doubles, arrows and billboards, frame for axes and
             names, smart arrow for vectors and cards, robot for checks; -1 for objects and paths.
-        distance: from the eye, m.
+        distance: from the camera, m.
     """
 
     kind: PickedKind
@@ -66,15 +66,16 @@ def pick(
     pixel: tuple[float, float],
     tolerance: float = 0.0,
 ) -> Picked | None:
-    """Returns what is seen at a pixel, or None for the sky and the floor.
+    """Returns the item at a pixel, or None for the sky and the floor.
 
     Args:
         world: the compiled scene.
         data: its state, frames up to date.
-        pen: the decor of the frame that the user sees.
+        pen: the decor of the displayed frame.
         view: of that frame.
         pixel: x to the right and y up from the lower left corner of the picture.
-        tolerance: where no decor is hit, decor within so many pixels is; see `FINGER`.
+        tolerance: maximum distance from decor if none is hit exactly, pixels; see
+            `TOUCH_TOLERANCE`.
     """
     origin = view.position
     direction = view.at(np.array(pixel, float), 1.0) - origin
@@ -91,7 +92,7 @@ def pick(
 def point_at(
     world: WorldView, data: mujoco.MjData, pen: Pen, view: PictureView, pixel: tuple[float, float]
 ) -> Array | None:
-    """The point of the world (3,), m, that is seen at a pixel, of the floor too; None for the sky.
+    """Returns the world point (3,), m, at a pixel, including the floor; None for the sky.
 
     Args:
         world: the compiled scene.
@@ -122,7 +123,8 @@ def _pick_decor(
     rows = rows[index]
     centre, half = rows["pos"].astype(float), rows["size"].astype(float)
     mat = rows["mat"].astype(float)
-    straight = rows["type"] == arrow  # from its position along z; a box about it is near enough
+    # An arrow extends from its position along z; it is approximated by a box.
+    straight = rows["type"] == arrow
     half[straight, :2] *= _ARROW_HEAD
     half[straight, 2] /= 2 * ARROW_SIZE_OF_LENGTH
     centre[straight] += mat[straight, :, 2] * half[straight, 2:]
@@ -139,7 +141,7 @@ def _pick_decor(
 
 
 def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
-    """Name and owner of a piece of decor."""
+    """Returns name and owner of a decor item."""
     if kind in (Kind.AXES, Kind.NAME):
         name = world.frames.names[item]
         return name, name.partition("/")[0] if "/" in name else ""
@@ -153,7 +155,15 @@ def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
 
 
 def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
-    """Distance along a ray to boxes (k,), inf where it misses (the slab method)."""
+    """Returns the distance along a ray to boxes (k,), m, inf for a miss (slab method).
+
+    Args:
+        origin: of the ray, (3,), m.
+        direction: unit vector (3,).
+        centre: of the boxes, (k, 3), m.
+        mat: their rotations, (k, 3, 3).
+        half: half their lengths, (k, 3), m.
+    """
     start = np.einsum("kij,ki->kj", mat, origin - centre)
     along = np.einsum("kij,i->kj", mat, direction)
     along = np.where(np.abs(along) < 1e-12, 1e-12, along)
@@ -169,9 +179,9 @@ def _pick_solid(
 ) -> Picked | None:
     model = world.model
     hit, distance = _ray(model, data, pen.hidden, origin, direction)
-    ghost = _pick_ghost(world, pen, origin, direction)
-    if ghost is not None and (hit < 0 or ghost.distance < distance):
-        return ghost
+    drawn = _pick_drawn_double(world, pen, origin, direction)
+    if drawn is not None and (hit < 0 or drawn.distance < distance):
+        return drawn
     if hit < 0 or model.geom_type[hit] == mujoco.mjtGeom.mjGEOM_PLANE:
         return None
     body = int(model.geom_bodyid[hit])
@@ -190,7 +200,7 @@ def _pick_solid(
 
 
 def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | None:
-    """Name of a robot's link that a body belongs to, and the joint that moves it, from 0."""
+    """Returns the name of the robot's link that a body belongs to, and its joint from 0."""
     while body:  # children of a link belong to it
         found = (part.bodies == body).nonzero()[0]
         if len(found):
@@ -202,19 +212,21 @@ def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | 
     return None
 
 
-def _pick_ghost(world: WorldView, pen: Pen, origin: Array, direction: Array) -> Picked | None:
-    """The nearest double along a ray of those that are not compiled in."""
+def _pick_drawn_double(
+    world: WorldView, pen: Pen, origin: Array, direction: Array
+) -> Picked | None:
+    """Returns the nearest double along a ray, of those that are not compiled in."""
     nearest = None
-    for ghost in pen.ghosts:
-        double = world.doubles[ghost.double]
-        hit, distance = _ray(ghost.model, ghost.data, ~ghost.geoms, origin, direction)
+    for drawn in pen.drawn_doubles:
+        double = world.doubles[drawn.double]
+        hit, distance = _ray(drawn.model, drawn.data, ~drawn.geoms, origin, direction)
         if hit < 0 or (nearest is not None and nearest.distance <= distance):
             continue
         link = _link_of(world, double.of, int(world.model.geom_bodyid[hit]))
         if link is not None:
-            label = f"{ghost.double}/{link[0].partition('/')[2]}"
+            label = f"{drawn.double}/{link[0].partition('/')[2]}"
             joint = -1 if double.path is not None else double.joints.start + link[1]
-            nearest = Picked("double", label, ghost.double, joint, distance)
+            nearest = Picked("double", label, drawn.double, joint, distance)
     return nearest
 
 
@@ -225,7 +237,7 @@ def _ray(
     origin: Array,
     direction: Array,
 ) -> tuple[int, float]:
-    """The first geom along a ray, those that are hidden left out; -1 for none."""
+    """Returns the first geom along a ray that is not hidden, -1 for none, and its distance, m."""
     geom = np.full(1, -1, np.int32)
     travelled = 0.0
     for _ in range(_MOST_HIDDEN):

@@ -1,4 +1,4 @@
-"""`SceneDecor`: decor laid out, added to an `MjvScene`, and picked from; the same in every host."""
+"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and picks from it, for all hosts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
 from ..decor.draw import Decor
-from ..decor.pen import CAPACITY, Host, Pen
+from ..decor.pen import CAPACITY, Pen, SceneWriter
 from ..decor.picture_view import PictureView
 from ..decor.round_arrows import MAX_SEGMENTS
 from ..decor.toggles import Toggles
@@ -22,19 +22,19 @@ Pixel = tuple[float, float]
 
 
 class SceneDecor:
-    """The decor of a world, as a host shows it.
+    """The decor of a world in a host.
 
     Args:
         world: the compiled scene.
         toggles: what is shown; the scene's own when None.
-        capacity: how many geoms the host takes.
-        max_segments: how many of them a round arrow has at most.
+        capacity: maximum number of geoms that the host takes.
+        max_segments: maximum number of geoms of a round arrow.
 
     Attributes:
         world: the compiled scene.
         toggles: what is shown.
-        view: of the frame that was laid out last; None before the first.
-        dropped: how many geoms found no room in the last frame that was drawn.
+        view: of the last frame; None before the first.
+        dropped: number of geoms of the last frame that exceeded the scene's capacity.
     """
 
     def __init__(
@@ -49,12 +49,12 @@ class SceneDecor:
         self.view: PictureView | None = None
         self.dropped = 0
         self._decor = Decor(world, capacity, max_segments)
-        self._host: tuple[mujoco.MjvScene, Host] | None = None
+        self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
         self._has_warned = False
 
     @property
     def pen(self) -> Pen:
-        """The geoms of the frame that was laid out last."""
+        """The geoms of the last frame."""
         return self._decor.pen
 
     def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
@@ -62,7 +62,7 @@ class SceneDecor:
 
         Args:
             data: the world's state, with frames up to date.
-            view: from where, and how large the picture is.
+            view: camera and picture size.
         """
         self.view = view
         self._decor.draw(data, self.toggles, view)
@@ -70,30 +70,41 @@ class SceneDecor:
     def draw(self, data: mujoco.MjData, view: PictureView, scene: mujoco.MjvScene) -> int:
         """Lays out one frame and adds it to a scene that MuJoCo has filled.
 
+        Args:
+            data: the world's state, with frames up to date.
+            view: camera and picture size.
+            scene: takes the geoms.
+
         Returns:
-            how many geoms found no room; that some did not is logged once.
+            number of geoms that exceeded the scene's capacity, which is logged once.
         """
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
-            self._host = (scene, Host(scene))
+            self._host = (scene, SceneWriter(scene))
         self.dropped = self.pen.dropped + self._host[1].add(self.pen)
         if self.dropped and not self._has_warned:
             self._has_warned = True
             log.warning(
-                "%d decor geoms found no room and are not shown: the scene has room for %d",
+                "%d decor geoms are not shown: the scene's capacity is %d",
                 self.dropped,
                 scene.maxgeom,
             )
         return self.dropped
 
     def pick(self, data: mujoco.MjData, pixel: Pixel, tolerance: float = 0.0) -> Picked | None:
-        """What is seen at a pixel of the frame that was laid out last, y up; see `picking.pick`."""
+        """Returns the item at a pixel of the last frame, see `picking.pick`.
+
+        Args:
+            data: the world's state, with frames up to date.
+            pixel: x to the right and y up from the lower left corner.
+            tolerance: pixels.
+        """
         if self.view is None:
             return None
         return pick(self.world, data, self.pen, self.view, pixel, tolerance)
 
     def point_at(self, data: mujoco.MjData, pixel: Pixel) -> NDArray[np.float64] | None:
-        """The point of the world (3,), m, at a pixel, y up: of the floor too."""
+        """Returns the world point (3,), m, at a pixel, y up; None for the sky."""
         if self.view is None:
             return None
         return point_at(self.world, data, self.pen, self.view, pixel)

@@ -1,7 +1,8 @@
-"""The status line: what comes in, how old it is, and how fast the window is."""
+"""What live hosts tell their user: a status line (sources, time, frame rate) and messages."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from typing import Any, Literal
 
@@ -13,16 +14,17 @@ from .clock import Clock, time_text
 Mood = Literal["good", "quiet", "bad", "plain"]
 Piece = tuple[str, Mood]
 
-_SEEN_LOSS = 0.0005  # a share of lost packets below it is written in numbers
-_SLOW = 0.85  # of the chosen speed; what is slower is said
+_SEEN_LOSS = 0.0005  # fraction of lost packets below which their number is shown
+_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
+_SLOW = 0.85  # fraction of the selected speed below which the actual speed is shown
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
-    """One source in a few words, and whether that is good.
+    """Returns a short description of a source, and its mood.
 
     Args:
-        found: what `report` returned.
-        is_live: whether it follows the real time.
+        found: as returned by `report`.
+        is_live: whether the source follows real time.
     """
     name = found["source"]
     if not is_live:
@@ -49,7 +51,7 @@ def _loss(found: dict[str, Any]) -> str:
 
 
 def clock_text(clock: Clock) -> Piece:
-    """The time that is shown, and how fast it goes."""
+    """Returns the displayed time and its speed."""
     if clock.is_live:
         return ("PAUSED", "bad") if clock.is_paused else ("live", "plain")
     end = f" / {time_text(clock.end)}" if clock.end is not None else ""
@@ -65,8 +67,8 @@ def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) ->
     """All pieces of the status line, the most important first.
 
     Args:
-        sources: those of the mirror.
-        clock: that drives it.
+        sources: of the mirror.
+        clock: of the mirror.
         frame_rate: of the window, frames/s.
     """
     pieces = [clock_text(clock)]
@@ -77,3 +79,26 @@ def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) ->
             pieces.append(source_text(report(source), is_live=source.is_live))
     pieces.append((f"{frame_rate:.0f} frames/s", "plain"))
     return pieces
+
+
+class Message:
+    """A message to the user of a live host, shown for a few seconds.
+
+    Attributes:
+        text: the message.
+        is_bad: whether it reports an error.
+    """
+
+    def __init__(self) -> None:
+        self.text, self.is_bad = "", False
+        self._until = float("-inf")
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is still to be shown."""
+        return time.monotonic() < self._until
+
+    def say(self, text: str, *, is_bad: bool = False) -> None:
+        """Shows a message; errors are shown longer."""
+        self.text, self.is_bad = text, is_bad
+        self._until = time.monotonic() + (_ERROR_TIME if is_bad else _MESSAGE_TIME)

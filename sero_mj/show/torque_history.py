@@ -1,4 +1,4 @@
-"""The last seconds of every joint's commanded and measured torque, for the plots of live hosts."""
+"""History of the joints' commanded and measured torques, for the plots of live hosts."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ..decor.staleness import Staleness
 
 Array = NDArray[np.float64]
 
-SPAN = 8.0  # s that are shown
-_GAP = 0.25  # s without data that are seen as a gap
-_MOST = 1000  # samples; an MjvFigure has room for 1001 points
+SPAN = 8.0  # duration of the plots, s
+_GAP = 0.25  # minimum duration of a visible gap, s
+_MOST = 1000  # samples; an MjvFigure has a capacity of 1001 points
 _SHOWN = ("torques", "commanded_torques")
 
 
 class TorqueHistory:
-    """The last seconds of all joints' torques, a sample for every frame or every few ms.
+    """Ring buffer of all joints' torques, with a sample for every frame or every few ms.
 
-    Going back in time forgets what came later.
+    When time goes back, later samples are deleted.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -29,14 +29,14 @@ class TorqueHistory:
         self._staleness = Staleness(world)
         self._times = np.full(_MOST, np.nan)
         self._values = np.full((len(_SHOWN), len(world.joints.names), _MOST), np.nan)
-        self._count = 0  # samples ever taken; the newest is at (count - 1) % MOST
+        self._count = 0  # samples in total; the newest is at (count - 1) % MOST
 
     def clear(self) -> None:
-        """Forgets all."""
+        """Deletes all samples."""
         self._count = 0
 
     def add(self, data: mujoco.MjData) -> None:
-        """Takes a sample at `data.time`, if that has moved on by enough to be seen."""
+        """Adds a sample at `data.time`, if enough time has passed since the last one."""
         time = float(data.time)
         if self._count:
             last = self._times[(self._count - 1) % _MOST]
@@ -50,17 +50,17 @@ class TorqueHistory:
         self._times[at] = time
         for row, key in zip(self._values, _SHOWN, strict=True):
             row[:, at] = values[key]
-        if stale:  # the line ends where the last data came, not where that was noticed
-            silence = self._staleness.silence(data, stale)[:, None]
-            self._values[:, (silence > 0) & (self._times > time - silence + 1e-6)] = np.nan
+        if stale:  # the line ends at the time of the last data, not when it became stale
+            gap = self._staleness.time_without_data(data, stale)[:, None]
+            self._values[:, (gap > 0) & (self._times > time - gap + 1e-6)] = np.nan
         self._count += 1
 
     def of(self, joint: int) -> tuple[Array, Array]:
-        """The samples of a joint, oldest first.
+        """Returns the samples of a joint, oldest first.
 
         Returns:
-            times (k,), s before the newest (0 and below), and values (2, k): measured and
-            commanded, Nm or N, NaN where there is no data.
+            times (k,), s, relative to the newest (0 and below), and values (2, k): measured and
+            commanded, Nm or N, NaN for no data.
         """
         k = min(self._count, _MOST)
         order = np.arange(self._count - k, self._count) % _MOST
@@ -72,15 +72,15 @@ class TorqueHistory:
         return times[kept], self._values[:, joint, order[kept]]
 
 
-def runs(times: Array, values: Array) -> list[NDArray[np.intp]]:
-    """Splits the samples of a line where there is no data.
+def split_at_gaps(times: Array, values: Array) -> list[NDArray[np.intp]]:
+    """Splits the samples of a line at gaps in the data.
 
     Args:
         times: (k,), s, rising.
-        values: (k,), NaN where there is no data; a gap shorter than can be seen splits nothing.
+        values: (k,), NaN for no data; gaps shorter than `GAP` are ignored.
 
     Returns:
-        which samples belong to each piece; none is NaN.
+        indices of the samples of each piece; none is NaN.
     """
     there = np.isfinite(values).nonzero()[0]
     if not len(there):
@@ -90,7 +90,7 @@ def runs(times: Array, values: Array) -> list[NDArray[np.intp]]:
 
 
 def joint_name(world: WorldView, joint: int) -> str:
-    """A joint with its robot or double: `lwr/A4`."""
+    """Returns the name of a joint with its robot or double: `lwr/A4`."""
     owner = list(world.owners)[int(world.joints.owner[joint])]
     name = world.joints.names[joint]
     return name if name.startswith(f"{owner}/") else f"{owner}/{name}"

@@ -1,4 +1,4 @@
-"""`view`: a scene in a window or on a page that the user's own loop drives."""
+"""`view`: shows a scene in a window or on a web page from the user's own loop."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ from .headless.renderer import DEFAULT_SIZE
 from .interaction import OnClick
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay
+from .robot_inputs import RobotInputs
 
 log = logging.getLogger(__name__)
 
 
 class Viewer:
-    """A window or a page beside the user's own loop; `view` opens one. It is a context manager.
+    """A window or web page that the user's own loop updates; a context manager.
 
     Attributes:
         world: the compiled scene.
-        data: its state; set joint angles and the like with `set`.
-        host: the `Window` or `WebHost`, with what is shown, and the clock.
+        data: its state; set inputs with `set` or `robot`.
+        host: the `Window` or `WebHost`, with toggles and clock.
         url: of the page for browsers on this machine; None for a window.
-        urls: the same, and where the page is for browsers elsewhere; none for a window.
+        urls: all addresses of the page, including those for other machines; empty for a window.
     """
 
     def __init__(
@@ -61,23 +62,31 @@ class Viewer:
         return self.host.is_open
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input, as a packet would.
+        """Sets an input, as a route does.
 
         Args:
             target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`, ...
-            values: as many as it takes, SI units.
+            values: of the input's shape, SI units.
 
         Raises:
-            UnknownName: no such input; lists those that exist.
-            ValueError: they do not fit it.
+            UnknownName: no such input; lists the existing ones.
+            ValueError: the values do not fit the input.
         """
         self.world.set_input(self.data, target, values)
 
-    def sync(self) -> bool:
-        """Shows what is set now, where it is time for a new picture; else returns at once.
+    def robot(self, name: str) -> RobotInputs:
+        """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
 
-        So it may be called in every round of a fast loop. Call it on the thread that opened the
-        viewer, and at least a few times a second: it also takes what mouse and keys do.
+        Raises:
+            UnknownName: no robot or double of that name; suggests the nearest one.
+        """
+        return RobotInputs(self.world, self.data, name)
+
+    def sync(self) -> bool:
+        """Shows the current state if a new frame is due, and handles mouse and keys.
+
+        Otherwise it returns at once, so that it can be called in every cycle of a fast loop. Call
+        it on the thread that opened the viewer, at least a few times a second.
 
         Returns:
             whether it is still open.
@@ -87,10 +96,13 @@ class Viewer:
         return self.is_open
 
     def on_click(self, callback: OnClick) -> None:
-        """Calls `callback(picked, gesture)` after every click, None for the sky and the floor.
+        """Registers `callback(picked, gesture)`, called after every click.
+
+        Args:
+            callback: takes the clicked item, None for the sky and the floor, and the gesture.
 
         Raises:
-            UsageError: it cannot be called.
+            UsageError: it is not callable.
         """
         if not callable(callback):
             found = type(callback).__name__
@@ -98,7 +110,7 @@ class Viewer:
         self.host.on_click = callback
 
     def picture(self) -> Picture:
-        """What is seen, (height, width, 3), without the host's own text."""
+        """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
         picture: Picture = self.host.picture().view(Picture)
         return picture
 
@@ -108,7 +120,7 @@ class Viewer:
         self._mirror.close()
 
     def _repr_html_(self) -> str:
-        """The page itself in a notebook; where it is, for a window."""
+        """Returns the page as an HTML frame, for notebooks; a text for a window."""
         if self.url is None:
             return f"<p>{self.world.scene.name} is in a window on the screen.</p>"
         frame = 'width="100%" height="600" allow="cross-origin-isolated" style="border:0"'
@@ -138,30 +150,30 @@ def view(
 ) -> Viewer:
     """Opens a window or a web page on a scene and returns at once.
 
-    Its sources are mirrored, if it has any; all else is set by the caller:
+    The scene's sources are mirrored, if it has any; the caller can set all inputs:
 
         with sero_mj.view("lwr_udp") as viewer:
             while viewer.sync():
-                viewer.set("lwr.torques", my_torques())
+                viewer.robot("lwr").torques = my_torques()
 
     Args:
         scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
             `overlay`, whose data the caller steps.
-        web: whether it is a page, and its address is printed; None for a page where there is no
-            screen for a window.
+        web: True for a page, whose address is printed; None for a page only if there is no
+            display for a window.
         camera: see `find_camera`.
-        look: `light` or `dark`, over the scene's; an overlay has its model's.
+        look: `light` or `dark`, overrides the scene's; not for an overlay.
         size: of the window, in screen coordinates; None for 1280 x 800.
         full_screen: whether the window covers the screen.
         host: address that the page is served at; None for this machine only.
         port: of the page; None for the first free one from 8080 on.
-        token: whether the page's address has a token that nobody else knows; beyond this machine
-            it has one in any case.
+        token: whether the page's address contains a secret token; for other machines it always
+            does.
 
     Raises:
-        UsageError: these do not go together, or are something else.
-        SeroError: what is wrong with the scene, its sources or the camera, no display for a
-            window, or no such address for a page.
+        UsageError: arguments that contradict each other, or have another type.
+        SeroError: a problem of the scene, its sources or the camera, no display for a window, or
+            no such address for a page.
     """
     of_page = {"host": host, "port": port, "token": token or None}
     of_window = {"size": size, "full_screen": full_screen or None}
@@ -169,8 +181,8 @@ def view(
         web = not has_display()
     for name, value in (of_window if web else of_page).items():
         if value is not None:
-            what = "the window, and this is a page" if web else "a page, and this is a window"
-            raise UsageError(f"{name}: found {value!r}; it is for {what}: say web={not web}")
+            what = "a window, and this is a page" if web else "a page, and this is a window"
+            raise UsageError(f"{name}: found {value!r}; it is for {what}: use web={not web}")
     mirror = _mirror_of(scene, look)
     if not web:
         options = {"size": size or DEFAULT_SIZE, "camera": camera, "full_screen": full_screen}
@@ -186,12 +198,12 @@ def view(
 
 
 def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> LiveWorld:
-    """What is to be shown, in a look of its own where one is given; the user's scene stays."""
+    """Returns the mirror of a scene with a look, without changing the user's scene."""
     if look is not None and look not in get_args(Look):
         raise UsageError(f"look: found {look!r}{did_you_mean(str(look), get_args(Look))}")
     if isinstance(scene, Overlay):
         if look is not None:
-            raise UsageError(f"look: found '{look}'; an overlay looks as its model does")
+            raise UsageError(f"look: found '{look}'; an overlay has the look of its model")
         return Watch(scene.world)
     if isinstance(scene, str | Path):
         scene = load_scene(scene)

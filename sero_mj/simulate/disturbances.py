@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from ..assemble.inertia import not_physical, tensors_from
+from ..assemble.inertia import inertia_problem, tensors_from
 from ..declaration import Declaration, Frame, Name, Point, Vector
 from ..kinds import by_kind
 
@@ -85,7 +85,7 @@ class Force(Disturbance):
 
 def _physical(inertia: Array | None) -> Array | None:
     if inertia is not None:
-        reason = not_physical(tensors_from([inertia])[0])
+        reason = inertia_problem(tensors_from([inertia])[0])
         if reason is not None:
             raise ValueError(reason)
     return inertia

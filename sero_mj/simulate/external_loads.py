@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..assemble.inertia import not_physical, principal, tensors_from
+from ..assemble.inertia import inertia_problem, principal_moments, tensors_from
 from ..assemble.mjcf_dynamics import PAYLOAD
 from ..assemble.world import World
 from ..declaration import numbers
@@ -116,10 +116,10 @@ def attach_payload(
         tensor = 0.4 * mass * radius**2 * np.eye(3)
     else:
         tensor = tensors_from([inertia])[0]
-    reason = not_physical(tensor)
+    reason = inertia_problem(tensor)
     if reason is not None:
         raise ValueError(f"payload of {robot}: {reason}")
-    moments, axes = principal(tensor)
+    moments, axes = principal_moments(tensor)
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
     _set(model, robot, mass, center, moments, quat)

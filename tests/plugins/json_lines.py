@@ -1,4 +1,4 @@
-"""A package of somebody else: a kind of source that reads JSON lines from a TCP server.
+"""An external package: a kind of source that reads JSON lines from a TCP server.
 
 Each line is an object with a list of numbers per event: {"values0": [...], "values1": [...]}.
 Its pyproject.toml has:

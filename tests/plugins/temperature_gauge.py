@@ -1,4 +1,4 @@
-"""A package of somebody else: a round gauge at every joint that shows its motor's temperature.
+"""An external package: a round gauge at every joint that shows its motor's temperature.
 
 A robot declares the input `temperatures`, and a route leads a source's values to it; no line of
 sero-mj is changed. Its pyproject.toml has:

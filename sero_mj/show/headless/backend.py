@@ -1,4 +1,4 @@
-"""Chooses the OpenGL backend for pictures without a window.
+"""Selects the OpenGL backend for rendering without a window.
 
 MuJoCo takes the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
 the first picture: Mesa's brings its own LLVM, and a process in which torch loads another one ends.
@@ -17,21 +17,21 @@ from pathlib import Path
 from typing import Any
 
 BACKENDS = ("egl", "osmesa", "glfw")
-# What a Debian or Ubuntu machine needs for software rendering with each backend.
+# Debian and Ubuntu packages for software rendering with each backend.
 PACKAGES = {
     "egl": "libegl1 libgl1 libgl1-mesa-dri",
     "osmesa": "libosmesa6",
     "glfw": "libgl1 libgl1-mesa-dri, and a display (xvfb has one)",
 }
-# Where drivers tell libglvnd's EGL of themselves.
+# Folders in which drivers are registered with libglvnd's EGL.
 _EGL_DRIVERS = (Path("/etc/glvnd/egl_vendor.d"), Path("/usr/share/glvnd/egl_vendor.d"))
 
 
 def choose_backend() -> str | None:
-    """Sets `MUJOCO_GL` to what should work here, unless the user has set it.
+    """Sets `MUJOCO_GL` to a backend that should work here, unless the user has set it.
 
     Returns:
-        the backend in force; None where MuJoCo's own choice is right (macOS, Windows).
+        the backend; None to keep MuJoCo's default (macOS, Windows).
     """
     backend = os.environ.get("MUJOCO_GL")
     if "mujoco" in sys.modules or sys.platform != "linux":
@@ -89,10 +89,10 @@ def _make_context(*size: int) -> Any:
 
 
 def adopt_backend() -> None:
-    """Gives MuJoCo a backend that needs no display, where it was imported without one.
+    """Changes MuJoCo's backend to one that needs no display, if there is none.
 
-    To be called before the first picture. A user who imports mujoco before sero_mj on a server
-    has GLFW's backend, which cannot work there; `MUJOCO_GL` that the user has set is respected.
+    Call it before the first picture. A user who imports mujoco before sero_mj on a server gets
+    GLFW's backend, which cannot work there. A `MUJOCO_GL` set by the user is kept.
     """
     if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
         return
@@ -103,35 +103,35 @@ def adopt_backend() -> None:
 
 
 def has_display() -> bool:
-    """Whether there is a screen to open a window on."""
+    """Whether there is a display to open a window on."""
     if sys.platform != "linux":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _headless_backend() -> str:
-    # EGL is also what the error should be about when neither is there.
-    return "osmesa" if not egl_is_there() and osmesa_is_there() else "egl"
+    # The default if neither is installed: errors should refer to EGL.
+    return "osmesa" if not has_egl() and has_osmesa() else "egl"
 
 
-def egl_is_there() -> bool:
-    """Whether EGL, OpenGL and a driver for them are installed; `doctor` tries whether they work."""
+def has_egl() -> bool:
+    """Whether EGL, OpenGL and a driver are installed; `doctor` tests whether they work."""
     libraries = _libraries()
-    # PyOpenGL looks GL's own functions up in one of these two, beside EGL.
+    # In addition to EGL, PyOpenGL loads GL functions from one of these two.
     has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries
     named = os.environ.get("__EGL_VENDOR_LIBRARY_FILENAMES")
     has_driver = bool(named) or any(any(folder.glob("*.json")) for folder in _EGL_DRIVERS)
     return "libEGL.so.1" in libraries and has_gl and has_driver
 
 
-def osmesa_is_there() -> bool:
+def has_osmesa() -> bool:
     """Whether the off-screen Mesa library is installed."""
     return any(name.startswith("libOSMesa.so") for name in _libraries())
 
 
 @cache
 def _libraries() -> frozenset[str]:
-    """File names of the shared libraries that the loader knows; empty where it does not say."""
+    """Returns the file names of the loader's shared libraries; empty if unavailable."""
     try:
         listing = subprocess.run(
             ["ldconfig", "-p"],

@@ -21,14 +21,14 @@ from ...errors import RenderError
 
 @dataclass(frozen=True)
 class FilmKind:
-    """How films of one ending are written.
+    """Encoding of films with one file name extension.
 
     Attributes:
         codec: of FFmpeg.
-        options: of it; rendering is what should take the time.
-        has_palette: whether a frame has 256 colours, and not all.
-        fps: frames per second where nobody says.
-        most_fps: frames per second that programs can show.
+        options: of the codec; chosen to be fast compared to rendering.
+        has_palette: whether frames are limited to 256 colours.
+        fps: default frames per second.
+        most_fps: maximum frames per second that programs can show.
     """
 
     codec: str
@@ -49,7 +49,7 @@ Pixels = NDArray[np.uint8]
 
 
 def check_writable(path: Path) -> None:
-    """Makes the file's folder, so that a wrong place shows before anything is rendered.
+    """Creates the file's folder and checks it, before anything is rendered.
 
     Raises:
         RenderError: the file cannot be written there.
@@ -63,11 +63,11 @@ def check_writable(path: Path) -> None:
 
 
 def save_picture(path: Path, pixels: Pixels) -> None:
-    """Writes a picture in the format of the file's ending.
+    """Writes a picture in the format of the file name extension.
 
     Args:
-        path: its folder is made if need be.
-        pixels: (height, width, 3).
+        path: the file; its folder is created if necessary.
+        pixels: (height, width, 3), uint8.
 
     Raises:
         RenderError: the file cannot be written, or the format is unknown.
@@ -80,7 +80,7 @@ def save_picture(path: Path, pixels: Pixels) -> None:
 
 
 def check_film(path: Path | str) -> Path:
-    """Returns the path of a film; raises RenderError where its name does not end as a film's."""
+    """Returns the path of a film; raises RenderError if its extension is not that of a film."""
     path = Path(path)
     if path.suffix.lower() not in FILMS:
         raise RenderError(f"{path}: expected a name that ends in {', '.join(FILMS)}")
@@ -88,30 +88,29 @@ def check_film(path: Path | str) -> Path:
 
 
 def default_fps(path: Path | str) -> float:
-    """Frames per second that a film has where nobody says."""
+    """Returns the default frames per second of a film."""
     return FILMS[check_film(path).suffix.lower()].fps
 
 
 class FilmWriter:
-    """Writes an H.264, VP9 or GIF film. Use it as a context manager.
+    """Writes an H.264, VP9 or GIF film, as a context manager.
 
-    The film is written beside its final name and moved there when it is complete, so a film
-    that was broken off never looks like a finished one.
+    The film is written to a temporary file and renamed when it is complete, so that an incomplete
+    film never has the final name. After an interrupt (KeyboardInterrupt) the film so far is kept.
 
     Attributes:
-        frames: how many were added.
+        frames: number of frames added.
 
     Args:
-        path: an .mp4, .webm or .gif file; its folder is made if need be.
-        width: of the frames; H.264 and VP9 halve colours, so an odd last column is left out.
-        height: likewise; at least 2 pixels each.
+        path: an .mp4, .webm or .gif file; its folder is created if necessary.
+        width: of the frames, pixels, at least 2; H.264 and VP9 subsample colours, so an odd last
+            column is dropped.
+        height: likewise.
         fps: frames per second; at most 50 for a GIF.
 
-    When the user interrupts (KeyboardInterrupt), what was filmed so far is kept.
-
     Raises:
-        RenderError: the file cannot be written, is none of these, the size is too small, or there
-            are too many frames per second.
+        RenderError: the file cannot be written, has another extension, the size is too small, or
+            there are too many frames per second.
     """
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
@@ -142,7 +141,7 @@ class FilmWriter:
         self._palettes = _Palettes(self._width, self._height, rate) if kind.has_palette else None
 
     def add(self, pixels: Pixels) -> None:
-        """Appends a frame, (height, width, 3)."""
+        """Appends a frame, (height, width, 3), uint8."""
         frame = av.VideoFrame.from_ndarray(
             np.ascontiguousarray(pixels[: self._height, : self._width]), format="rgb24"
         )
@@ -176,9 +175,9 @@ class FilmWriter:
 
 
 class _Palettes:
-    """Gives every frame of a GIF the 256 colours that suit it best.
+    """Computes a palette of 256 colours for every frame of a GIF.
 
-    One palette for all would have to know the last frame before the first is written.
+    A common palette would require all frames before the first is written.
 
     Args:
         width: of the frames, pixels.
@@ -204,7 +203,7 @@ class _Palettes:
         graph.configure()
 
     def follow(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
-        """Yields the frames that are ready once this one, or the end (None), has come."""
+        """Adds a frame, or the end (None), and yields the frames that are ready."""
         if frame is not None:
             frame.pts, frame.time_base = self._count, self._step
             self._count += 1
@@ -217,21 +216,21 @@ class _Palettes:
 
 
 class Picture(np.ndarray):
-    """A picture (height, width, 3), uint8, top row first, with `save`; else an ordinary array.
+    """A picture (height, width, 3), uint8, top row first: an array with `save`.
 
-    In a notebook it is shown where it is the last line of a cell. A part of it that is no
-    picture any more is shown as numbers.
+    A notebook displays it as the result of a cell. A slice that is not a picture is displayed as
+    numbers.
     """
 
     def save(self, path: Path | str) -> None:
-        """Writes the picture in the format of the file's ending: .png, .jpg, .webp.
+        """Writes the picture in the format of the file name extension: .png, .jpg, .webp.
 
         Args:
-            path: its folder is made if need be.
+            path: the file; its folder is created if necessary.
 
         Raises:
-            RenderError: the file cannot be written, the format is unknown, or this part of a
-                picture is none.
+            RenderError: the file cannot be written, the format is unknown, or this slice is not
+                a picture.
         """
         if not self._is_picture:
             found = f"{' x '.join(map(str, self.shape))} numbers of type {self.dtype}"
@@ -247,7 +246,7 @@ class Picture(np.ndarray):
         )
 
     def _repr_png_(self) -> bytes | None:
-        """The picture as PNG, which notebooks ask for; None where it is none."""
+        """Returns the picture as PNG, for notebooks; None if it is not a picture."""
         if not self._is_picture:
             return None
         file = io.BytesIO()

@@ -1,4 +1,4 @@
-"""How large pictures and windows may be, and the buffer for pictures without a window is made."""
+"""Limits of picture sizes, and the size of the offscreen buffer."""
 
 from __future__ import annotations
 
@@ -9,21 +9,35 @@ import mujoco
 
 from ...errors import RenderError
 
-MAX_SIDE = 16384  # pixels; what the software GL of Mesa allows
+MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
 
 
 def check_size(what: str, width: int, height: int) -> None:
-    """Raises RenderError where a picture or a window of that size, pixels, cannot be."""
+    """Checks the size of a picture or window.
+
+    Args:
+        what: of what it is the size, for messages.
+        width: pixels.
+        height: pixels.
+
+    Raises:
+        RenderError: the size is out of range.
+    """
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise RenderError(f"{what} size {width}x{height}: expected 1 to {MAX_SIDE} a side")
 
 
 @contextmanager
 def offscreen_size(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
-    """Has OpenGL contexts that are made meanwhile draw pictures of that size (pixels).
+    """Sets the offscreen buffer size of the OpenGL contexts that are created in this context.
 
-    MuJoCo reads the size from the model; afterwards the model is what it was, for it may be the
+    MuJoCo reads the size from the model. The model is restored afterwards, since it may be the
     user's.
+
+    Args:
+        model: changed temporarily.
+        width: pixels.
+        height: pixels.
     """
     size = model.vis.global_
     before = size.offwidth, size.offheight

@@ -1,8 +1,8 @@
-"""From a scene to a picture or a film, live sources included.
+"""Renders a picture or a film of a scene, including live sources.
 
-A film of a live robot must show real time, but a software renderer may need longer for a frame
-than the frame lasts. So one thread takes the state at exactly the film's rate, and the frames
-are rendered from these states, at whatever speed.
+A film of a live robot must show real time, but software rendering may be slower than that. So a
+thread samples the state at exactly the film's rate, and frames are rendered from these samples at
+any speed.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from ...assemble.scene import Scene
 from ...drive.mirror import Mirror, restore
 from ...errors import RenderError
-from ..picking import FINGER
+from ..picking import TOUCH_TOLERANCE
 from .film import FilmWriter, check_writable, default_fps, save_picture
 from .renderer import DEFAULT_SIZE, HeadlessRenderer
 
 log = logging.getLogger(__name__)
 
-MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is a slip of the finger
+MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
 State = NDArray[np.float64]
-# Pixel from the upper left corner; `click`, `shift`, `double`, or `hover`; finger or mouse.
+# Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
 Click = tuple[float, float, str, bool]
 OnProgress = Callable[[int, int], None]
 
@@ -44,22 +44,22 @@ def render_picture(
     clicks: Sequence[Click] = (),
     at: float = 0.0,
 ) -> list[str]:
-    """Renders one picture of a scene as it is now.
+    """Renders a picture of the current state of a scene.
 
     Args:
         scene: what to show.
-        path: where to; .png, or another format that Pillow knows.
+        path: the file; .png, or another format of Pillow.
         size: width and height, pixels.
         camera: see `find_camera`.
-        wait: how long to wait for the first packet of every source, s.
-        clicks: where to click first.
-        at: s after the start, for sources that do not follow the clock.
+        wait: maximum time to wait for the first packet of every source, s.
+        clicks: clicks to perform before rendering.
+        at: time of recordings and simulations, s after their start.
 
     Returns:
-        the sources that stayed silent; their robots stand where the scene declares them.
+        names of the sources without data; their robots have the declared pose.
 
     Raises:
-        SeroError: what is wrong with the scene, its sources, the camera or the file.
+        SeroError: a problem of the scene, its sources, the camera or the file.
     """
     with Mirror(scene) as mirror:
         check_writable(Path(path))
@@ -87,20 +87,20 @@ def render_film(
 
     Args:
         scene: what to show.
-        path: where to; .mp4, .webm or .gif.
+        path: the file; .mp4, .webm or .gif.
         duration: of the film, s.
         fps: frames per second; None for 30, or 20 for a GIF.
         size: width and height, pixels.
         camera: see `find_camera`.
-        wait: how long to wait for the first packet of every source, s.
-        clicks: where to click before the first frame.
-        on_progress: called with the frames done and the frames in all.
+        wait: maximum time to wait for the first packet of every source, s.
+        clicks: clicks to perform before the first frame.
+        on_progress: called with the number of rendered frames and of all frames.
 
     Returns:
-        the sources that stayed silent.
+        names of the sources without data.
 
     Raises:
-        SeroError: what is wrong with the scene, its sources, the camera or the file.
+        SeroError: a problem of the scene, its sources, the camera or the file.
     """
     fps = default_fps(path) if fps is None else fps
     for what, value in (("duration", duration), ("fps", fps)):
@@ -133,14 +133,14 @@ def _click(renderer: HeadlessRenderer, data: mujoco.MjData, clicks: Sequence[Cli
         if gesture == "hover":
             picked = renderer.hover(data, x, y)
         else:
-            tolerance = FINGER if finger else 0.0
+            tolerance = TOUCH_TOLERANCE if finger else 0.0
             picked = renderer.click(data, x, y, gesture, tolerance)  # type: ignore[arg-type]
         what = "nothing there" if picked is None else f"{picked.kind} {picked.name}"
         log.info("%s at %g,%g: %s", gesture, x, y, what)
 
 
 def _states(mirror: Mirror, count: int, fps: float) -> Iterator[State]:
-    """Yields the state at the time of every frame, taken on a thread of its own when live."""
+    """Yields the state at the time of every frame, sampled on a thread if sources are live."""
     if not mirror.is_live:
         for k in range(count):
             mirror.advance(k / fps)
@@ -157,7 +157,7 @@ def _states(mirror: Mirror, count: int, fps: float) -> Iterator[State]:
                     return
                 mirror.advance(k / fps)
                 taken.put(mirror.state())
-        except BaseException as error:  # handed to the caller's thread
+        except BaseException as error:  # raised again on the caller's thread
             taken.put(error)
 
     sampler = threading.Thread(target=sample, name="film sampler", daemon=True)

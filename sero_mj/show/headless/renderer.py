@@ -1,4 +1,4 @@
-"""Pictures without a window: `mujoco.Renderer` with the decor added."""
+"""`HeadlessRenderer`: renders pictures with decor without a window, by `mujoco.Renderer`."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class HeadlessRenderer:
         camera: see `find_camera`.
 
     Attributes:
-        world: what is rendered.
-        decor: of the frame that was laid out last.
-        camera: may be moved between frames.
+        world: the world.
+        decor: of the last frame.
+        camera: can be changed between frames.
         size: width and height, pixels.
 
     Raises:
@@ -64,7 +64,7 @@ class HeadlessRenderer:
 
     @property
     def toggles(self) -> Toggles:
-        """What is shown; may be another host's."""
+        """What is shown; can be set to the toggles of another host."""
         return self.decor.toggles
 
     @toggles.setter
@@ -78,10 +78,10 @@ class HeadlessRenderer:
 
         Args:
             data: the world's state, with frames up to date (`drive.place.follow`).
-            out: (height, width, 3), written to when given.
+            out: output array, (height, width, 3), uint8; None for a new one.
 
         Returns:
-            (height, width, 3), 0 to 255; a notebook shows it.
+            picture (height, width, 3), uint8; a notebook displays it.
         """
         view = self._look(data)
         self.decor.draw(data, view, self._renderer.scene)
@@ -96,7 +96,7 @@ class HeadlessRenderer:
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
     ) -> Picked | None:
-        """Returns what is seen at a pixel, counted from the upper left corner of the picture.
+        """Returns the item at a pixel, counted from the upper left corner; None for no item.
 
         Args:
             data: the world's state, with frames up to date.
@@ -115,7 +115,7 @@ class HeadlessRenderer:
         gesture: Gesture = "click",
         tolerance: float = 0.0,
     ) -> Picked | None:
-        """Clicks on a pixel, counted from the upper left corner, and returns what was hit.
+        """Clicks on a pixel, counted from the upper left corner, and returns the item there.
 
         Args:
             data: the world's state, with frames up to date.
@@ -129,16 +129,19 @@ class HeadlessRenderer:
         return picked
 
     def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Holds the pointer over a pixel, counted from the upper left corner.
+        """Moves the pointer to a pixel; the next frames show the name of the item there.
 
-        The name of what is there is written beside it in the frames that follow.
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right from the left edge, pixels.
+            y: down from the upper edge, pixels.
         """
         picked = self.pick(data, x, y)
         hover(self.toggles, picked, self._from_below(x, y))
         return picked
 
     def _from_below(self, x: float, y: float) -> tuple[float, float]:
-        """The middle of a pixel, y up, from one that is counted from the upper left corner."""
+        """Returns the centre of a pixel, y up, of a pixel counted from the upper left corner."""
         return x + 0.5, self.size[1] - y - 0.5
 
     def close(self) -> None:
@@ -159,8 +162,8 @@ def _make_renderer(world: WorldView, width: int, height: int) -> Any:
     try:
         with offscreen_size(model, width, height):
             return mujoco.Renderer(model, height, width, font_scale=font)
-    except Exception as error:  # every GL backend raises its own
+    except Exception as error:  # every GL backend raises errors of its own
         raise RenderError(
             f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
-            "`sero-mj doctor` says what is missing"
+            "`sero-mj doctor` lists what is missing"
         ) from error

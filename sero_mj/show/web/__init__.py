@@ -1,1 +1,1 @@
-"""The web page: MuJoCo Studio's `WebViewer` with our plugins."""
+"""The web page: MuJoCo Studio's `WebViewer` with plugins of sero-mj."""

@@ -1,4 +1,4 @@
-"""Studio's own user interface, with mouse and keys by our one table."""
+"""Studio's user interface, with mouse and keys by the tables of `interaction`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..input import LEFT, RIGHT, Clicked, Event, Mouse
 
 _FIRST_LETTER, _FIRST_DIGIT = ord("a"), ord("0")
 _BUTTONS = ((LEFT, imgui.MouseButton.Left), (RIGHT, imgui.MouseButton.Right))
-# Names of our keys, and Studio's; those that a browser keeps to itself (F1, F3, F11) have others.
+# Names of keys here and in Studio; keys that browsers reserve (F1, F3, F11) are omitted.
 _NAMED = {
     " ": imgui.Key.Space,
     ".": imgui.Key.Period,
@@ -31,34 +31,34 @@ _NAMED = {
 }
 _LETTERS = {chr(_FIRST_LETTER + i): getattr(imgui.Key, chr(ord("A") + i)) for i in range(26)}
 _DIGITS = {chr(_FIRST_DIGIT + i): getattr(imgui.Key, f"N{i}") for i in range(10)}
-_HELD = (".", ",", "-", "=", "left", "right", "[", "]")  # go on while they are held down
+_HELD = (".", ",", "-", "=", "left", "right", "[", "]")  # repeated while they are held down
 KEYS = {**_NAMED, **_LETTERS, **_DIGITS}
 
 
-class Pointed(Protocol):
-    """What mouse and keys act on."""
+class InputTarget(Protocol):
+    """The receiver of mouse and key input."""
 
     def click(self, clicked: Clicked) -> None:
-        """Takes a click, pixels with y up."""
+        """Handles a click, pixels with y up."""
 
     def point(self, at: tuple[float, float] | None) -> None:
-        """Takes where the pointer is, pixels with y up; None for nowhere over the scene."""
+        """Handles the pointer's position, pixels with y up; None if it is not over the scene."""
 
     def press(self, key: str) -> None:
-        """Takes a key, by its name in our table."""
+        """Handles a key, by its name in `interaction.KEYS`."""
 
 
 class StudioApp(studio_app.App):
-    """Studio's menus, tool bar and panels; the rest of the page is ours.
+    """Studio's menus, tool bar and panels.
 
-    Studio's own keys and its perturbation of bodies are not for a mirrored robot: what is shown
-    comes from elsewhere. The browser moves the camera by itself.
+    Studio's own keys and its perturbation of bodies are disabled, because the state is that of a
+    mirrored robot. The browser moves the camera by itself.
 
     Args:
-        target: gets clicks and keys.
+        target: handles clicks and keys.
     """
 
-    def __init__(self, target: Pointed) -> None:
+    def __init__(self, target: InputTarget) -> None:
         super().__init__(
             studio_app.Config(
                 show_options=False,
@@ -71,15 +71,15 @@ class StudioApp(studio_app.App):
         self._mouse = Mouse()
 
     def reset_camera_index(self, index: int) -> None:
-        """Tells Studio which of its cameras is looked through."""
+        """Sets the index of the current camera in Studio."""
         self.ux_state.camera_index = index
 
     def align_camera(self) -> None:
-        """The camera stays where the scene has it."""
+        """Does nothing: the camera is that of the scene."""
         self.ux_state.camera_index = ux.TUMBLE_CAMERA_IDX
 
     def handle_mouse_events(self) -> None:
-        """Tells clicks from the drags with which the browser moves its camera."""
+        """Distinguishes clicks from drags, with which the browser moves its camera."""
         io = imgui.GetIO()
         height = io.DisplaySize.y
         over_scene = not io.WantCaptureMouse and imgui.IsMousePosValid()
@@ -101,7 +101,7 @@ class StudioApp(studio_app.App):
         self._target.point(at if over_scene and not self._mouse.is_down else None)
 
     def handle_keyboard_events(self) -> None:
-        """Takes the keys of our table."""
+        """Handles the keys of `interaction`."""
         io = imgui.GetIO()
         if io.WantCaptureKeyboard or io.KeyCtrl or io.KeyAlt or io.KeySuper:
             return
@@ -115,4 +115,4 @@ class StudioApp(studio_app.App):
                     self._target.press(name)
 
     def apply_perturb(self) -> None:
-        """Pushes nothing: a mirrored robot is not in this model's physics."""
+        """Does nothing: a mirrored robot is not simulated by this model."""

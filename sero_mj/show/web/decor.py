@@ -1,4 +1,4 @@
-"""Our decor as Studio's extra geoms, within what a browser takes."""
+"""`WebDecor`: decor as extra geoms of Studio, within the limit of a browser."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .studio import StudioViewer
 
 log = logging.getLogger(__name__)
 
-_LINE = 1.25  # height of our lines over that of Studio's text
-_MAX_SEGMENTS = 26  # boxes of a round arrow; each is 15 kB/s on the way to every browser
-_PANEL_ALPHA = 0.92  # Studio's panels shine through more than those of the classic renderer
+_LINE = 1.25  # height of decor text over that of Studio's text
+_MAX_SEGMENTS = 26  # boxes of a round arrow; each adds 15 kB/s for every browser
+_PANEL_ALPHA = 0.92  # Studio draws panels more transparent than the classic renderer
 
 
 def studio_font() -> Font:
-    """The font of the page's labels: that of Studio's user interface.
+    """Returns the font of the page's labels: that of Studio's user interface.
 
     Studio centres a label below its position.
     """
@@ -37,15 +37,15 @@ def studio_font() -> Font:
 
 
 class WebDecor(SceneDecor):
-    """Lays out the decor for the browser that has control, and hands it to Studio.
+    """Lays out the decor for the browser that has control, and passes it to Studio.
 
     Args:
         world: the compiled scene.
         toggles: what is shown.
 
     Attributes:
-        count: geoms of the last picture.
-        grey: which geoms of the model are to be grey, (ngeom,); None for none.
+        count: number of geoms of the last picture.
+        grey: geoms of the model to show grey, (ngeom,) bool; None for none.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
@@ -65,14 +65,14 @@ class WebDecor(SceneDecor):
         data: mujoco.MjData,
         inset: tuple[float, float, float, float],
     ) -> None:
-        """Gives the viewer the decor of this moment.
+        """Passes the current decor to the viewer.
 
         Args:
-            viewer: has the camera, and gets the geoms.
+            viewer: provides the camera and takes the geoms.
             data: the world's state, with frames up to date.
-            inset: what the page's own windows cover, see `PictureView`.
+            inset: margins that the page's own windows cover, see `PictureView`.
         """
-        if viewer.has_ui:  # outside of its frames Studio knows neither the page nor its text
+        if viewer.has_ui:  # page size and text are only available during Studio's frames
             size = imgui.GetIO().DisplaySize
             self._size = int(size.x), int(size.y)
             if self._font is None:
@@ -90,7 +90,7 @@ class WebDecor(SceneDecor):
         self._hide_doubles(viewer.data)
 
     def _hide_doubles(self, data: mujoco.MjData) -> None:
-        """Takes doubles that are switched off out of the picture: of a pose, not of the model."""
+        """Moves doubles that are switched off out of sight."""
         for double, on in zip(self.world.doubles.values(), self.toggles.doubles, strict=True):
             if not on:
                 data.mocap_pos[double.mocap] = OUT_OF_SIGHT

@@ -1,8 +1,7 @@
-"""Robots without fresh data are grey in the browser too.
+"""Shows robots without fresh data grey in the browser.
 
-A browser gets poses, never colours: Studio 4.0 sends those only with a model. So a model in other
-colours is announced beforehand; browsers fetch it in the background and change over within a frame
-or two (45 ms for the LWR).
+Studio 4.0 sends colours only with a model. So a model with other colours is announced in advance;
+browsers fetch it in the background and switch to it within one or two frames (45 ms for the LWR).
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ from numpy.typing import NDArray
 from ...decor.pen import GREY, GREYNESS
 from .studio import StudioViewer
 
-_FETCHING = 1.0  # s that browsers are given for a model, and between two changes
-_DEFAULT_RGBA = 0.5, 0.5, 0.5, 1.0  # of a geom that has the colour of its material
+_FETCHING = 1.0  # time for browsers to fetch a model, and minimum time between two changes, s
+_DEFAULT_RGBA = 0.5, 0.5, 0.5, 1.0  # rgba of a geom that has the colour of its material
 
 
 def greyed(model: mujoco.MjModel, grey: NDArray[np.bool_]) -> mujoco.MjModel:
-    """Returns a copy of a model in which some geoms, (ngeom,), are grey."""
+    """Returns a copy of a model in which the geoms `grey`, (ngeom,) bool, are grey."""
     model = copy.deepcopy(model)
     rgba = model.geom_rgba
     of_material = (rgba == np.array(_DEFAULT_RGBA, rgba.dtype)).all(axis=1)
@@ -35,7 +34,7 @@ def greyed(model: mujoco.MjModel, grey: NDArray[np.bool_]) -> mujoco.MjModel:
 
 
 class Greying:
-    """Shows the model in the colours of the moment.
+    """Switches browsers between models with different colours.
 
     Args:
         viewer: of the page.
@@ -45,13 +44,16 @@ class Greying:
         self._viewer = viewer
         self._shown = b""
         self._changed = time.monotonic() - _FETCHING
-        self._announced: dict[bytes, tuple[int, float]] = {}  # crc32, and since when
+        self._announced: dict[bytes, tuple[int, float]] = {}  # crc32, and time of the announcement
         self._is_first = True
 
     def show(self, grey: NDArray[np.bool_] | None) -> None:
-        """Changes to these grey geoms (None for none), once browsers have had time to fetch them.
+        """Switches to a model with these grey geoms once browsers have had time to fetch it.
 
-        What changes to and fro faster than that stays as it is meanwhile: its label says it.
+        Changes that revert faster are not shown; the label of the robot shows them.
+
+        Args:
+            grey: geoms, (ngeom,) bool; None for none.
         """
         key = b"" if grey is None or not grey.any() else grey.tobytes()
         if key == self._shown:
@@ -66,7 +68,7 @@ class Greying:
             return
         self._shown, self._changed, self._is_first = key, now, False
         bundle = server.cached_model(crc32)
-        assert bundle is not None  # announced just now, or found above
+        assert bundle is not None  # just announced, or found above
         self._viewer.change_model(bundle, crc32)
 
     def _announce(self, grey: NDArray[np.bool_] | None) -> int:

@@ -1,15 +1,15 @@
-"""Who may talk to the page's server: the page itself, under its own names, with its token.
+"""Access control of the page's server.
 
-Any website that a browser has open can send requests to this machine, and open websockets, which
-know no same-origin policy. It cannot choose the headers `Host`, `Origin` and `Sec-Fetch-Site`
-though. So these are checked on every path, before Studio's server sees the request:
+Any website open in a browser can send requests to this machine and open websockets, to which the
+same-origin policy does not apply. But it cannot choose the headers `Host`, `Origin` and
+`Sec-Fetch-Site`. So these are checked on every path, before Studio's server sees the request:
 
-- `Host` names this machine; a name of somebody else's that leads here (DNS rebinding) does not.
-- `Origin`, where a browser sends it, is the page's own.
-- What another site asks for is refused, but for opening the page itself.
-- Where a token is asked for, it is in the address (`?token=`) or in the cookie that the page sets.
+- `Host` must name this machine; this excludes foreign names that resolve to it (DNS rebinding).
+- `Origin`, if present, must be that of the page.
+- Requests of other sites are refused, except opening the page itself.
+- A token, if required, must be in the address (`?token=`) or in the cookie that the page sets.
 
-Programs send neither `Origin` nor `Sec-Fetch-Site` and are let in by Host and token.
+Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host and token.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from ...errors import RenderError
 log = logging.getLogger(__name__)
 
 TOKEN_BYTES = 24
-_LONGEST_MESSAGE = 2**20  # bytes; input, a camera and the clipboard are far shorter
-_OPEN_TIMEOUT = 10.0  # s until a connection has to have sent its request
-_MOST_TOLD = 10  # requests that are refused and written into the log; all are counted
+_LONGEST_MESSAGE = 2**20  # bytes; messages with input, camera or clipboard are much shorter
+_OPEN_TIMEOUT = 10.0  # timeout of a connection's request, s
+_MOST_TOLD = 10  # refused requests that are logged; all are counted
 _PAGE_PATHS = ("/", "/index.html")
-_FRAMES_OF = "vscode-webview: " + " ".join(  # notebooks show the page in a frame
+_FRAMES_OF = "vscode-webview: " + " ".join(  # notebooks embed the page in a frame
     f"{scheme}://{name}:*" for name in ("localhost", "127.0.0.1") for scheme in ("http", "https")
 )
 
 
 def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches an IP address."""
+    """Whether an IP address can only be reached from this machine."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -56,21 +56,21 @@ def is_loopback(address: str) -> bool:
 
 
 def make_token() -> str:
-    """A token that nobody guesses, for an address."""
+    """Returns a random token for the address of a page."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 class Guard:
-    """Checks every request, and keeps other sites from reading the answers.
+    """Checks every request, and prevents other sites from reading the responses.
 
     Args:
-        page: the page itself, UTF-8.
+        page: the page, UTF-8.
         bound: the IP address that the server listens on.
-        host: the address or name that its user gave for it.
-        token: that has to be given; None where none is asked for.
+        host: the address or name that the user specified for it.
+        token: required token; None for none.
 
     Attributes:
-        refused: requests that were refused.
+        refused: number of refused requests.
     """
 
     def __init__(self, page: bytes, bound: str, host: str, token: str | None) -> None:
@@ -81,10 +81,10 @@ class Guard:
         self._machine = "" if self._is_private else socket.gethostname().lower()
         self._names = {"localhost", host.lower(), self._machine} - {""}
         digest = hashlib.sha256((token or "").encode()).hexdigest()[:12]
-        self._cookie = f"sero-mj-{digest}"  # several pages of one host name have one each
+        self._cookie = f"sero-mj-{digest}"  # separate cookies for several pages of one host name
 
     def answer(self, request: Request) -> Response | None:
-        """A refusal, or the page; None for what Studio's server is to answer."""
+        """Returns a refusal or the page; None to let Studio's server respond."""
         path, _, query = request.path.partition("?")
         reason = self._refusal(request.headers, path, query)
         if reason is not None:
@@ -95,13 +95,13 @@ class Guard:
         headers["Content-Type"] = "text/html; charset=utf-8"
         headers["Content-Length"] = str(len(self._page))
         headers["Cache-Control"] = "no-store"
-        # Threads of the page's program need a page that is isolated from others.
+        # Threads of the page's program require cross-origin isolation.
         headers["Cross-Origin-Opener-Policy"] = "same-origin"
         headers["Cross-Origin-Embedder-Policy"] = "require-corp"
         return Response(200, "OK", headers, self._page)
 
-    def seal(self, request: Request, response: Response) -> None:
-        """Sets the headers that keep other sites from reading an answer, or framing the page."""
+    def set_security_headers(self, request: Request, response: Response) -> None:
+        """Sets headers that prevent other sites from reading a response or embedding the page."""
         headers = response.headers
         for key in ("Access-Control-Allow-Origin", "Cross-Origin-Resource-Policy"):
             if key in headers:
@@ -120,8 +120,8 @@ class Guard:
             headers["Set-Cookie"] = cookie
 
     def _refusal(self, headers: Headers, path: str, query: str) -> str | None:
-        """Why a request is refused, or None."""
-        reason = self._foreign(headers, path)
+        """Returns why a request is refused, or None."""
+        reason = self._cross_site_reason(headers, path)
         if reason is not None:
             return reason
         if self.token is not None and not self._has_token(headers, query):
@@ -130,17 +130,17 @@ class Guard:
                 f"was started: http://{headers['Host']}/?token=..."
             )
         if path == "/drop":
-            return "files are not taken: the page shows one scene"
+            return "uploads are disabled: the page shows one scene"
         return None
 
-    def _foreign(self, headers: Headers, path: str) -> str | None:
-        """How a request shows that somebody else made it, or None."""
+    def _cross_site_reason(self, headers: Headers, path: str) -> str | None:
+        """Returns how a request differs from one of the page itself, or None."""
         try:
             host, origin = headers["Host"], headers.get("Origin")
             site, mode = headers.get("Sec-Fetch-Site", ""), headers.get("Sec-Fetch-Mode", "")
         except (KeyError, MultipleValuesError):
             return "expected one header Host, and no other one twice"
-        if not self._is_ours(_host_name(host)):
+        if not self._is_own_host(_host_name(host)):
             return f"found Host {host!r}; expected {self._expected()}"
         own = [f"{scheme}://{host.lower()}" for scheme in ("http", "https")]
         if origin is not None and origin.lower() not in own:
@@ -150,14 +150,14 @@ class Guard:
             return f"found Sec-Fetch-Site {site!r}; expected the page's own requests"
         return None
 
-    def _is_ours(self, name: str) -> bool:
+    def _is_own_host(self, name: str) -> bool:
         name = name.lower().removesuffix(".")
         if name in self._names or is_loopback(name):
             return True
         if self._is_private:
             return False
         try:
-            ipaddress.ip_address(name)  # nobody can make an address lead elsewhere
+            ipaddress.ip_address(name)  # IP addresses cannot be rebound
         except ValueError:
             return name.startswith(f"{self._machine}.") and self._machine != "localhost"
         return True
@@ -173,7 +173,7 @@ class Guard:
     def _has_token(self, headers: Headers, query: str) -> bool:
         if self._is_token(_token_of(query)):
             return True
-        # Cookies of other servers on this host come as well, and need not be well-formed.
+        # Cookies of other servers on this host are sent too and may be malformed.
         pairs = [pair.strip() for text in headers.get_all("Cookie") for pair in text.split(";")]
         given = [pair.partition("=")[2] for pair in pairs if pair.startswith(f"{self._cookie}=")]
         return any(self._is_token(token) for token in given)
@@ -181,7 +181,7 @@ class Guard:
     def _refuse(self, path: str, reason: str) -> Response:
         self.refused += 1
         if self.refused <= _MOST_TOLD:
-            more = " (more of these are not told)" if self.refused == _MOST_TOLD else ""
+            more = " (further ones are not logged)" if self.refused == _MOST_TOLD else ""
             log.warning("refused a request for %.60r: %.200s%s", path, reason, more)
         body = f"sero-mj: {reason}\n".encode()
         headers = Headers()
@@ -192,7 +192,7 @@ class Guard:
 
 
 def _host_name(host: str) -> str:
-    """The name in a Host header, without its port: `::1` of `[::1]:8080`."""
+    """Returns the name in a Host header without its port: `::1` of `[::1]:8080`."""
     if host.startswith("["):
         return host[1:].partition("]")[0]
     return host.partition(":")[0]
@@ -207,14 +207,14 @@ def _token_of(query: str) -> str:
 
 
 class GuardedRun:
-    """Studio's server, every connection of which a guard has let in.
+    """Runs Studio's server with a guard that checks every connection.
 
-    Studio gives `serve` of websockets what it answers with, and nobody a way to have a say. Its
-    server runs here in a namespace whose `serve` asks the guard first; Studio itself is not
-    changed. Should another Studio not come by here, the page is not served at all.
+    Studio has no option for additional request handlers. So its server function runs in a
+    namespace whose `serve` calls the guard first; Studio itself is not changed. If another version
+    of Studio does not call this `serve`, the page is not served at all.
 
     Args:
-        guard: is asked.
+        guard: checks requests.
     """
 
     def __init__(self, guard: Guard) -> None:
@@ -236,7 +236,7 @@ class GuardedRun:
             self._is_guarded.set()
 
     def wait(self, seconds: float = 10.0) -> None:
-        """Returns once every connection goes by the guard.
+        """Waits until the server runs with the guard, at most `seconds`.
 
         Raises:
             RenderError: none does, or the server could not be started.
@@ -246,7 +246,7 @@ class GuardedRun:
             raise RenderError(f"no web page: {self._error.strerror}") from self._error
         if not is_guarded:
             raise RenderError(
-                "no web page: Studio's web server of this MuJoCo is another one, and requests of "
+                "no web page: Studio's web server of this MuJoCo has changed, and requests of "
                 "other sites could not be refused; `sero-mj view SCENE --window` needs none"
             )
 
@@ -262,7 +262,7 @@ class GuardedRun:
             connection: Any, request: Request, response: Response
         ) -> Response | None:
             other = tell(connection, request, response)
-            self._guard.seal(request, other or response)
+            self._guard.set_security_headers(request, other or response)
             return other
 
         options |= {
@@ -271,6 +271,6 @@ class GuardedRun:
             "max_size": _LONGEST_MESSAGE,
             "open_timeout": _OPEN_TIMEOUT,
         }
-        options["sock"].listen()  # from now on connections wait for it, and none is refused
+        options["sock"].listen()  # now listening: connections are queued, not refused
         self._is_guarded.set()
         return serve(handler, **options)

@@ -1,4 +1,4 @@
-"""`WebHost`: a mirror on a web page."""
+"""`WebHost`: shows a mirror on a web page."""
 
 from __future__ import annotations
 
@@ -17,46 +17,46 @@ from ...errors import RenderError, SeroError
 from ..camera import find_camera, list_cameras
 from ..clock import Clock
 from ..input import Clicked
-from ..interaction import OnClick, Pointer, hover, take_click
-from ..keys import Keys
-from ..notice import Notice
+from ..interaction import ClickDetector, OnClick, handle_click, hover
+from ..keys import KeyHandler
+from ..status_line import Message
 from ..torque_history import TorqueHistory
 from .app import StudioApp
 from .decor import WebDecor
 from .greying import Greying
 from .guard import is_loopback, make_token
 from .page_windows import PageWindows
-from .studio import LOOPBACK, RATE, StudioViewer, quiet
+from .studio import LOOPBACK, RATE, StudioViewer, suppress_output
 from .time_control import TimeControl
 
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 
 
 class WebHost:
-    """Shows a mirror on a web page, drawn by the browser.
+    """Shows a mirror on a web page, rendered by the browser.
 
-    Any number of browsers may look; one at a time has control: its mouse, keys and panels act.
+    Any number of browsers can connect; one at a time has control by mouse, keys and panels.
 
     Args:
         mirror: must be open; is driven by the page's clock.
         camera: see `find_camera`.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
-        token: whether the page's address has a token that nobody else knows. Where other machines
-            reach the page it has one in any case.
-        waits: whether recordings and simulations begin with the first browser.
+        token: whether the page's address contains a secret token; for other machines it always
+            does.
+        waits: whether recordings and simulations start when the first browser connects.
 
     Attributes:
         toggles: what is shown.
         clock: pause, speed and time line.
         joint: the joint of the world whose torques are plotted.
         history: the torques of the last seconds.
-        work: our own work for the last frame, s: sources, input, panels and decor.
-        notice: what the user is told.
-        on_click: called with what was clicked on and the gesture.
+        work: time spent by sero-mj for the last frame, s: sources, input, panels and decor.
+        notice: the current message to the user.
+        on_click: called with the clicked item and the gesture.
 
     Raises:
-        RenderError: the page cannot be served there, or this process serves one already.
+        RenderError: the page cannot be served there, or this process already serves one.
         UnknownName: no camera of that name.
     """
 
@@ -81,11 +81,11 @@ class WebHost:
         self.joint = 0
         self.history = TorqueHistory(world)
         self.work = 0.0
-        self.notice = Notice()
+        self.notice = Message()
         self.on_click: OnClick | None = None
         self._is_closed = False
         self.decor = WebDecor(world, self.toggles)
-        self._pointer = Pointer(world, self.toggles)
+        self._clicks = ClickDetector(world, self.toggles)
         self._under: tuple[float, float] | None = None
         self._start_camera = camera
         self._app = StudioApp(self)
@@ -108,7 +108,7 @@ class WebHost:
             )
         except (RuntimeError, OSError) as error:
             where = f"{host}:{port}" if port else host
-            why = f"{error}".partition(" Pass a different")[0]  # what --port takes differs
+            why = f"{error}".partition(" Pass a different")[0]  # Studio's hint is not for --port
             raise RenderError(f"no page at {where}: {why}") from error
         WebHost._is_any_open = True
         self._time = TimeControl(self.clock)
@@ -116,31 +116,31 @@ class WebHost:
         self._handle = viewer_handle.ViewerHandle(
             sim_end, sim_plugins=[self._time, sim_history.SimHistory()]
         )
-        with quiet():
+        with suppress_output():
             self._handle.set_model(world.model, data=self.data)
             for event in self.viewer.get_sim_events():
                 self.viewer.dispatch(event)
         self._greying = Greying(self.viewer)
         self._begin = time.monotonic()
         panels = self._panels
-        self._keys = Keys(
+        self._keys = KeyHandler(
             self,
             {
                 "follow": self._follow,
-                "plot": panels.flip_plots,
-                "status_line": panels.flip_status,
-                "help": panels.flip_help,
+                "plot": panels.toggle_plots,
+                "status_line": panels.toggle_status,
+                "help": panels.toggle_help,
             },
         )
 
     @property
     def url(self) -> str:
-        """Where the page is for browsers on this machine, with its token if it has one."""
+        """Address of the page for browsers on this machine, with its token if it has one."""
         return page_url(self.viewer.address, self.viewer.port, self._token)
 
     @property
     def urls(self) -> list[str]:
-        """The same, and where it is for browsers on other machines if they reach it."""
+        """All addresses of the page, including that for other machines if they can reach it."""
         found = [self.url]
         if self.viewer.address in ANY_ADDRESS:
             found.append(page_url(socket.gethostname(), self.viewer.port, self._token))
@@ -148,12 +148,12 @@ class WebHost:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Port that the server listens on."""
         return self.viewer.port
 
     @property
     def is_private(self) -> bool:
-        """Whether only browsers on this machine reach it."""
+        """Whether only browsers on this machine can reach it."""
         return is_loopback(str(self.viewer._http_sock.getsockname()[0]))
 
     @property
@@ -172,10 +172,10 @@ class WebHost:
             pass
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Serves one frame, when it is time for it.
+        """Serves one frame, if it is due.
 
         Args:
-            wait: until it is; else it returns at once where it is not.
+            wait: whether to wait until it is due; otherwise returns at once.
 
         Returns:
             whether the page is still served.
@@ -208,7 +208,7 @@ class WebHost:
         self._time.is_held &= not self.viewer.server.is_watched
         try:
             self._handle.sync()
-        except SeroError as error:  # a file that is gone, say: what is shown stays
+        except SeroError as error:  # for example a deleted file; the display does not change
             self.clock.is_paused = True
             self.say(str(error), is_bad=True)
         if not self.clock.is_paused:
@@ -218,20 +218,20 @@ class WebHost:
         self.history.add(self.data)
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Writes a line into the page for a few seconds."""
+        """Shows a message on the page for a few seconds."""
         self.notice.say(text, is_bad=is_bad)
 
     def click(self, clicked: Clicked) -> None:
-        """Does what a click means, by the table of `interaction`."""
+        """Performs the action of a click, see `interaction`."""
         at = (clicked.x, clicked.y)
         if clicked.centre:
             self._centre(at)
             return
         picked = self.decor.pick(self.data, at)
-        take_click(self, self._pointer, picked, clicked, self._centre)
+        handle_click(self, self._clicks, picked, clicked, self._centre)
 
     def point(self, at: tuple[float, float] | None) -> None:
-        """Writes the name of what is under the pointer beside it."""
+        """Shows the name of the item under the pointer beside it."""
         self._under = at
         if at is None:
             self.toggles.hover = None
@@ -247,11 +247,11 @@ class WebHost:
         self._app.reset_camera_index(ux.TUMBLE_CAMERA_IDX)
 
     def press(self, key: str) -> None:
-        """Does what a key means, by the table of `interaction`."""
+        """Performs the action of a key, see `interaction`."""
         self._keys.press(key)
 
     def choose_camera(self, number: int) -> str:
-        """Looks through a camera by its number, 1 for the first; 0 is the scene's own view."""
+        """Selects a camera by number, 1 for the first; 0 for the scene's own view."""
         names = list_cameras(self.world)
         if number > len(names):
             return f"no camera {number}: the scene has {len(names) or 'none'}"
@@ -263,7 +263,7 @@ class WebHost:
             ours.azimuth, ours.elevation = camera.azimuth, camera.elevation
         is_fixed = camera.type == mujoco.mjtCamera.mjCAMERA_FIXED
         self._app.reset_camera_index(camera.fixedcamid if is_fixed else ux.TUMBLE_CAMERA_IDX)
-        return f"camera {names[number - 1]}" if number else "the view of the start"
+        return f"camera {names[number - 1]}" if number else "initial view"
 
     def _follow(self) -> str:
         picked = None if self._under is None else self.decor.pick(self.data, self._under)
@@ -280,7 +280,7 @@ class WebHost:
         return f"follows {picked.name}"
 
     def picture(self, width: int = 1280, height: int = 800) -> NDArray[np.uint8]:
-        """What is seen, (height, width, 3), drawn here by the classic renderer."""
+        """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
         from ..headless.renderer import HeadlessRenderer
 
         with HeadlessRenderer(self.world, width, height) as renderer:
@@ -288,13 +288,13 @@ class WebHost:
             return renderer.render(self.data)
 
     def close(self) -> None:
-        """Ends the page; browsers are told."""
+        """Closes the page and informs the browsers."""
         if self._is_closed:
             return
         self._is_closed, WebHost._is_any_open = True, False
-        with contextlib.suppress(RuntimeError):  # closed from the page already
+        with contextlib.suppress(RuntimeError):  # already closed from the page
             self._handle.close()
-        with quiet():
+        with suppress_output():
             self.viewer.close()
 
     def __enter__(self) -> WebHost:
@@ -305,7 +305,7 @@ class WebHost:
 
 
 def check_address(host: str) -> str:
-    """Returns the IP address of a host of this machine; raises RenderError where it has none."""
+    """Returns the IP address of a host name of this machine; raises RenderError if it has none."""
     try:
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as trial:
@@ -319,7 +319,13 @@ def check_address(host: str) -> str:
 
 
 def page_url(address: str, port: int, token: str | None = None) -> str:
-    """The address that a browser on this machine opens."""
+    """Returns the address of a page for browsers on this machine.
+
+    Args:
+        address: IP address that the server listens on.
+        port: of the server.
+        token: of the page; None for none.
+    """
     if address in (*ANY_ADDRESS, LOOPBACK, "::1"):
         address = "localhost"
     query = "" if token is None else f"?token={token}"

@@ -1,4 +1,4 @@
-"""The page's own windows: sources, robots, time, torques, help."""
+"""The windows of the page: sources, robots, time, torques, help."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from ...drive.mirror import LiveWorld
 from ...receive.report import describe, report
 from ...receive.source import Source
 from ..clock import SPEEDS, Clock, time_text
-from ..notice import Notice
-from ..status_line import Mood, clock_text, source_text
+from ..status_line import Message, Mood, clock_text, source_text
 from ..torque_history import TorqueHistory
 from ..window.help import help_columns
 from .decor import WebDecor
@@ -37,12 +36,12 @@ _NOTE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
 _NOTE_FLAGS |= int(imgui.WindowFlags.NoInputs) | int(imgui.WindowFlags.NoFocusOnAppearing)
 _PANEL_FLAGS = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
-# Studio 4.0's client cuts labels off that are nearer to the left and upper edge of the page.
+# Studio 4.0's client clips labels that are closer to the left and upper edge of the page.
 _CUT_OFF = 68.0, 64.0  # pixels
-_READABLE = 0.25  # s that a number stands
-_NARROW = 3.2 * _WIDTH  # a page on which panel and billboards would leave the robot no room
-_TALL = 0.35  # of the page's height; what is less tall covers little
-# Told apart by lightness as well, on Studio's light and its dark theme.
+_READABLE = 0.25  # minimum time for which a number is shown, s
+_NARROW = 3.2 * _WIDTH  # width below which panel and billboards would cover the robot
+_TALL = 0.35  # fraction of the page's height above which a window counts as covering its edge
+# Also distinct in lightness, on Studio's light and dark theme.
 MOODS: dict[Mood, tuple[float, float, float] | None] = {
     "good": (0.10, 0.55, 0.24),
     "quiet": (0.45, 0.47, 0.50),
@@ -51,8 +50,14 @@ MOODS: dict[Mood, tuple[float, float, float] | None] = {
 }
 
 
-def tell(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
-    """Writes a line in the colour of a mood, broken where the window ends or as it is."""
+def write_line(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
+    """Writes a line in the colour of a mood.
+
+    Args:
+        text: the line.
+        mood: of the line.
+        is_wrapped: whether to wrap it at the window's width.
+    """
     write, rgb = imgui.TextWrapped if is_wrapped else imgui.TextUnformatted, MOODS[mood]
     if rgb is None:
         write(text)
@@ -62,8 +67,8 @@ def tell(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
     imgui.PopStyleColor(1)
 
 
-class Paneled(Protocol):
-    """What the panels are about: a `WebHost`."""
+class PanelHost(Protocol):
+    """The host of the panels: a `WebHost`."""
 
     world: WorldView
     mirror: LiveWorld
@@ -72,17 +77,17 @@ class Paneled(Protocol):
     decor: WebDecor
     history: TorqueHistory
     joint: int
-    notice: Notice
+    notice: Message
 
 
 class PageWindows(plugin.ViewerPlugin):
-    """What the page has beside Studio's own menus.
+    """The windows of the page, in addition to Studio's menus.
 
     Args:
-        host: whose page it is.
+        host: the host of the page.
     """
 
-    def __init__(self, host: Paneled) -> None:
+    def __init__(self, host: PanelHost) -> None:
         self._host = host
         self._robots = RobotPanel(host.world, host.toggles)
         self._plots = TorquePlots(host.world)
@@ -90,21 +95,21 @@ class PageWindows(plugin.ViewerPlugin):
         self._is_narrow = False
         self.shows_plots = False
         self.shows_help = False
-        self._pages: dict[str, tuple[float, float]] = {}  # on which windows were built last
-        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # when, and what it was
-        # What the windows at the edges of the page cover, see `View.inset`.
+        self._pages: dict[str, tuple[float, float]] = {}  # page sizes for which windows were placed
+        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents
+        # Margins that windows at the edges of the page cover, see `PictureView.inset`.
         self.inset = (0.0, 0.0, 0.0, 0.0)
 
-    def flip_plots(self) -> str:
+    def toggle_plots(self) -> str:
         """Shows or hides the torques."""
         self.shows_plots = not self.shows_plots
         return "" if self._host.world.joints.names else "no joint to plot"
 
-    def flip_status(self) -> None:
+    def toggle_status(self) -> None:
         """Shows or hides the panel."""
         self.shows_status = not self.shows_status
 
-    def flip_help(self) -> None:
+    def toggle_help(self) -> None:
         """Shows or hides the help."""
         self.shows_help = not self.shows_help
 
@@ -113,7 +118,8 @@ class PageWindows(plugin.ViewerPlugin):
         """Builds all windows of a frame."""
         size = imgui.GetIO().DisplaySize
         self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
-        if self._is_narrow != (size.x < _NARROW):  # a browser's size is known once it is there
+        # In every frame, since the size is unknown before a browser is connected.
+        if self._is_narrow != (size.x < _NARROW):
             self._is_narrow = size.x < _NARROW
             self.shows_status = not self._is_narrow
         self._menu()
@@ -129,7 +135,7 @@ class PageWindows(plugin.ViewerPlugin):
         self._message(size)
 
     def _when(self, window: str, size: imgui.Vec2) -> int:
-        """When a window is to be put in its place: also on a page of another size."""
+        """Returns when to place a window: once for every page size."""
         last, self._pages[window] = self._pages.get(window), (size.x, size.y)
         return _ONCE if last == (size.x, size.y) else _ALWAYS
 
@@ -138,21 +144,21 @@ class PageWindows(plugin.ViewerPlugin):
             return
         if imgui.BeginMenu("Robot"):
             if imgui.MenuItem("Panel", "T", self.shows_status):
-                self.flip_status()
+                self.toggle_status()
             if imgui.MenuItem("Torques", "P", self.shows_plots):
-                self.flip_plots()
+                self.toggle_plots()
             if imgui.MenuItem("Mouse and keys", "H", self.shows_help):
-                self.flip_help()
+                self.toggle_help()
             imgui.EndMenu()
         imgui.EndMainMenuBar()
 
     def _handle(self) -> None:
-        """Where the panel was, a button that brings it back."""
+        """Builds the button that shows the hidden panel again."""
         imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ALWAYS)
         imgui.Begin("##handle", True, _HANDLE_FLAGS)
         if imgui.Button("panel"):
-            self.flip_status()
-        imgui.SetItemTooltip("what is shown, sources and sizes: t")
+            self.toggle_status()
+        imgui.SetItemTooltip("toggles, sources and sizes: t")
         imgui.End()
 
     def _panel(self, size: imgui.Vec2) -> None:
@@ -170,7 +176,7 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.End()
 
     def _cover(self, height: float) -> None:
-        """Keeps decor clear of the window that is being built, where it is at an edge."""
+        """Adds the current window to the inset, if it is at an edge of the page."""
         place, size = imgui.GetWindowPos(), imgui.GetWindowSize()
         width = imgui.GetIO().DisplaySize.x
         left, below, right, above = self.inset
@@ -187,17 +193,17 @@ class PageWindows(plugin.ViewerPlugin):
         host = self._host
         if not imgui.CollapsingHeader("Sources", _OPEN):
             return
-        tell(*clock_text(host.clock))
+        write_line(*clock_text(host.clock))
         if not host.mirror.sources:
-            tell("none: the scene stands as it is declared", "quiet")
+            write_line("none: the scene is shown as declared", "quiet")
         for source in host.mirror.sources.values():
             if source.error is not None:
-                tell(f"{source.name}: {source.error}", "bad")
+                write_line(f"{source.name}: {source.error}", "bad")
                 continue
             found = self._report(source)
-            tell(*source_text(found, is_live=source.is_live))
+            write_line(*source_text(found, is_live=source.is_live))
             if found["trouble"]:
-                tell(f"  {found['trouble']}", "bad")
+                write_line(f"  {found['trouble']}", "bad")
             if source.is_live and imgui.TreeNode(f"counters of {source.name}"):
                 for what, count, meaning in describe(found):
                     imgui.TextUnformatted(f"{what}: {count}")
@@ -216,16 +222,16 @@ class PageWindows(plugin.ViewerPlugin):
 
     def _decor(self) -> None:
         decor = self._host.decor
-        tell(f"decor: {decor.count} of {MAX_GEOMS} geoms", "quiet")
+        write_line(f"decor: {decor.count} of {MAX_GEOMS} geoms", "quiet")
         if decor.dropped:
-            tell(
-                f"{decor.dropped} more found no room: a browser takes {MAX_GEOMS}. "
+            write_line(
+                f"{decor.dropped} more are not shown: the limit is {MAX_GEOMS}. "
                 "Switch something off.",
                 "bad",
             )
 
     def _time(self, size: imgui.Vec2) -> None:
-        """The time line of what has one; Studio's tool bar has the rest."""
+        """Builds the time line, if there is one; Studio's tool bar has the other controls."""
         clock = self._host.clock
         if clock.is_live or not self._host.mirror.sources:
             return
@@ -292,6 +298,6 @@ class PageWindows(plugin.ViewerPlugin):
             return
         imgui.SetNextWindowPos(imgui.Vec2(size.x / 2, size.y - 90.0), _ALWAYS, imgui.Vec2(0.5, 1.0))
         imgui.Begin("##message", True, _NOTE_FLAGS)
-        # A window that fits its text has no width at which it could wrap.
-        tell(notice.text, "bad" if notice.is_bad else "plain", is_wrapped=False)
+        # Not wrapped: the window fits its text and has no width of its own.
+        write_line(notice.text, "bad" if notice.is_bad else "plain", is_wrapped=False)
         imgui.End()

@@ -11,53 +11,42 @@ from mujoco.studio.implot import implot
 from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
-from ..torque_history import SPAN, TorqueHistory, joint_name, runs
+from ...study.reduction import envelope
+from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 
 Array = NDArray[np.float64]
 
-# A plot of a thousand points anew in every frame would be most of what goes to the browser.
+# Limits of update rate and points: plots would be most of the data sent to the browser.
 _INTERVAL = 1.0 / 15.0  # s
 _POINTS = 320
-# Studio's ImPlot cannot be told the colours of lines; its own begin with blue, then orange.
+# The colours of lines cannot be set in Studio's ImPlot; its defaults start with blue and orange.
 _LIMIT_RGB = (0.80, 0.20, 0.10)
-_NEAR = 0.6  # of the limit, from which on it is in the picture
+_NEAR = 0.6  # fraction of the limit from which on it is in the visible range
 _LEGEND = int(implot.LegendFlags.Outside) | int(implot.LegendFlags.Horizontal)
-_ROOM_FOR_TWO = 240.0  # pixels, below which the error has no plot
-_LEAST = 0.5  # Nm or N, half the height of a plot
+_ROOM_FOR_TWO = 240.0  # pixels, minimum height with a plot of the error
+_LEAST = 0.5  # Nm or N, minimum half range of a plot
 
 
-def thin_out(times: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
-    """Fewer samples that look the same: of every piece the lowest and the highest, in order.
+def decimate(times: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
+    """Reduces the samples of a line to about `points`, keeping its extremes and gaps.
 
     Args:
-        times: (k,).
-        values: (k,), NaN where there is no data.
-        points: how many are left, about.
+        times: (k,), s, rising.
+        values: (k,), NaN for no data.
+        points: approximate number of samples to keep.
 
     Returns:
         times and values, with one NaN in every gap.
     """
-    size = int(np.ceil(2 * np.isfinite(values).sum() / points))
+    size = max(int(np.ceil(2 * np.isfinite(values).sum() / points)), 1)
     kept: list[tuple[Array, Array]] = []
-    for run in runs(times, values):
+    for piece in split_at_gaps(times, values):
         if kept:
-            kept.append((times[run[:1]], np.array([np.nan])))
-        kept.append(_thin_out(times[run], values[run], size))
+            kept.append((times[piece[:1]], np.array([np.nan])))
+        kept.append(envelope(times[piece], values[piece], -(-len(piece) // size)))
     if not kept:
         return times[:0], values[:0]
     return np.concatenate([x for x, _ in kept]), np.concatenate([y for _, y in kept])
-
-
-def _thin_out(times: Array, values: Array, size: int) -> tuple[Array, Array]:
-    """Leaves two of every `size` samples."""
-    if size <= 2:
-        return times, values
-    whole = len(values) // size * size
-    pieces = values[:whole].reshape(-1, size)
-    first = np.arange(len(pieces)) * size
-    ends = np.stack([first + pieces.argmin(axis=1), first + pieces.argmax(axis=1)], axis=1)
-    kept = np.concatenate([np.unique(ends), np.arange(whole, len(values))])
-    return times[kept], values[kept]
 
 
 class TorquePlots:
@@ -75,7 +64,12 @@ class TorquePlots:
         self._joint = -1
 
     def build(self, history: TorqueHistory, joint: int) -> int:
-        """Builds the plots of a joint of the world; returns the joint to be shown next."""
+        """Builds the plots of a joint and returns the joint that the user has selected.
+
+        Args:
+            history: the torques.
+            joint: index in the world.
+        """
         imgui.SetNextItemWidth(160.0)
         changed, chosen = imgui.Combo("##joint", joint, self._names)
         joint = chosen if changed else joint
@@ -105,7 +99,7 @@ class TorquePlots:
         }
         self._lines = {}
         for name, values in lines.items():
-            x, y = thin_out(times, values)
+            x, y = decimate(times, values)
             self._lines[name] = (x.tolist(), y.tolist())
 
     def _plot(self, title: str, names: tuple[str, ...], limit: float, height: float) -> None:
@@ -127,7 +121,7 @@ class TorquePlots:
         implot.EndPlot()
 
     def _range(self, names: tuple[str, ...], limit: float) -> tuple[float, float]:
-        """The ends of the axis; it moves by leaps, so that the plot stands still meanwhile."""
+        """Returns the range of the axis, rounded so that it rarely changes."""
         values = [v for name in names for v in self._lines[name][1] if math.isfinite(v)]
         low, high = (min(values), max(values)) if values else (0.0, 0.0)
         if np.isfinite(limit):

@@ -1,4 +1,4 @@
-"""What is shown of every robot and double, and how large: switches and sliders."""
+"""The panel with toggles and size sliders of every robot and double."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ...decor.quantities import QUANTITY_NAMES
 from ...decor.toggles import Toggles
 
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
-_MOST_OPEN = 3  # robots whose switches are seen at once
-_LARGEST = 3.0  # times what is declared
+_MOST_OPEN = 3  # number of robots whose toggles are initially expanded
+_LARGEST = 3.0  # range of the sliders, factors of the declared size
 _FLAG_NAMES = {
     "legend": "legend",
     "status": "faults of the sources",
@@ -24,9 +24,9 @@ _SLIDER = 130.0  # pixels
 
 
 class RobotPanel:
-    """Builds the switches of one world.
+    """Builds the toggles and sliders of one world.
 
-    Sliders scale what the scene declares; `reset` of the toggles leaves them.
+    Sliders scale the declared sizes; `Toggles.reset` does not reset them.
 
     Args:
         world: the compiled scene; its tables of sizes are changed in place.
@@ -36,7 +36,7 @@ class RobotPanel:
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
         self._world, self._toggles = world, toggles
         joints, frames = world.joints, world.frames
-        # What sliders scale: its name, the array, the rows of an owner, what is declared.
+        # Name, array, rows of an owner, and declared values of the sizes that sliders scale.
         self._scaled: list[tuple[str, NDArray[np.float64], str, NDArray[np.float64]]] = [
             ("arrow radius", joints.arrow_radius, "joints", joints.arrow_radius.copy()),
             ("arrow width", joints.arrow_width_scale, "joints", joints.arrow_width_scale.copy()),
@@ -45,7 +45,7 @@ class RobotPanel:
         ]
 
     def build(self) -> None:
-        """Builds the part of the panel that is about robots, doubles and the scene."""
+        """Builds the part of the panel with robots, doubles and the scene."""
         world, toggles = self._world, self._toggles
         for index, (name, owner) in enumerate(world.owners.items()):
             imgui.PushID(name)
@@ -62,10 +62,10 @@ class RobotPanel:
                     setattr(toggles, field, on)
             if len(toggles.vectors):
                 self._check("smart arrows", toggles.vectors, slice(None))
-                self._check("their numbers", toggles.cards, slice(None))
+                self._check("their values", toggles.cards, slice(None))
             if imgui.Button("as declared"):
                 self._reset()
-            imgui.SetItemTooltip("shows what the scene declares, at its sizes")
+            imgui.SetItemTooltip("resets toggles and sizes to those that the scene declares")
 
     def _owner(self, index: int, owner: Owner) -> None:
         toggles, joints = self._toggles, owner.joints
@@ -81,7 +81,7 @@ class RobotPanel:
         imgui.SameLine(_SLIDER)
         self._check("billboards", toggles.billboards, joints)
         self._check("precise", toggles.details, joints)
-        imgui.SetItemTooltip("precise numbers of every arrow on its billboard")
+        imgui.SetItemTooltip("precise values of every arrow on its billboard")
         if len(frames):
             imgui.SameLine(_SLIDER)
             self._check("axes", toggles.axes, frames)
@@ -97,7 +97,7 @@ class RobotPanel:
             imgui.TreePop()
 
     def _joints(self, joints: slice) -> None:
-        """Arrow and billboard of every joint by itself."""
+        """Builds the toggles of arrow and billboard of every joint."""
         if not imgui.BeginTable("##joints", 3):
             return
         for joint in range(joints.start, joints.stop):

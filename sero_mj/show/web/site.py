@@ -1,4 +1,4 @@
-"""Studio's page with our title, and with fingers that click once."""
+"""Studio's page, with the title of the scene and a correction for touch screens."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from mujoco.studio.web import web_server
 
 from ...errors import RenderError
 
-# After a tap a browser makes mouse events as well, for pages that know no touch. Studio 4.0 takes
-# both, so a tap would be two clicks.
+# After a tap a browser also sends mouse events, for pages without touch support. Studio 4.0 handles
+# both, so a tap would count as two clicks.
 _HEAD = """\
     <meta name="viewport" content="width=device-width, initial-scale=1" />
     <style>canvas { touch-action: none; }</style>
@@ -23,7 +23,7 @@ _HEAD = """\
 
 
 def with_head(page: str, title: str) -> str:
-    """Studio's page with our title and additions; what is not found in it stays as it is."""
+    """Returns Studio's page with title and additions, where its head matches the expected text."""
     start, found, rest = page.partition("<title>")
     if found:
         page = start + found + html.escape(title) + rest[rest.find("</title>") :]
@@ -31,7 +31,7 @@ def with_head(page: str, title: str) -> str:
 
 
 def find_files() -> Path:
-    """The folder with the files of Studio's page.
+    """Returns the folder with the files of Studio's page.
 
     Raises:
         RenderError: this MuJoCo has none.
@@ -39,14 +39,14 @@ def find_files() -> Path:
     found = web_server._find_static_files_dir()
     if found is None:
         raise RenderError(
-            "no web page: this MuJoCo comes without the files of Studio's web client; "
+            "no web page: this MuJoCo does not include the files of Studio's web client; "
             "`sero-mj view SCENE --window` needs none"
         )
     return Path(found)
 
 
 def read_page(title: str) -> bytes:
-    """The page, which refers to Studio's files.
+    """Returns the page, which refers to Studio's files.
 
     Args:
         title: of the browser's tab.

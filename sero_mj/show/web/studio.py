@@ -1,4 +1,4 @@
-"""MuJoCo Studio's web viewer, at the address its user names and silent where nothing changes."""
+"""MuJoCo Studio's web viewer, with a configurable address and without redundant messages."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from websockets.exceptions import ConnectionClosed
 
 from ...errors import RenderError
 from .guard import Guard, GuardedRun
-from .own_socket import OwnSocket
+from .same_process_socket import SameProcessSocket
 from .site import find_files, read_page
 
 LOOPBACK = "127.0.0.1"
 RATE = 60.0  # pictures/s
-_UI_RATE = 30.0  # user interfaces/s
-_ALIVE = 0.5  # s after which a state is sent although nothing has changed
+_UI_RATE = 30.0  # frames/s of the user interface
+_ALIVE = 0.5  # maximum time between two states that are sent, s
 
 
-class _Goodbyes(logging.Filter):
-    """Leaves out that a browser was being sent something when the page ended."""
+class _DisconnectFilter(logging.Filter):
+    """Suppresses records of connections that were closed while data was sent."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether a record is to be logged."""
         return record.exc_info is None or not isinstance(record.exc_info[1], ConnectionClosed)
 
 
-_NO_GOODBYES = _Goodbyes()  # one, which is added once
+_DISCONNECT_FILTER = _DisconnectFilter()  # a single instance, so that it is added only once
 
 
-class QuietServer(web_server.WebServer):
-    """Sends no state twice: a scene in which nothing moves costs no network.
+class ChangesOnlyServer(web_server.WebServer):
+    """Studio's server, which sends a state only if it has changed.
 
     Args:
-        guard: is asked about every request.
+        guard: checks every request.
         options: see Studio.
 
     Attributes:
-        sent: states that were published.
-        sent_bytes: what they came to for one browser.
-        is_watched: whether a browser has ever looked.
+        sent: number of published states.
+        sent_bytes: their size for one browser, bytes.
+        is_watched: whether a browser has ever connected.
     """
 
     def __init__(self, guard: Guard, **options: Any) -> None:
@@ -59,10 +59,10 @@ class QuietServer(web_server.WebServer):
         self._last_time = 0.0
 
     def start(self) -> None:
-        """Serves the page on a thread, and every request by way of the guard.
+        """Serves the page on a thread, with every request checked by the guard.
 
         Raises:
-            RenderError: this Studio's server cannot be guarded.
+            RenderError: the guard does not work with this version of Studio.
         """
         run = GuardedRun(self._guard)
         self._stop_event.clear()
@@ -76,12 +76,12 @@ class QuietServer(web_server.WebServer):
 
     @property
     def models_generation(self) -> int:
-        """See Studio, which asks for it on behalf of every browser and of nobody else."""
+        """See Studio, which reads it only when a browser connects."""
         self.is_watched = True
         return int(super().models_generation)
 
     def update_state(self, payload: bytes) -> None:
-        """Publishes a state, where it differs from the last one or that is long ago."""
+        """Publishes a state if it differs from the last one, or after a while."""
         now = time.monotonic()
         if payload == self._last and now - self._last_time < _ALIVE:
             return
@@ -91,17 +91,17 @@ class QuietServer(web_server.WebServer):
         super().update_state(payload)
 
 
-class CalmUi:
-    """Studio's user interface, fewer times a second than the scene.
+class ThrottledUi:
+    """Studio's user interface, at a lower frame rate than the scene.
 
-    A browser takes a bounded number of its frames per picture; one that draws slowly would lag
-    behind, and more so with every second.
+    A browser processes a limited number of its frames per picture, so that a slow one would lag
+    behind by an increasing delay.
 
     Args:
         ui: Studio's.
 
     Attributes:
-        is_due: whether the frame of now has one.
+        is_due: whether the current frame includes the user interface.
     """
 
     def __init__(self, ui: Any) -> None:
@@ -110,18 +110,19 @@ class CalmUi:
         self._next = self._next_ui = 0.0
 
     def new_frame(self) -> bool:
-        """Sleeps until the next picture and begins its user interface, if it has one."""
+        """Sleeps until the next picture and starts its user interface, if it is due."""
         time.sleep(max(self._next - time.monotonic(), 0.0))
         now = time.monotonic()
-        self._next = max(self._next, now - 0.5 / RATE) + 1.0 / RATE  # late once is not late ever
+        # A late frame does not delay the following ones.
+        self._next = max(self._next, now - 0.5 / RATE) + 1.0 / RATE
         self.is_due = now >= self._next_ui
         if self.is_due:
             self._next_ui = now + 1.0 / _UI_RATE - 0.5 / RATE
-            self.is_due = bool(self._ui.new_frame())  # not while a browser is being connected
+            self.is_due = bool(self._ui.new_frame())  # false while a browser is connecting
         return True
 
     def end_frame(self) -> None:
-        """Ends the user interface of the frame, if it has one."""
+        """Ends the user interface of the frame, if it is due."""
         if self.is_due:
             self._ui.end_frame()
 
@@ -131,25 +132,25 @@ class CalmUi:
 
 
 class StudioViewer(web_viewer.WebViewer):
-    """Studio's `WebViewer` on one address; Studio 4.0 binds to all of them and cannot be told.
+    """Studio's `WebViewer` on a given address; Studio 4.0 binds to all interfaces.
 
     Args:
         endpoint: see Studio.
-        model: shown from the first picture on.
+        model: the initial model.
         address: to listen on.
         port: 0 for the first free one from 8080 on.
-        token: that the page's address must have; None for none.
+        token: required in the page's address; None for none.
         title: of the page's user interface.
-        plugins: of the viewer's side.
-        camera: to look through; the browser moves it.
+        plugins: of the viewer.
+        camera: the initial camera; the browser moves it.
 
     Raises:
         RuntimeError: the port is taken.
-        OSError: there is no such address here.
-        RenderError: this MuJoCo has no files for browsers.
+        OSError: this machine does not have the address.
+        RenderError: this MuJoCo does not include the files for browsers.
     """
 
-    _web_server: QuietServer | None
+    _web_server: ChangesOnlyServer | None
     _headless_ui: Any
     _tcp_sock: socket.socket
 
@@ -169,14 +170,14 @@ class StudioViewer(web_viewer.WebViewer):
         self._token = token
         self._page = read_page(title)
         config = viewer_protocol.ViewerConfig(title=title, http_port=port)
-        with quiet():  # its banner does not know what is shown, nor who asked for which address
+        with suppress_output():  # of Studio's banner, which has not the right address
             super().__init__(config, endpoint, model=model, plugins=plugins, camera=camera)
-        self._headless_ui = CalmUi(self._headless_ui)
-        # Who connects and leaves is told by the panel; CI logs need not repeat it.
+        self._headless_ui = ThrottledUi(self._headless_ui)
+        # Connections are shown by the panel and need not be logged.
         logging.getLogger("WebServer").setLevel(logging.WARNING)
-        # A browser that is killed, or a port scanner, is no error worth a traceback.
+        # Killed browsers and port scanners are not worth a traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
-        logging.getLogger("asyncio").addFilter(_NO_GOODBYES)
+        logging.getLogger("asyncio").addFilter(_DISCONNECT_FILTER)
 
     @property
     def _host(self) -> str:
@@ -184,12 +185,12 @@ class StudioViewer(web_viewer.WebViewer):
 
     @_host.setter
     def _host(self, value: str) -> None:
-        """Studio's constructor wants all interfaces; the user's choice stands."""
+        """Ignores the value of Studio's constructor, which is all interfaces."""
 
     def _start_server(self) -> None:
-        self._tcp_sock = OwnSocket(fileno=self._tcp_sock.detach())
+        self._tcp_sock = SameProcessSocket(fileno=self._tcp_sock.detach())
         bound = self._http_sock.getsockname()[0]
-        self._web_server = QuietServer(
+        self._web_server = ChangesOnlyServer(
             Guard(self._page, bound, self.address, self._token),
             http_sock=self._http_sock,
             tcp_sock=self._tcp_sock,
@@ -205,38 +206,43 @@ class StudioViewer(web_viewer.WebViewer):
 
     @property
     def has_ui(self) -> bool:
-        """Whether the frame of now has a user interface."""
+        """Whether the current frame includes the user interface."""
         return bool(self._headless_ui.is_due)
 
     @property
     def port(self) -> int:
-        """Where the page is served."""
+        """Port of the page."""
         return int(self._http_port)
 
     @property
-    def server(self) -> QuietServer:
+    def server(self) -> ChangesOnlyServer:
         """The server of the page."""
         assert self._web_server is not None
         return self._web_server
 
     def close(self) -> None:
-        """Ends the page."""
+        """Closes the page."""
         super().close()
-        # A second one in this process crashes where the first one's still exists.
+        # Another viewer in this process would crash while this one's user interface exists.
         self._headless_ui = None
 
     def change_model(self, bundle: bytes, crc32: int) -> None:
-        """Makes browsers show a model that has the same joints and other colours."""
+        """Switches browsers to a model that differs only in colours.
+
+        Args:
+            bundle: the model as Studio sends it.
+            crc32: checksum of the bundle.
+        """
         self._model_crc32 = crc32
         self.server.update_model(bundle, crc32)
 
     def get_drop_file(self) -> str:
-        """No file: what is dropped onto the page would replace the scene; the guard refuses it."""
+        """Returns no file: a file dropped onto the page would replace the scene."""
         return ""
 
 
 @contextlib.contextmanager
-def quiet() -> Any:
-    """Keeps what Studio prints to itself."""
+def suppress_output() -> Any:
+    """Suppresses what Studio prints."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

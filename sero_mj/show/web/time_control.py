@@ -1,4 +1,4 @@
-"""Studio's simulation controls and history act on the clock of a mirror instead of on physics."""
+"""Connects Studio's simulation controls and history to the clock of a mirror."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _PAUSED = sim.PauseState.NORMAL_PAUSED
 
 
 class TimeControl(plugin.SimPlugin):
-    """Stands where Studio's `StepControl` would: what is shown comes from the mirror.
+    """Replaces Studio's `StepControl`: time and state are those of the mirror.
 
     Args:
         clock: of the mirror.
 
     Attributes:
-        is_held: whether time stands still, because nobody looks yet.
+        is_held: whether time is stopped because no browser has connected yet.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -29,7 +29,7 @@ class TimeControl(plugin.SimPlugin):
         self.is_held = False
 
     def snapshot(self) -> messages.StepControlSnapshot:
-        """What Studio's controls are to show."""
+        """Returns the state of Studio's controls."""
         control = sim.StepControl()
         control.set_pause_state(_PAUSED if self._clock.is_paused else _RUNS)
         control.set_speed(100.0 * self._clock.speed)
@@ -37,7 +37,7 @@ class TimeControl(plugin.SimPlugin):
 
     @messages.handler
     def on_step_control(self, event: messages.StepControlSnapshot) -> bool:
-        """Pause and speed, set in the page."""
+        """Applies pause and speed that were set on the page."""
         wanted = event.pause_state != _RUNS
         if wanted != self._clock.is_paused:
             self._clock.pause()
@@ -47,37 +47,37 @@ class TimeControl(plugin.SimPlugin):
 
     @messages.handler
     def on_single_step(self, event: messages.SingleStepEvent) -> bool:
-        """A single step on."""
+        """Advances by a single step."""
         self._clock.step()
         return True
 
     @messages.handler
     def on_pause(self, event: messages.RequestPauseEvent) -> bool:
-        """A pause that Studio asks for: its history is being looked at."""
+        """Pauses when the user opens Studio's history."""
         self._clock.is_paused = event.pause_state != _RUNS
         return True
 
     @messages.handler
     def on_reset(self, event: messages.ResetEvent) -> bool:
-        """Back to the start; not to zero, as Studio would."""
+        """Resets the mirror to the start, not the data to zero as Studio does."""
         self._clock.reset()
         return True
 
     @messages.handler
     def on_history(self, event: sim_history.SimHistorySnapshot) -> None:
-        """A moment of the past was chosen; Studio's `SimHistory` puts it into the data."""
+        """Handles the selection of a past state, which `SimHistory` writes to the data."""
         self._is_scrubbed = True
 
     @messages.handler
     def on_step(self, event: messages.StepEvent) -> None:
-        """Brings the mirror to now."""
+        """Advances the mirror to the current time."""
         now = time.monotonic()
         passed, self._last = now - self._last, now
         clock = self._clock
         with self.handle.send_if_changes(self.snapshot):
             if self._is_scrubbed and clock.is_live and not clock.is_paused:
                 self._is_scrubbed = False
-                clock.reset()  # the present, not what the history has put there
+                clock.reset()  # the current state, not the one that the history has written
             if self._is_scrubbed and not clock.is_live:
                 self._is_scrubbed = False
                 clock.seek(event.data.time)

@@ -1,4 +1,4 @@
-"""Who gets which part of a window: picture, plots, bar and time line do not cover each other."""
+"""Divides a window into picture, plots, status line and time line."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import mujoco
 
-_PLOT_SHARE = 0.34  # of the width, for plots beside the picture
-_STRIP_SHARE = 0.36  # of the height, for a plot below it, where the window is narrow
-_NARROW = 46.0  # lines of text; a window less wide has its plot below the picture
-_LEAST_STRIP = 10.0  # lines of text, high
-_LEAST_PLOT = 20.0  # lines of text, wide
+_PLOT_SHARE = 0.34  # fraction of the width for plots beside the picture
+_STRIP_SHARE = 0.36  # fraction of the height for a plot below the picture, in a narrow window
+_NARROW = 46.0  # line heights; in a narrower window the plot is below the picture
+_LEAST_STRIP = 10.0  # minimum height, line heights
+_LEAST_PLOT = 20.0  # minimum width, line heights
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,9 @@ class Layout:
 
     Attributes:
         picture: of the scene.
-        plots: one below the other; none, one or two.
-        line_bottom: lower edge of the strip with the time line, pixels.
-        bar: height of the status line, pixels; 0 where there is none.
+        plots: from top to bottom; none, one or two.
+        line_bottom: lower edge of the time line's area, pixels.
+        bar: height of the status line, pixels; 0 for none.
     """
 
     picture: mujoco.MjrRect
@@ -33,7 +33,7 @@ class Layout:
 def arrange(
     size: tuple[int, int], text: int, *, bar: int = 0, line: int = 0, has_plot: bool = False
 ) -> Layout:
-    """Divides a window.
+    """Returns the layout of a window.
 
     Args:
         size: of the window, pixels.

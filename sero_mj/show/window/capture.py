@@ -1,4 +1,4 @@
-"""Screenshots and films out of a window, written on a thread so that no frame waits for a disk."""
+"""Screenshots and films of a window, written on a thread so that frames do not wait for it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,20 @@ from ...errors import SeroError
 from ..headless.film import FilmWriter, save_picture
 
 FPS = 30.0
-_MOST_WAITING = 8  # frames; more are replaced by the next one, which is then shown for longer
+# Maximum number of queued frames; further ones are replaced by a longer following frame.
+_MOST_WAITING = 8
 Pixels = NDArray[np.uint8]
 
 
 def free_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
-    """A file that does not exist yet: `lwr_2026-05-04_17-03-12.png`."""
+    """Returns an unused file name: `lwr_2026-05-04_17-03-12.png`.
+
+    Args:
+        folder: of the file.
+        scene: name of the scene, for the beginning of the file name.
+        ending: extension with its dot.
+        now: the date and time.
+    """
     safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in scene) or "scene"
     stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
     path = folder / f"{stem}{ending}"
@@ -31,26 +39,26 @@ def free_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
 
 
 def due_frames(seconds: float, sent: int, fps: float = FPS) -> int:
-    """How often the picture of now is to be in the film, so that it shows real time.
+    """Returns how often to add the current picture, so that the film shows real time.
 
     Args:
-        seconds: since the film began.
-        sent: frames that it has.
-        fps: of the film.
+        seconds: since the start of the film.
+        sent: number of frames so far.
+        fps: frames per second of the film.
     """
     return max(int(seconds * fps) + 1 - sent, 0)
 
 
 class Capture:
-    """Takes pictures and films.
+    """Writes screenshots and films.
 
     Args:
-        scene: its name begins the names of the files.
-        folder: where to; the current one when None.
+        scene: name of the scene, for file names.
+        folder: of the files; the current one when None.
 
     Attributes:
-        is_filming: whether a film is being made.
-        seconds: how long it is.
+        is_filming: whether a film is being recorded.
+        seconds: its duration so far, s.
     """
 
     def __init__(self, scene: str, folder: Path | None = None) -> None:
@@ -74,10 +82,10 @@ class Capture:
         self._pending.append((future, "screenshot", path))
 
     def start(self, size: tuple[int, int], time: float) -> str:
-        """Begins a film; returns what to tell the user.
+        """Starts a film and returns a message for the user.
 
         Raises:
-            RenderError: it cannot be written.
+            RenderError: the file cannot be written.
         """
         path = free_name(self._folder, self._scene, ".mp4", datetime.now())
         self._film, self._film_path = FilmWriter(path, *size, FPS), path
@@ -86,11 +94,11 @@ class Capture:
         return f"filming to {path}"
 
     def wants(self, time: float) -> bool:
-        """Whether the film needs a picture of now."""
+        """Whether the film needs a picture at this time, s."""
         return self.is_filming and due_frames(time - self._begin, self._sent) > 0
 
     def add(self, pixels: Pixels, time: float) -> None:
-        """Adds the picture of now; ends the film when the window has another size."""
+        """Adds the current picture; stops the film when the window has another size."""
         film = self._film
         if film is None:
             return
@@ -99,7 +107,7 @@ class Capture:
             return
         self.seconds = time - self._begin
         if not self._waiting.acquire(blocking=False):
-            return  # the encoder is behind; the next picture stands in for this one
+            return  # the encoder is too slow; the next picture replaces this one
         count = due_frames(self.seconds, self._sent)
         self._sent += count
 
@@ -113,14 +121,14 @@ class Capture:
         self._pool.submit(write)
 
     def stop(self) -> None:
-        """Ends the film; `news` tells when it is written."""
+        """Stops the film; `next_message` reports when it is written."""
         film, self._film, self.is_filming = self._film, None, False
         if film is not None:
             future = self._pool.submit(film.__exit__, None, None, None)
             self._pending.append((future, f"film of {self.seconds:.1f} s", self._film_path))
 
-    def news(self) -> tuple[str, bool] | None:
-        """What has been written since the last call, and whether that went wrong."""
+    def next_message(self) -> tuple[str, bool] | None:
+        """Returns a message about the next completed file and whether it is an error, or None."""
         for each in self._pending:
             future, what, path = each
             if future.done():
@@ -133,6 +141,6 @@ class Capture:
         return None
 
     def close(self) -> None:
-        """Ends the film and waits until everything is written."""
+        """Stops the film and waits until all files are written."""
         self.stop()
         self._pool.shutdown()

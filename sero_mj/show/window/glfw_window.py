@@ -1,4 +1,4 @@
-"""The native window itself: GLFW, its events as plain values, and its OpenGL contexts."""
+"""The native window: GLFW, its events, and its OpenGL contexts."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ...errors import RenderError
 from ..headless.offscreen import check_size, offscreen_size
 from ..input import LEFT, MIDDLE, RIGHT, Event
 
-_SAMPLES = 4  # per pixel, against jagged edges
-_HUD_TEXT = 18.0  # pixels, of the window's own text at content scale 1
+_SAMPLES = 4  # samples per pixel, for antialiasing
+_HUD_TEXT = 18.0  # text height of the window at content scale 1, pixels
 _SMALLEST = (320, 240)
 _NAMED_KEYS = {
     glfw.KEY_BACKSPACE: "backspace",
@@ -36,15 +36,15 @@ class GlWindow:
     """A window with an OpenGL context for a world and one for the window's own text.
 
     Args:
-        world: whose meshes and textures are loaded.
-        size: of the window in screen coordinates; made smaller where the screen is.
+        world: its meshes and textures are loaded.
+        size: of the window in screen coordinates; limited by that of the screen.
         title: of the window.
         full_screen: whether it covers the screen.
 
     Attributes:
-        context: for the scene; its font is that of billboards.
-        hud: for the window's own text, which follows the screen's scale and not the picture's.
-        hud_font: of `hud`.
+        context: for the scene, with the font of billboards.
+        hud: for the window's own text, whose size depends on the screen and not on the picture.
+        hud_font: font of `hud`.
         refresh_rate: of the screen, Hz.
 
     Raises:
@@ -59,7 +59,7 @@ class GlWindow:
         self._world = world
         self._events: list[Event] = []
         self._is_repeat = False
-        self._at: tuple[float, float] | None = None  # the pointer, in screen coordinates
+        self._at: tuple[float, float] | None = None  # pointer position in screen coordinates
         self._windowed: tuple[int, int, int, int] | None = None
         mode = glfw.get_video_mode(glfw.get_primary_monitor())
         self.refresh_rate = float(mode.refresh_rate or 60)
@@ -79,7 +79,7 @@ class GlWindow:
         height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
         self._least_scale = nearest_font_scale(height)
         self._scale = max(font_scale(world, self.size[1]), self._least_scale)
-        # The window's own buffer is drawn to, and the one for pictures without one is not.
+        # Rendering goes to the window's buffer; the offscreen buffer is unused.
         with offscreen_size(world.model, 16, 16):
             self.context = mujoco.MjrContext(world.model, self._scale)
         empty = mujoco.MjModel.from_xml_string("<mujoco/>")
@@ -99,13 +99,13 @@ class GlWindow:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the framebuffer, pixels; 0 while the window is an icon."""
+        """Width and height of the framebuffer, pixels; 0 while the window is minimized."""
         width, height = glfw.get_framebuffer_size(self._window)
         return int(width), int(height)
 
     @property
     def is_closing(self) -> bool:
-        """Whether the user wants it closed, or it is."""
+        """Whether the user has requested to close it, or it is closed."""
         return self._window is None or bool(glfw.window_should_close(self._window))
 
     @property
@@ -113,20 +113,20 @@ class GlWindow:
         """Whether it covers the screen."""
         return self._windowed is not None
 
-    def close_soon(self) -> None:
-        """Asks for the window to be closed."""
+    def request_close(self) -> None:
+        """Requests to close the window."""
         glfw.set_window_should_close(self._window, True)
 
     def events(self) -> list[Event]:
-        """What the user did since the last call."""
+        """Returns the events since the last call."""
         glfw.poll_events()
         events, self._events = self._events, []
         return events
 
     def fit_font(self, height: int) -> Font:
-        """Returns the font of billboards for a picture of that height, pixels.
+        """Sets and returns the font of billboards for a picture height, pixels.
 
-        It is never smaller than the window's own, which grows with the screen's scale.
+        It is at least as large as the window's own font, which depends on the screen's scale.
         """
         scale = max(font_scale(self._world, height), self._least_scale)
         if scale != self._scale:
@@ -135,16 +135,16 @@ class GlWindow:
         return Font.of_context(self.context)
 
     def swap(self) -> None:
-        """Shows what was drawn, with the screen's next refresh."""
+        """Shows the rendered frame at the screen's next refresh."""
         glfw.swap_buffers(self._window)
 
     def wait(self, seconds: float) -> None:
-        """Waits until then, or until the user does something."""
+        """Waits for a time, s, or until the next event."""
         if seconds > 0:
             glfw.wait_events_timeout(seconds)
 
     def toggle_full_screen(self) -> None:
-        """Covers the screen that the window is on, or goes back to its size before."""
+        """Switches between full screen, on the window's monitor, and the previous size."""
         window = self._window
         if self._windowed is not None:
             no_monitor: Any = None
@@ -159,7 +159,7 @@ class GlWindow:
         )
 
     def _monitor(self) -> Any:
-        """The screen on which the middle of the window is."""
+        """Returns the monitor at the centre of the window."""
         x, y = glfw.get_window_pos(self._window)
         width, height = glfw.get_window_size(self._window)
         x, y = x + width // 2, y + height // 2
@@ -182,7 +182,7 @@ class GlWindow:
         self._events.append(Event(kind, time=time.monotonic(), **values))
 
     def _pixel(self, x: float, y: float) -> dict[str, float]:
-        """A point in screen coordinates, which are not pixels on every screen."""
+        """Converts screen coordinates to pixels of the framebuffer, y up."""
         width, height = glfw.get_window_size(self._window)
         pixels = self.size
         return {
@@ -191,7 +191,7 @@ class GlWindow:
         }
 
     def _on_button(self, window: Any, button: int, action: int, mods: int) -> None:
-        # Where it was pressed, not where the pointer has come to until this event is looked at.
+        # The position of the press, not that of the pointer when the event is handled.
         x, y = self._at or glfw.get_cursor_pos(window)
         kind = "press" if action == glfw.PRESS else "release"
         shift = bool(mods & (glfw.MOD_SHIFT | glfw.MOD_CONTROL))
@@ -210,18 +210,18 @@ class GlWindow:
         if action == glfw.RELEASE:
             return
         if key in (glfw.KEY_Q, glfw.KEY_W) and mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
-            self.close_soon()
+            self.request_close()
         elif key in _NAMED_KEYS:
             self._add("key", key=_NAMED_KEYS[key], is_repeat=self._is_repeat)
 
     def _on_char(self, window: Any, code: int) -> None:
-        # Characters, not keys: they are right on every keyboard.
+        # Characters, not keys, so that all keyboard layouts work.
         self._add("key", key=chr(code).lower(), is_repeat=self._is_repeat)
 
 
 @contextmanager
 def _complaints() -> Iterator[list[str]]:
-    """Collects what GLFW complains about, which it would else write to the terminal."""
+    """Collects GLFW's error messages, which it would otherwise print."""
     said: list[str] = []
 
     def note(code: int, text: Any) -> None:

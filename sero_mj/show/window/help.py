@@ -1,4 +1,4 @@
-"""The help of a window, made from the table of `interaction`."""
+"""The help text of live hosts, generated from the tables of `interaction`."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _KINDS = {
 
 
 def help_columns(*, on_page: bool = False) -> list[list[Row]]:
-    """Columns of rows: what to press and what that does; headings have no words.
+    """Returns columns of rows of input and effect; headings have no effect.
 
     Args:
-        on_page: without what a browser does itself.
+        on_page: whether to omit actions that a browser provides itself.
     """
     of_host = HOST_KEYS
     if on_page:
@@ -51,7 +51,7 @@ def help_columns(*, on_page: bool = False) -> list[list[Row]]:
             if entry is not None:
                 shown.append((f"{word} {name}", entry[0]))
     shown += [
-        ("double click nothing", "what the scene declares"),
+        ("double click background", "what the scene declares"),
         ("Shift+click", "the same for the whole robot"),
     ]
     return [view, shown]
@@ -62,7 +62,7 @@ def pages(columns: list[list[Row]], room: tuple[int, int]) -> list[list[list[Row
 
     Args:
         columns: of rows.
-        room: how many rows a column may have, and how many columns a page.
+        room: maximum number of rows of a column, and of columns of a page.
     """
     rows, beside = max(room[0], 4), max(room[1], 1)
     parts = [

@@ -1,4 +1,4 @@
-"""`Window`: a mirror in a window on the screen, with mouse and keys."""
+"""`Window`: shows a mirror in a window, with mouse and keys."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ from ...errors import SeroError
 from ..clock import Clock, time_text
 from ..headless.renderer import DEFAULT_SIZE
 from ..input import Clicked, Event, Mouse, Moved
-from ..interaction import OnClick, Pointer, hover, take_click
-from ..keys import Keys
-from ..notice import Notice
+from ..interaction import ClickDetector, OnClick, handle_click, hover
+from ..keys import KeyHandler
 from ..picking import Picked
-from ..status_line import Piece, status_pieces
+from ..status_line import Message, Piece, status_pieces
 from ..torque_history import TorqueHistory
 from .arrange import Layout, arrange
 from .capture import Capture
 from .glfw_window import GlWindow
 from .help import Row, help_columns, pages
-from .hud import Hud
+from .hud import Hud, TimeLine
 from .navigator import Navigator
-from .timeline import TimeLine
 from .torque_plot import TorquePlot
 from .viewport import Viewport
 
@@ -37,7 +35,7 @@ _HINT = "H help"
 class Window:
     """Shows a mirror in a window.
 
-    It never waits for a packet: every frame shows what has come by then.
+    It never waits for a packet: every frame shows the latest one.
 
     Args:
         mirror: must be open; is driven by the window's clock.
@@ -50,10 +48,11 @@ class Window:
         toggles: what is shown.
         clock: pause, speed and time line.
         navigator: moves the camera.
-        camera: takes screenshots and films.
+        camera: records screenshots and films.
         joint: the joint of the world whose torques are plotted.
-        work: our own work for the last frame, s: input, sources, decor and plots, no rendering.
-        on_click: called with what was clicked on and the gesture.
+        work: time spent by sero-mj for the last frame, s: input, sources, decor and plots,
+            without rendering.
+        on_click: called with the clicked item and the gesture.
 
     Raises:
         RenderError: there is no display, or no OpenGL.
@@ -86,16 +85,16 @@ class Window:
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
         self._frame = Viewport(world, self.toggles)
         self._hud = Hud(self.gl)
-        self._pointer = Pointer(world, self.toggles)
+        self._clicks = ClickDetector(world, self.toggles)
         self._mouse = Mouse()
-        self._keys = Keys(
+        self._keys = KeyHandler(
             self,
             {
                 "follow": self._follow,
-                "plot": self._flip_plot,
-                "status_line": self._flip_status,
+                "plot": self._toggle_plot,
+                "status_line": self._toggle_status,
                 "screenshot": self._take_screenshot,
-                "film": self._flip_film,
+                "film": self._toggle_film,
                 "full_screen": self.gl.toggle_full_screen,
                 "help": self.next_help_page,
             },
@@ -105,13 +104,13 @@ class Window:
         self._layout = self._arrange(self.gl.size)
         self._line: TimeLine | None = None
         self._is_scrubbing = False
-        self._notice = Notice()
-        self._last = self._end = time.monotonic()  # when the last frame began and ended
+        self._notice = Message()
+        self._last = self._end = time.monotonic()  # start and end of the last frame
         self._interval = 1.0 / self.gl.refresh_rate
 
     @property
     def frame_rate(self) -> float:
-        """Frames/s, averaged over the last ones."""
+        """Frames/s, averaged over the last frames."""
         return 1.0 / max(self._interval, 1e-6)
 
     def run(self) -> None:
@@ -128,7 +127,7 @@ class Window:
     def is_due(self) -> bool:
         """Whether the screen is ready for the next frame.
 
-        Where frames take long, half of the time is left to whoever asks.
+        If rendering is slow, half of the time is left to the caller.
         """
         took = self._end - self._last
         if not self.is_open:
@@ -139,7 +138,7 @@ class Window:
         """Shows one frame.
 
         Args:
-            wait: for the screen to be ready for the next one.
+            wait: whether to wait until the screen is ready for the next one.
 
         Returns:
             whether the window is still open.
@@ -150,7 +149,7 @@ class Window:
         if self.gl.is_closing:
             return False
         width, height = self.gl.size
-        if not (width and height):  # an icon
+        if not (width and height):  # minimized
             self.gl.wait(0.1)
             return True
         for event in self.gl.events():
@@ -170,7 +169,7 @@ class Window:
         self._draw(figures, pieces, (width, height))
         self.gl.swap()
         self._end = time.monotonic()
-        # Where nothing waits for the screen's refresh, frames are not faster than it anyway.
+        # Limits the frame rate where swapping does not wait for the screen's refresh.
         if wait:
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
@@ -197,15 +196,15 @@ class Window:
         self.clock.on_moment = self._sample if self._has_plot else None
         try:
             self.clock.advance(passed)
-        except SeroError as error:  # a file that is gone, say: what is shown stays
+        except SeroError as error:  # for example a deleted file; the display does not change
             self.clock.is_paused = True
             self.say(str(error), is_bad=True)
         if not self.clock.is_paused:
             self._sample()
         self.navigator.advance(self.data)
-        news = self.camera.news()
-        if news is not None:
-            self.say(news[0], is_bad=news[1])
+        message = self.camera.next_message()
+        if message is not None:
+            self.say(message[0], is_bad=message[1])
 
     def _sample(self) -> None:
         self._history.add(self.data)
@@ -216,7 +215,7 @@ class Window:
         width, height = size
         hud, layout, now = self._hud, self._layout, time.monotonic()
         self._frame.draw(self.gl.context)
-        for rect, figure in zip(layout.plots, figures, strict=False):  # one, where it is narrow
+        for rect, figure in zip(layout.plots, figures, strict=False):  # only one in a narrow window
             mujoco.mjr_figure(rect, figure, self.gl.hud)
         if self.wants_picture or self.camera.wants(now):
             pixels = self._frame.pixels(self.gl.context)
@@ -243,25 +242,25 @@ class Window:
         return self._frame.rect.width, self._frame.rect.height
 
     def picture(self) -> NDArray[np.uint8]:
-        """Draws the last frame once more, without bar and messages; (height, width, 3)."""
+        """Renders the last frame again without status line and messages, (height, width, 3)."""
         self._frame.draw(self.gl.context)
         return self._frame.pixels(self.gl.context)
 
     def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:
-        """The help in pages of columns, as they find room in a window of that size."""
+        """Returns the help in pages of columns that fit a window of that size."""
         return pages(self._help, self._hud.help_room(size))
 
     def next_help_page(self) -> None:
-        """Shows the help, its next page, or no help any more."""
+        """Shows the help, shows its next page, or hides it after the last page."""
         self.help_page = self.help_page + 1 if self.shows_help else 0
         self.shows_help = self.help_page < len(self.help_pages(self.gl.size))
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Writes a line into the window for a few seconds."""
+        """Shows a message in the window for a few seconds."""
         self._notice.say(text, is_bad=is_bad)
 
     def pick_under_pointer(self) -> Picked | None:
-        """What is under the pointer."""
+        """Returns the item under the pointer."""
         at = self._mouse.position
         return None if at is None else self._frame.pick(self.data, *at)
 
@@ -274,7 +273,7 @@ class Window:
         hover(self.toggles, picked, self._frame.to_picture(*at))
 
     def _take(self, event: Event, height: int) -> None:
-        """Does what an event means."""
+        """Handles an event."""
         if event.kind == "key":
             self._press(event)
             return
@@ -316,7 +315,7 @@ class Window:
             self._centre(at)
             return
         picked = self._frame.pick(self.data, *at)
-        take_click(self, self._pointer, picked, clicked, self._centre)
+        handle_click(self, self._clicks, picked, clicked, self._centre)
 
     def _centre(self, at: tuple[float, float]) -> None:
         view, point = self._frame.decor.view, self._frame.point_at(self.data, *at)
@@ -334,7 +333,7 @@ class Window:
             self.gl.toggle_full_screen()
 
     def choose_camera(self, number: int) -> str:
-        """Looks through a camera, 1 for the first, 0 for the view of the start."""
+        """Selects a camera by number, 1 for the first, 0 for the initial view."""
         return self.navigator.choose(number)
 
     def _follow(self) -> str:
@@ -342,20 +341,20 @@ class Window:
         is_frame = picked is not None and picked.name in self.world.frames.names
         return self.navigator.follow(self.data, picked.name if picked and is_frame else None)
 
-    def _flip_plot(self) -> str:
+    def _toggle_plot(self) -> str:
         self.shows_plot = not self.shows_plot
         return "" if self.world.joints.names else "no joint to plot"
 
-    def _flip_status(self) -> None:
+    def _toggle_status(self) -> None:
         self.shows_status = not self.shows_status
 
     def _take_screenshot(self) -> None:
         self.wants_picture = True
 
-    def _flip_film(self) -> str:
+    def _toggle_film(self) -> str:
         if self.camera.is_filming:
             self.camera.stop()
-            return "the film ends"
+            return "the film is complete"
         try:
             return self.camera.start(self.picture_size, time.monotonic())
         except SeroError as error:
@@ -363,7 +362,7 @@ class Window:
             return ""
 
     def close(self) -> None:
-        """Closes the window, when pictures and films are written."""
+        """Closes the window after pictures and films are written."""
         self.camera.close()
         self.gl.close()
 

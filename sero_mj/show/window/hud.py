@@ -1,15 +1,15 @@
-"""What a window writes over the picture: bar, time line, messages, help."""
+"""Text and controls over the picture of a window: status line, time line, messages, help."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 
 from ...decor.font import Font
 from ..status_line import Mood, Piece
 from .glfw_window import GlWindow
-from .timeline import TimeLine
 
 Rgba = tuple[float, float, float, float]
 BAR: Rgba = (0.07, 0.09, 0.12, 1.0)
@@ -32,7 +32,41 @@ _MOODS: dict[Mood, tuple[float, float, float]] = {
 _PAD = 0.45  # of a line's height
 _HELP_LINE = 1.08  # of a line's height
 _HELP_COLUMN = 27.0  # of a line's height, wide
-_GAP = 1.6  # between pieces of the status line, of a line's height
+_GAP = 1.6  # gap between parts of the status line, of a line's height
+
+
+@dataclass(frozen=True)
+class TimeLine:
+    """Geometry of the time line, in pixels from the lower left corner of the window.
+
+    Attributes:
+        left: left edge.
+        bottom: lower edge.
+        width: of the whole bar.
+        height: of the bar.
+        end: the time at its right end, s.
+    """
+
+    left: float
+    bottom: float
+    width: float
+    height: float
+    end: float
+
+    def hits(self, x: float, y: float) -> bool:
+        """Whether a press at a pixel is on the bar, with a margin of its height."""
+        inside = self.left - self.height <= x <= self.left + self.width + self.height
+        return inside and self.bottom - self.height <= y <= self.bottom + 2 * self.height
+
+    def time_at(self, x: float) -> float:
+        """Returns the time at a pixel, s, limited to the ends."""
+        share = (x - self.left) / max(self.width, 1.0)
+        return min(max(share, 0.0), 1.0) * self.end
+
+    def x_of(self, time: float) -> float:
+        """Returns the pixel of a time, s."""
+        share = min(max(time / self.end, 0.0), 1.0) if self.end > 0 else 0.0
+        return self.left + share * self.width
 
 
 class Hud:
@@ -43,21 +77,29 @@ class Hud:
 
     @property
     def font(self) -> Font:
-        """Of all that is written here."""
+        """Font of all text."""
         return self._window.hud_font
 
     @property
     def bar_height(self) -> int:
-        """Of the status line, pixels."""
+        """Height of the status line, pixels."""
         return round(self.font.height * (1 + 2 * 0.3))
 
     @property
     def line_height(self) -> int:
-        """Of the strip with the time line, pixels."""
+        """Height of the time line's area, pixels."""
         return round(self.font.height * 1.3)
 
     def box(self, left: float, bottom: float, width: float, height: float, rgba: Rgba) -> None:
-        """Fills a rectangle."""
+        """Fills a rectangle.
+
+        Args:
+            left: pixels.
+            bottom: pixels.
+            width: pixels.
+            height: pixels.
+            rgba: colour.
+        """
         rect = mujoco.MjrRect(round(left), round(bottom), round(width), round(height))
         mujoco.mjr_rectangle(rect, *rgba)
 
@@ -67,16 +109,16 @@ class Hud:
         lines: Sequence[tuple[float, float, str, tuple[float, float, float]]],
         rgba: Rgba = PANEL,
     ) -> None:
-        """Fills a rectangle and writes into it.
+        """Fills a rectangle and writes text into it.
 
         Args:
             rect: left, bottom, width, height.
-            lines: x and y of their lower left corner from that of the panel, text and colour.
+            lines: x and y of the lower left corner relative to the panel's, text, and colour.
             rgba: of the panel.
         """
         self.box(*rect, rgba)
         for x, y, text, rgb in lines:
-            # Text is placed in shares of what was filled last.
+            # Text positions are fractions of the last filled rectangle.
             mujoco.mjr_text(
                 mujoco.mjtFont.mjFONT_NORMAL,
                 text.encode("ascii", "replace").decode(),
@@ -87,11 +129,11 @@ class Hud:
             )
 
     def status(self, pieces: Sequence[Piece], hint: str, width: int) -> None:
-        """Draws the status line; what finds no room is left out, and the last goes to the right.
+        """Draws the status line, without the parts that do not fit.
 
         Args:
-            pieces: the most important first.
-            hint: at the right end, where there is room.
+            pieces: parts, the most important first.
+            hint: text at the right end, if it fits.
             width: of the window, pixels.
         """
         h, base = self.font.height, 0.55 * self.font.height
@@ -108,12 +150,25 @@ class Hud:
         self.panel((0, 0, width, self.bar_height), lines, BAR)
 
     def time_line(self, width: int, bottom: float, end: float) -> TimeLine:
-        """Where the time line is in a window of that width."""
+        """Returns the geometry of the time line.
+
+        Args:
+            width: of the window, pixels.
+            bottom: lower edge of its area, pixels.
+            end: time at its right end, s.
+        """
         h = self.font.height
         return TimeLine(h, bottom + 0.5 * h, width - 2 * h, round(0.3 * h), end)
 
     def draw_time_line(self, line: TimeLine, time: float, width: int, bottom: float) -> None:
-        """Draws it in its strip."""
+        """Draws the time line in its area.
+
+        Args:
+            line: its geometry.
+            time: current time, s.
+            width: of the window, pixels.
+            bottom: lower edge of its area, pixels.
+        """
         self.box(0, bottom, width, self.line_height, BAR)
         x = line.x_of(time)
         self.box(line.left, line.bottom, line.width, line.height, _TRACK)
@@ -122,7 +177,14 @@ class Hud:
         self.box(x - half, line.bottom - half, 2 * half, line.height + 2 * half, _HANDLE)
 
     def message(self, text: str, width: int, bottom: float, *, is_bad: bool = False) -> None:
-        """Writes a line into the middle, just above the bar."""
+        """Shows a message in the centre, above the status line.
+
+        Args:
+            text: the message.
+            width: of the window, pixels.
+            bottom: lower edge, pixels.
+            is_bad: whether it reports an error.
+        """
         h = self.font.height
         text = _shortened(text, self.font, width - 4 * h)
         wide = self.font.width(text) + 2 * _PAD * h * 1.6
@@ -131,7 +193,13 @@ class Hud:
         self.panel((left, bottom + 0.8 * h, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
 
     def filming(self, text: str, width: int, top: float) -> None:
-        """Shows that a film is being made."""
+        """Shows that a film is being recorded.
+
+        Args:
+            text: duration of the film.
+            width: of the window, pixels.
+            top: upper edge, pixels.
+        """
         h = self.font.height
         wide = self.font.width(text) + 2.2 * h
         left, bottom = (width - wide) / 2, top - 2.0 * h
@@ -139,14 +207,17 @@ class Hud:
         self.box(left + 0.55 * h, bottom + 0.5 * h, 0.5 * h, 0.5 * h, _RED)
 
     def help_room(self, size: tuple[int, int]) -> tuple[int, int]:
-        """How many rows a column of the help may have, and how many columns it may have."""
+        """Returns the maximum number of rows of a column and of columns of the help."""
         h = self.font.height
         return int((size[1] - 2.6 * h) / (_HELP_LINE * h)), int((size[0] - h) / (_HELP_COLUMN * h))
 
     def help(self, columns: Sequence[Sequence[tuple[str, str]]], width: int, height: int) -> None:
-        """Draws the help: columns of rows of what to press and what that does.
+        """Draws the help.
 
-        A row without words is a heading.
+        Args:
+            columns: rows of input and effect; a row without effect is a heading.
+            width: of the window, pixels.
+            height: of the window, pixels.
         """
         font = self.font
         h, line = font.height, _HELP_LINE * font.height

@@ -1,4 +1,4 @@
-"""Moves the camera of a live viewer: orbit, pan, zoom, centre, named cameras, follow a frame."""
+"""Camera control of a live viewer: orbit, pan, zoom, centre, named cameras, follow a frame."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from ..camera import find_camera, list_cameras
 
 Array = NDArray[np.float64]
 
-_DEGREES_PER_HEIGHT = 180.0  # that a drag across the window's height turns the view by
+_DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
 _STEEPEST_DEG = 89.0
-_PER_NOTCH = 0.9  # of the distance, for one notch of the wheel
+_PER_NOTCH = 0.9  # change of distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
 class Navigator:
-    """A camera that is moved by hand.
+    """A camera that the user moves.
 
-    Drags are in shares of the window's height, so that they feel the same in every size.
+    Drags are in units of the window's height, so that they act the same at all sizes.
 
     Args:
         world: the compiled scene.
         wanted: see `find_camera`.
 
     Attributes:
-        camera: what the renderer looks through.
-        following: the frame that it goes along with; None for none.
+        camera: of the renderer.
+        following: the frame that it follows; None for none.
 
     Raises:
         UnknownName: no camera of that name.
@@ -40,10 +40,10 @@ class Navigator:
         self.following: str | None = None
         self._world = world
         self._start = wanted
-        self._last = np.zeros(3)  # where the followed frame was
+        self._last = np.zeros(3)  # last position of the followed frame
 
     def orbit(self, right: float, down: float) -> None:
-        """Turns about what it looks at, by a drag of so many heights of the window."""
+        """Rotates about the look-at point by a drag, in window heights."""
         camera = self.camera
         azimuth = camera.azimuth - _DEGREES_PER_HEIGHT * right
         camera.azimuth = (azimuth + 180.0) % 360.0 - 180.0
@@ -56,12 +56,12 @@ class Navigator:
         )
 
     def pan(self, right: float, down: float, tan_half_fovy: float) -> None:
-        """Moves sideways, so that what it looks at stays under the pointer.
+        """Moves parallel to the picture, so that the look-at point follows the pointer.
 
         Args:
-            right: of the drag, heights of the window.
+            right: of the drag, in window heights.
             down: likewise.
-            tan_half_fovy: of the view.
+            tan_half_fovy: tangent of half the vertical field of view.
         """
         camera = self.camera
         _, to_right, to_up = axes(camera.azimuth, camera.elevation)
@@ -69,19 +69,19 @@ class Navigator:
         camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
 
     def zoom(self, notches: float) -> None:
-        """Comes nearer by so many notches of the wheel, or goes away."""
+        """Reduces the distance by steps of the wheel, or increases it."""
         distance = self.camera.distance * _PER_NOTCH ** np.clip(notches, -100.0, 100.0)
         self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
 
     def centre(self, point: Array) -> None:
-        """Looks at a point (3,), m, in the same direction; orbits turn about it."""
+        """Makes a point (3,), m, the look-at point without changing the direction."""
         self.camera.lookat = point
 
     def free(self, position: Array, forward: Array) -> None:
-        """Turns a camera of the scene into one that can be moved, from the same place.
+        """Replaces a fixed camera of the scene by a free one with the same pose.
 
         Args:
-            position: of the eye, (3,), m.
+            position: of the camera, (3,), m.
             forward: unit vector (3,).
         """
         if self.camera.type == _FREE:
@@ -93,16 +93,16 @@ class Navigator:
         self.camera.lookat = position + self.camera.distance * forward
 
     def choose(self, number: int) -> str:
-        """Looks through a camera by its number, 1 for the first; 0 is the scene's own view.
+        """Selects a camera by number, 1 for the first; 0 for the scene's own view.
 
         Returns:
-            what to tell the user.
+            a message for the user.
         """
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
             self.following = None
-            return "the view of the start"
+            return "initial view"
         if number > len(names):
             count = f"{len(names)} cameras" if len(names) != 1 else "one camera"
             return f"no camera {number}: the scene has {count if names else 'none'}"
@@ -113,7 +113,7 @@ class Navigator:
         return f"camera {names[number - 1]}"
 
     def follow(self, data: mujoco.MjData, frame: str | None) -> str:
-        """Goes along with a frame from now on, or with none; returns what to tell the user."""
+        """Starts following a frame, or stops for None; returns a message for the user."""
         if frame is None or frame == self.following:
             self.following = None
             return "follows nothing"
@@ -122,7 +122,7 @@ class Navigator:
         return f"follows {frame}"
 
     def advance(self, data: mujoco.MjData) -> None:
-        """Goes along with the frame that is followed, as far as it has moved since last time."""
+        """Moves with the followed frame, by its displacement since the last call."""
         if self.following is None or self.camera.type != _FREE:
             return
         now = self._world.frame(data, self.following)[:3, 3]
@@ -132,7 +132,7 @@ class Navigator:
 
 
 def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]:
-    """Unit vectors forward, right and up (3,) of a free camera."""
+    """Returns the unit vectors forward, right and up (3,) of a free camera."""
     azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     forward = np.array([ca * ce, sa * ce, se])

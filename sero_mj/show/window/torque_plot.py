@@ -1,4 +1,4 @@
-"""Commanded against measured torque of the selected joint, live."""
+"""Live plots of commanded and measured torque of the selected joint."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
-from ..torque_history import SPAN, TorqueHistory, joint_name, runs
+from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 
 Array = NDArray[np.float64]
 
 _NAMES = ("measured", "commanded")
-# Colour-blind safe against each other and on a dark ground: light blue and orange.
+# Light blue and orange: distinct for the colour-blind and on a dark background.
 _RGB = ((0.45, 0.78, 1.0), (1.0, 0.62, 0.18))
 _ERROR_RGB = (0.75, 0.88, 0.45)
-_LIMITS = (2, 3)  # which lines of a figure are the limits
+_LIMITS = (2, 3)  # indices of the limits among the lines of a figure
 _LIMIT_RGB = (0.85, 0.30, 0.30)
-# Of the range, from its middle: above what is in it the legend is.
+# Fraction of the half range that the lines use; the legend is above it.
 _BELOW, _ABOVE = 0.55, 0.85
 # Of the grid, by the whole units that are in the range.
 _STEPS = {1: 5, 2: 4, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7, 8: 4, 9: 3, 10: 5}
-_HUGE = 1e5  # Nm or N, from which on numbers are written with a power of ten
+_HUGE = 1e5  # Nm or N, from which on numbers have an exponent
 _LEAST_RANGE = 1.0  # Nm or N
 
 
 def y_range(values: Array, limit: float) -> tuple[float, float, int]:
-    """Lower and upper end of the plot, Nm or N, and into how many steps the grid divides it.
+    """Returns lower and upper end of the plot, Nm or N, and the number of grid steps.
 
     Args:
-        values: all that is shown, NaN where there is nothing.
-        limit: of the torque, inf for none; it is in the picture when torques come near it.
+        values: all values of the plot, Nm or N, NaN for no data.
+        limit: of the torque, inf for none; it is in the range when torques come close to it.
     """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
@@ -40,8 +40,8 @@ def y_range(values: Array, limit: float) -> tuple[float, float, int]:
         high, low = (max(high, limit), low) if high > -low else (high, min(low, -limit))
     span, middle = max(high - low, _LEAST_RANGE), (low + high) / 2
     low, high = middle - _BELOW * span, middle + _ABOVE * span
-    for _ in range(2):  # once more where rounding has made it longer than ten units
-        # `mjr_figure` widens a range to whole powers of ten, whatever it is told.
+    for _ in range(2):  # repeated if rounding has made it longer than ten units
+        # `mjr_figure` always widens a range to whole powers of ten.
         unit = 10.0 ** np.floor(np.log10((high - low) * (1 + 1e-9)))
         low, high = float(np.floor(low / unit) * unit), float(np.ceil(high / unit) * unit)
     return low, high, _STEPS.get(round((high - low) / unit), 5)
@@ -98,9 +98,9 @@ def _set_lines(
     places = -int(np.floor(np.log10((high - low) / steps * 1.001)))
     figure.yformat = "%.3g" if max(-low, high) >= _HUGE else f"%.{max(0, places)}f"
     figure.linepnt[:] = 0
-    spare = iter(range(_LIMITS[-1] + 1, len(figure.linepnt)))  # for what comes after a gap
+    spare = iter(range(_LIMITS[-1] + 1, len(figure.linepnt)))  # for pieces after a gap
     for line, (name, values) in enumerate(lines.items()):
-        pieces = runs(times, values)
+        pieces = split_at_gaps(times, values)
         figure.linename[line] = name if pieces else ""
         for piece, at in zip(reversed(pieces), itertools.chain([line], spare), strict=False):
             count = len(piece)

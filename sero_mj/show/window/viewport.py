@@ -1,4 +1,4 @@
-"""One picture of a window: MuJoCo's scene and our decor, laid out, picked from, and drawn."""
+"""`Viewport`: lays out, draws and picks from one picture of a window."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from ..scene_decor import SceneDecor
 
 log = logging.getLogger(__name__)
 
-_MORE = 1000  # geoms that MuJoCo adds to those of the model
+_MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
 
 
 class Viewport:
-    """The picture of a world in a part of a window.
+    """The picture of a world in a rectangle of a window.
 
     Args:
         world: the compiled scene.
         toggles: what is shown.
 
     Attributes:
-        decor: of the picture that was laid out last.
-        rect: where that is in the window.
+        decor: of the last picture.
+        rect: of the last picture in the window.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
@@ -44,12 +44,12 @@ class Viewport:
     def lay_out(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, rect: mujoco.MjrRect, font: Font
     ) -> None:
-        """Fills the scene.
+        """Lays out scene and decor.
 
         Args:
             data: the world's state, with frames up to date.
-            camera: to look through.
-            rect: where the picture is in the window.
+            camera: of the picture.
+            rect: of the picture in the window.
             font: of its labels.
         """
         scene = self._scene
@@ -61,17 +61,17 @@ class Viewport:
         self.decor.draw(data, view, scene)
 
     def draw(self, context: mujoco.MjrContext) -> None:
-        """Renders what was laid out."""
+        """Renders the picture."""
         mujoco.mjr_render(self.rect, self._scene, context)
 
     def pixels(self, context: mujoco.MjrContext) -> NDArray[np.uint8]:
-        """What was rendered, (height, width, 3), top row first."""
+        """Returns the rendered picture, (height, width, 3), uint8, top row first."""
         rgb = np.empty((self.rect.height, self.rect.width, 3), np.uint8)
         mujoco.mjr_readPixels(rgb, None, self.rect, context)
         return np.ascontiguousarray(rgb[::-1])
 
     def to_picture(self, x: float, y: float) -> tuple[float, float]:
-        """A pixel of the window as one of the picture."""
+        """Converts a pixel of the window to one of the picture."""
         return x - self.rect.left, y - self.rect.bottom
 
     def contains(self, x: float, y: float) -> bool:
@@ -80,9 +80,21 @@ class Viewport:
         return bool(0 <= px < self.rect.width and 0 <= py < self.rect.height)
 
     def pick(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """What is seen at a pixel of the window."""
+        """Returns the item at a pixel of the window.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, pixels.
+            y: up, pixels.
+        """
         return self.decor.pick(data, self.to_picture(x, y)) if self.contains(x, y) else None
 
     def point_at(self, data: mujoco.MjData, x: float, y: float) -> NDArray[np.float64] | None:
-        """The point of the world (3,), m, at a pixel of the window: of the floor too."""
+        """Returns the world point (3,), m, at a pixel of the window; None for the sky.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, pixels.
+            y: up, pixels.
+        """
         return self.decor.point_at(data, self.to_picture(x, y)) if self.contains(x, y) else None

@@ -1,6 +1,6 @@
-"""Doubles that are not compiled in: MuJoCo lays out their geoms, we make them transparent.
+"""Draws doubles that are not compiled into the model, as transparent copies of its geoms.
 
-Only the classic renderer draws them: MuJoCo Studio has no meshes among extra geoms.
+Only the classic renderer supports this: MuJoCo Studio has no meshes among extra geoms.
 """
 
 from __future__ import annotations
@@ -11,52 +11,52 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.parts import Ghost
+from ..assemble.parts import DrawnDouble
 from .geoms import GEOM, set_geom, struct_view
 
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _ALL = int(mujoco.mjtCatBit.mjCAT_DYNAMIC) | int(mujoco.mjtCatBit.mjCAT_STATIC)
-# How much farther from the eye a double is drawn than it is: where its surface is that of the
-# robot, as on a link that has only turned about itself, the two would flicker in stripes.
+# Doubles are drawn farther from the camera by this factor, to avoid flicker (z-fighting) where
+# their surface coincides with the robot's.
 _BEHIND = 0.002
-_MORE = 16  # places for geoms that are none of the model's
+_MORE = 16  # additional capacity for geoms that do not belong to the model
 
 
-class GhostPainter:
-    """Adds doubles to scenes; has a scene of its own in which MuJoCo lays them out.
+class DoublePainter:
+    """Adds doubles to scenes, from geoms that MuJoCo lays out in a separate scene.
 
     Args:
-        model: what they are doubles in.
+        model: compiled.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._own = mujoco.MjvScene(model, maxgeom=model.ngeom + _MORE)
         self._rows = struct_view(self._own)
-        self._option = mujoco.MjvOption()  # geoms that are seen by default, and nothing else
+        self._option = mujoco.MjvOption()  # only the geoms that are visible by default
         self._option.flags[:] = 0
         self._option.flags[int(mujoco.mjtVisFlag.mjVIS_STATIC)] = 1
         self._option.sitegroup[:] = 0
         self._perturb = mujoco.MjvPerturb()
 
-    def add(self, ghost: Ghost, scene: mujoco.MjvScene, view: NDArray[Any] | None) -> int:
-        """Adds a double behind the geoms of a scene.
+    def add(self, drawn: DrawnDouble, scene: mujoco.MjvScene, view: NDArray[Any] | None) -> int:
+        """Appends a double to the geoms of a scene.
 
         Args:
-            ghost: the double.
-            scene: MuJoCo has filled it.
-            view: all of its geoms as rows, if they can be had.
+            drawn: the double.
+            scene: filled by `mjv_updateScene`.
+            view: its geoms as a structured array, if available.
 
         Returns:
-            how many geoms found no room.
+            number of geoms that exceeded the capacity.
         """
         own = self._own
         own.ngeom = 0
-        mujoco.mjv_addGeoms(ghost.model, ghost.data, self._option, self._perturb, _ALL, own)
+        mujoco.mjv_addGeoms(drawn.model, drawn.data, self._option, self._perturb, _ALL, own)
         rows = self._laid_out()
         of_model = (rows["objtype"] == _GEOM) & (rows["rgba"][:, 3] > 0)
-        rows = rows[of_model & ghost.geoms[np.where(of_model, rows["objid"], 0)]]
-        rows["rgba"] = ghost.rgba
+        rows = rows[of_model & drawn.geoms[np.where(of_model, rows["objid"], 0)]]
+        rows["rgba"] = drawn.rgba
         rows["category"] = _DECOR  # without a shadow
         rows["matid"] = rows["texid"] = rows["segid"] = -1
         rows["reflectance"] = 0.0
@@ -73,7 +73,7 @@ class GhostPainter:
         return int(len(rows) - count)
 
     def _laid_out(self) -> NDArray[Any]:
-        """Copies of the rows of our own scene."""
+        """Returns copies of the geoms of the separate scene."""
         if self._rows is not None:
             return self._rows[: self._own.ngeom].copy()
         rows = np.zeros(self._own.ngeom, GEOM)

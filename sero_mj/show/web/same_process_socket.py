@@ -1,7 +1,7 @@
-"""A listening socket for this process alone: Studio's user interface comes to its server by TCP.
+"""A listening socket that only accepts connections of the same process.
 
-Any website, and any other user of this machine, can connect to a port of loopback, and would
-take the place of the user interface.
+Studio's user interface connects to its server by TCP. Any website, and any other user of this
+machine, can connect to a loopback port and could take the place of the user interface.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from typing import Any
 _DESCRIPTORS = "/dev/fd"
 
 
-class OwnSocket(socket.socket):
-    """Accepts connections of this process; those of others are closed at once."""
+class SameProcessSocket(socket.socket):
+    """A socket that accepts connections of this process and closes all others at once."""
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """See `socket.socket`; raises ConnectionAbortedError for a connection of others."""
+        """See `socket.socket`; raises ConnectionAbortedError for another process."""
         connection, address = super().accept()
-        if is_own(address):
+        if is_same_process(address):
             return connection, address
         connection.close()
         raise ConnectionAbortedError("it is another process")
 
 
-def is_own(address: Any) -> bool:
-    """Whether a socket of this process has this address; True where that cannot be found out."""
+def is_same_process(address: Any) -> bool:
+    """Whether a socket of this process has this address; True if this cannot be determined."""
     try:
         numbers = [int(name) for name in os.listdir(_DESCRIPTORS)]
     except OSError:  # Windows
@@ -39,6 +39,6 @@ def is_own(address: Any) -> bool:
             with socket.socket(fileno=os.dup(number)) as each:
                 if each.getsockname() == address:
                     return True
-        except OSError:  # closed meanwhile
+        except OSError:  # closed in the meantime
             continue
     return False
