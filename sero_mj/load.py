@@ -12,7 +12,7 @@ from typing import Any
 from . import paths
 from .assemble.robot import SerialRobot
 from .assemble.scene import Scene
-from .assemble.scene_file import read_scene
+from .assemble.scene_file import read_scene_file
 from .drive.route import wire
 from .errors import DeclarationError, UnknownName, UsageError, did_you_mean
 from .simulate.sections import is_scenario
@@ -50,7 +50,7 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
         return Scene(robots=[load_robot(str(path), overrides)], name=path.parent.name)
     if is_scenario(path):
         return _load_scenario(str(path), overrides)
-    scene, problems = read_scene(path, overrides)
+    scene, problems = read_scene_file(path, overrides)
     problems += scene.located(wire(scene).problems)
     if problems:
         raise DeclarationError(problems)

@@ -27,7 +27,7 @@ settings.load_profile("quarter")
 
 # Screens, browsers and films take both cores: with several workers these run on one of them.
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
-_MAY_BE_SKIPPED = ("dm-control is not installed", "by hand", "Linux")
+_MAY_BE_SKIPPED = ("dm-control is not installed", "by hand", "Linux", "no IPv6 groups")
 _ON_ONE_WORKER = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_docs")
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -7,10 +7,28 @@ from collections.abc import Sequence
 from pathlib import Path
 from shutil import copy
 
+import numpy as np
+
+from sero_mj.receive.structure import Structure
 from sero_mj.record.recording_writer import RecordingWriter
 
 EVENTS = {"values0": (2,), "vectors0": (1, 3), "matrices0": (1, 4, 4)}
 DECLARED = {"port": 32000, "structure": "2F1V1M", "double": True}
+LAYOUT = Structure("2F1V1M")
+# A recording of `moving` packets, played: give its `file` and what else is declared, `more`.
+SCENE = """
+[robots.two]
+dh_convention = "craig"
+dh_params = [[0, 0.3, 0, 0], [0, 0.3, 0, 0]]
+
+[sources.arm]
+kind = "replay"
+file = "{file}"
+{more}
+
+[routes]
+"two.joint_angles" = "arm.values0"
+"""
 
 
 def begin(path: Path, *names: str, chunk_bytes: int = 1 << 20) -> RecordingWriter:
@@ -46,3 +64,11 @@ def record(
 
 def numbered(count: int) -> list[bytes]:
     return [struct.pack("<I", i) * 8 for i in range(count)]
+
+
+def moving(count: int) -> list[bytes]:
+    """Packets in which the first joint turns by 0.1 rad each."""
+    return [
+        LAYOUT.encode({"values0": [k / 10, 0], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
+        for k in range(count)
+    ]

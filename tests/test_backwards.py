@@ -18,7 +18,6 @@ from sero_mj.drive.place import Placer
 from sero_mj.drive.route import wire
 from sero_mj.errors import UsageError
 from sero_mj.receive._checks import are_frames
-from sero_mj.receive.source import Packet
 from sero_mj.send._motion import InverseDynamics, SineMotion
 from sero_mj.send.play import LEAD, MotionPackets
 
@@ -53,7 +52,7 @@ def received(scene: Scene, **structure: str) -> tuple[World, Any]:
         packet = MotionPackets(scene, name, **structure).at(T)
         latest[name] = source.layout.decode(packet)  # type: ignore[attr-defined]
         routes = [route for route in wiring.routes if route.direct == name]
-        Router(world, routes).apply(Packet(latest[name], 0.0, 1), data)
+        Router(world, routes).apply(data, latest)
     Placer(world, wiring).place(data, latest)
     return world, data
 

@@ -18,7 +18,7 @@ from sero_mj.control.cartesian_laws import (
     CartesianWayPoints,
     cartesian_law_from,
 )
-from sero_mj.control.reach import follow_poses
+from sero_mj.control.inverse_kinematics import follow_poses
 from sero_mj.errors import DeclarationError
 from sero_mj.frames import frame, rotation_angle, rotation_from_rpy
 

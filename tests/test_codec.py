@@ -199,16 +199,16 @@ def test_a_constant_in_the_other_byte_order_is_recognised(text: str, sent: str, 
     structure = Structure(text)
     constant = {"H": 0x2006, "I": 0xCAFE0006, "q": -2}[sent[1]]
     packet = struct.pack(sent, constant).ljust(structure.size, b"\0")
-    told = structure.tell_wrong_constant(rows_of(packet))
-    assert told.endswith(f"; these are its bytes turned round: '{order}'?")
-    assert "turned" not in structure.tell_wrong_constant(rows_of(bytes(structure.size)))
+    told = structure.describe_wrong_constant(rows_of(packet))
+    assert told.endswith(f"; these are its bytes in reverse order: '{order}'?")
+    assert "turned" not in structure.describe_wrong_constant(rows_of(bytes(structure.size)))
 
 
 def test_checks_are_written_and_found_and_told() -> None:
     structure = Structure("1H=0x2006 size:1H=size 2b=-3 1F mode:1f=0.1 1Q=0xffffffffffffffff")
     packet = structure.encode({"values0": [1.5]})
     assert packet == struct.pack("<HH2bdfQ", 0x2006, 26, -3, -3, 1.5, 0.1, 2**64 - 1)
-    assert structure.tell_wrong_constant(rows_of(packet)) == ""
+    assert structure.describe_wrong_constant(rows_of(packet)) == ""
     assert structure.decode(packet)["size"].tolist() == [26.0]
     assert list(structure.events) == ["size", "values0", "mode"]
     for place, byte, told in (
@@ -222,7 +222,7 @@ def test_checks_are_written_and_found_and_told() -> None:
         wrong[place] = byte
         rows = rows_of(packet, bytes(wrong))
         assert structure.find_wrong_constants(rows).tolist() == [False, True]
-        assert structure.tell_wrong_constant(rows[1:]).startswith(told)
+        assert structure.describe_wrong_constant(rows[1:]).startswith(told)
     assert (
         structure.encode({"size": [26], "mode": np.float32(0.1)})
         == packet[:6] + bytes(8) + (packet[14:])

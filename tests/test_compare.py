@@ -15,10 +15,9 @@ from runs import record_run, simulated, sine_run, two_joints
 from sero_mj.cli import main
 from sero_mj.errors import CsvError, UsageError
 from sero_mj.runs.run_log import RunLog
-from sero_mj.study.align import align, at_times
+from sero_mj.study.align import align, at_times, find_shift
 from sero_mj.study.compare import as_json, compare, exceeded, write_csv
 from sero_mj.study.compare_scene import compare_scene
-from sero_mj.study.shift import find_shift
 
 
 def shifted(log: RunLog, **signals: float) -> RunLog:
@@ -42,7 +41,7 @@ def test_a_known_shift_is_found_within_a_sample(
     )
     assert shift is not None
     assert shift.seconds == pytest.approx(-delay - start, abs=1.0 / min(rates))
-    assert shift.likeness > 0.99
+    assert shift.correlation > 0.99
 
 
 def test_a_part_of_a_motion_is_found_in_it() -> None:
@@ -71,7 +70,7 @@ def test_without_motion_nothing_is_aligned() -> None:
         align(a, still, offset="auto")
     noise = np.cumsum(np.random.default_rng(1).normal(0.0, 0.01, (4001, 2)), axis=0)
     other = RunLog(a.robots, {**a.signals, "arm_joint_angles": noise}, a.times, "noise")
-    with pytest.raises(UsageError, match=r"of run and noise are not alike \(-?0\.\d\d of 1\)"):
+    with pytest.raises(UsageError, match=r"run and noise have a correlation of -?0\.\d\d, below"):
         align(a, other, offset="auto")
 
 

@@ -23,7 +23,6 @@ from sero_mj.drive.mirror import Mirror
 from sero_mj.drive.place import Placer
 from sero_mj.drive.route import wire
 from sero_mj.frames import frame_from
-from sero_mj.receive.source import Packet
 from sero_mj.receive.udp import UdpReceiver
 
 Array = NDArray[np.float64]
@@ -44,7 +43,7 @@ class Fed:
         events = {name: np.zeros(s) for name, s in self.wiring.sources[source].events.items()}
         packet = {**events, **{name: np.asarray(v, float) for name, v in values.items()}}
         routes = [route for route in self.wiring.routes if route.direct == source]
-        Router(self.world, routes).apply(Packet(packet, 0.0, 1), self.data)
+        Router(self.world, routes).apply(self.data, {source: packet})
         self._latest[source] = packet
         self.place()
 

@@ -8,34 +8,16 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from recordings import record
+from recordings import SCENE, moving, record
 
 from sero_mj import Mirror
 from sero_mj.cli import main
 from sero_mj.errors import SourceError
 from sero_mj.load import load_scene
-from sero_mj.receive.structure import Structure
 from sero_mj.record.recording import Recording
 
-LAYOUT = Structure("2F1V1M")  # what `recordings` declares
-PACKETS = [
-    LAYOUT.encode({"values0": [k / 10, 0], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
-    for k in range(40)
-]
-SCENE = """
-[robots.two]
-dh_convention = "craig"
-dh_params = [[0, 0.3, 0, 0], [0, 0.3, 0, 0]]
-
-[sources.arm]
-kind = "replay"
-file = "{name}"
-
-[routes]
-"two.joint_angles" = "arm.values0"
-"""
+PACKETS = moving(40)
 DAMAGED = r"the chunk at byte \d+ is damaged \(.+\): what arrived from \S+ s to \S+ s is left out"
 CUT = r"is cut off or damaged at byte \d+ \(.+\): \d+ bytes are left out"
 
@@ -72,7 +54,7 @@ def run(*arguments: object) -> int | str | None:
 
 def scene_of(path: Path) -> Path:
     scene = path.with_suffix(".toml")
-    scene.write_text(SCENE.format(name=path.name))
+    scene.write_text(SCENE.format(file=path.name, more=""))
     return scene
 
 
@@ -103,7 +85,7 @@ def test_send_tells(
         sock.bind(("127.0.0.1", 0))
         scene = tmp_path / "live.toml"
         scene.write_text(
-            SCENE.format(name="").replace(
+            SCENE.format(file="", more="").replace(
                 'kind = "replay"\nfile = ""',
                 f'kind = "udp"\nport = {sock.getsockname()[1]}\nstructure = "2F1V1M"',
             )

@@ -148,9 +148,9 @@ def test_what_is_withheld_is_lost_and_what_comes_twice_is_applied_once(
 @pytest.mark.parametrize("batch", [[5, 5, 7], [5, 7, 6, 8], [5, 7, 7, 8]])
 def test_a_batch_that_ends_where_a_whole_one_would_is_looked_at(batch: list[int]) -> None:
     tracker = SequenceTracker(65_536)
-    tracker.place(4, 0.0)
-    assert tracker.is_plain(list(range(5, batch[-1] + 1)))
-    assert not tracker.is_plain(batch)
+    tracker.classify(4, 0.0)
+    assert tracker.is_consecutive(list(range(5, batch[-1] + 1)))
+    assert not tracker.is_consecutive(batch)
 
 
 @pytest.mark.parametrize(

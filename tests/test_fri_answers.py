@@ -23,7 +23,7 @@ from sero_mj.decor.status import Status
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
 from sero_mj.load import load_scene
-from sero_mj.receive._scheduling import ask_for_short_slices
+from sero_mj.receive._scheduling import request_short_slices
 from sero_mj.receive.fri import FriReceiver
 from sero_mj.receive.fri_layout import COMMAND, no_command
 from sero_mj.receive.structure import Structure
@@ -152,7 +152,7 @@ def test_a_thread_that_answers_asks_for_short_slices_and_changes_nothing_else() 
 
     def run() -> None:
         before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
-        found["granted"] = ask_for_short_slices()
+        found["granted"] = request_short_slices()
         found["same"] = before == (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))
 
     thread = threading.Thread(target=run)

@@ -14,8 +14,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.control.law import Motion
-from sero_mj.control.laws import LAWS, Chirp, Constant, Recorded, Sine, Step, law_from
+from sero_mj.control.laws import (
+    LAWS,
+    Chirp,
+    Constant,
+    Motion,
+    Recorded,
+    Sine,
+    Step,
+    WayPoints,
+    law_from,
+)
 from sero_mj.control.time_laws import (
     quintic,
     quintic_duration,
@@ -23,7 +32,6 @@ from sero_mj.control.time_laws import (
     trapezoid_blend,
     trapezoid_duration,
 )
-from sero_mj.control.way_points import WayPoints
 from sero_mj.errors import DeclarationError
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from sero_mj import paths
 from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.assemble.world import World
 
 HALF_PI = math.pi / 2
@@ -130,7 +130,7 @@ def test_mesh_script_reproduces_the_committed_files_byte_for_byte(tmp_path):
 
 
 def test_shipped_scene_shows_the_lwr_without_a_problem():
-    scene, problems = read_scene(paths.find_scene("lwr_udp"))
+    scene, problems = read_scene_file(paths.find_scene("lwr_udp"))
     assert problems == []
     assert list(scene.robots) == ["lwr"]
     assert scene.routes == {"lwr.joint_angles": "udp.values0", "lwr.torques": "udp.values1"}

@@ -264,7 +264,9 @@ def test_a_model_may_come_as_what_it_is_compiled_from_and_without_data() -> None
 
 
 def test_entities_of_composer_are_taken() -> None:
-    kinova = pytest.importorskip("dm_control.entities.manipulators.kinova")
+    kinova = pytest.importorskip(
+        "dm_control.entities.manipulators.kinova", reason="dm-control is not installed"
+    )
     hand = kinova.JacoHand()
     over = sero_mj.overlay(hand)
     (joints,) = over.robots.values()

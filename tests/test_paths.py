@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 import sero_mj
 from sero_mj import paths
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
@@ -252,7 +252,7 @@ def only_declaration_errors(contents: bytes, overrides=None) -> None:
         file = Path(folder) / "s.toml"
         file.write_bytes(contents)
         with contextlib.suppress(DeclarationError):
-            _, problems = read_scene(file, overrides)
+            _, problems = read_scene_file(file, overrides)
             for problem in problems:
                 assert problem.file and problem.message
 
@@ -308,7 +308,7 @@ def test_scene_without_problems_compiles_or_says_which_part_does_not(scene):
     with TemporaryDirectory() as folder:
         file = Path(folder) / "s.toml"
         file.write_text("\n".join(f"{key} = {toml(value)}" for key, value in scene.items()))
-        read, problems = read_scene(file)
+        read, problems = read_scene_file(file)
         try:
             world = World(read)
         except DeclarationError as error:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -11,30 +12,37 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
+from matplotlib.legend import Legend
+from matplotlib.text import Text
 from PIL import Image
 from runs import simulated, sine_run, two_joints
 
 from sero_mj.errors import RenderError, UsageError
 from sero_mj.runs.monitor import Finding
 from sero_mj.runs.run_log import RunLog
-from sero_mj.study.envelope import envelope
-from sero_mj.study.figure import BLUE, FAULT, INK, ORANGE, Sheet, Span, styled
+from sero_mj.study.figure import BLUE, FAULT, INK, ORANGE, Figure, Span, styled
 from sero_mj.study.plot import plot_run, spans_of
 from sero_mj.study.plot_comparison import plot_comparison
+from sero_mj.study.reduction import envelope, peak, rms
 
 
 @pytest.fixture
-def sheets(monkeypatch: pytest.MonkeyPatch) -> list[Sheet]:
-    """The sheets that were saved."""
-    saved: list[Sheet] = []
-    make_room = Sheet.make_room
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that were made; each gets one legend."""
+    made: list[Figure] = []
+    legend = Figure.legend
 
-    def keep(self: Sheet) -> None:
-        saved.append(self)
-        make_room(self)
+    def keep(self: Figure, handles: Any) -> None:
+        made.append(self)
+        legend(self, handles)
 
-    monkeypatch.setattr(Sheet, "make_room", keep)
-    return saved
+    monkeypatch.setattr(Figure, "legend", keep)
+    return made
+
+
+def legend_of(figure: Figure) -> list[str]:
+    (legend,) = figure.figure.findobj(Legend)
+    return [text.get_text() for text in legend.get_texts()]
 
 
 def line(panel: object, label: str) -> np.ndarray:
@@ -44,10 +52,11 @@ def line(panel: object, label: str) -> np.ndarray:
     return np.asarray(found[0].get_xydata())
 
 
-def pixels_of(path: Path, sheet: Sheet, panel: object) -> np.ndarray:
+def pixels_of(path: Path, figure: Figure, panel: object) -> np.ndarray:
     """What stands within a panel's frame, (h, w, 3)."""
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
-    at = panel.get_position()  # type: ignore[attr-defined]
+    box = panel.get_window_extent()  # type: ignore[attr-defined]
+    at = box.transformed(figure.figure.transFigure.inverted())
     height, width = picture.shape[:2]
     return picture[
         round((1 - at.y1) * height) : round((1 - at.y0) * height),
@@ -61,16 +70,16 @@ def share_of(pixels: np.ndarray, colour: str) -> float:
 
 
 @pytest.mark.slow
-def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, sheets: list[Sheet]) -> None:
+def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, figures: list[Figure]) -> None:
     log = simulated().log
     path = tmp_path / "run.png"
     plot_run(log, path, findings=[Finding(0.2, "lwr", "A3", "torque_error", 9.0, 1.0)],
              spans=[Span("push", 0.1, 0.2), Span("broken", 0.3, None, True)])  # fmt: skip
-    (sheet,) = sheets
-    assert [len(row) for row in sheet.axes] == [2] * 7
-    texts = [text.get_text() for text in sheet.figure.texts]
+    (figure,) = figures
+    assert [len(row) for row in figure.axes] == [2] * 7
+    texts = [text.get_text() for text in figure.figure.findobj(Text)]
     assert all(name in texts for name in (*log.robots["lwr"].names, "swing"))
-    for k, (torques, error) in enumerate(sheet.axes):
+    for k, (torques, error) in enumerate(figure.axes):
         measured, commanded = line(torques, "torques"), line(torques, "commanded_torques")
         np.testing.assert_array_equal(measured[:, 1], log.of("lwr", "torques")[:, k])
         np.testing.assert_array_equal(commanded[:, 1], log.of("lwr", "commanded_torques")[:, k])
@@ -80,33 +89,33 @@ def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, sheets: list
             low, high = panel.get_ylim()
             for curve in (measured, commanded) if panel is torques else (shown,):
                 assert low < np.nanmin(curve[:, 1]) <= np.nanmax(curve[:, 1]) < high
-        pixels = pixels_of(path, sheet, torques)
+        pixels = pixels_of(path, figure, torques)
         assert share_of(pixels, ORANGE) > 1e-3
         assert share_of(pixels, BLUE) > 1e-3
-        assert share_of(pixels_of(path, sheet, error), INK) > 1e-4
+        assert share_of(pixels_of(path, figure, error), INK) > 1e-4
     marks = [[each for each in panel.lines if each.get_label() == "torque error found"]
-             for row in sheet.axes for panel in row]  # fmt: skip
+             for row in figure.axes for panel in row]  # fmt: skip
     assert [bool(each) for each in marks] == [i == 7 for i in range(14)]  # A3, its error
-    assert share_of(pixels_of(path, sheet, sheet.axes[3][1]), FAULT) > 1e-3
-    legend = [text.get_text() for text in sheet.figure.legends[0].get_texts()]
+    assert share_of(pixels_of(path, figure, figure.axes[3][1]), FAULT) > 1e-3
+    legend = legend_of(figure)
     assert legend == ["commanded", "measured", "disturbance", "fault", "torque error found"]
 
 
-def test_limits_are_seen_where_torques_come_near(tmp_path: Path, sheets: list[Sheet]) -> None:
+def test_limits_are_seen_where_torques_come_near(tmp_path: Path, figures: list[Figure]) -> None:
     robot = two_joints(torque_limits=[6.0, 1000.0])
     plot_run(sine_run(robot=robot), tmp_path / "limits.png")
-    turn, slide = sheets[0].axes[0][0], sheets[0].axes[1][0]
+    turn, slide = figures[0].axes[0][0], figures[0].axes[1][0]
     limits = [each.get_ydata()[0] for each in turn.lines if each.get_label() == "limit"]
     assert limits == [-6.0, 6.0]
     assert turn.get_ylim()[0] < -6.0 < 6.0 < turn.get_ylim()[1]
     assert not [each for each in slide.lines if each.get_label() == "limit"]
-    assert "limit" in [text.get_text() for text in sheets[0].figure.legends[0].get_texts()]
+    assert "limit" in legend_of(figures[0])
     assert any("N" in title for title in [turn.get_title(loc="left")])
     assert turn.get_title(loc="left") == "torque, Nm or N"
 
 
 def test_a_peak_of_one_row_in_a_million_is_in_the_figure(
-    tmp_path: Path, sheets: list[Sheet]
+    tmp_path: Path, figures: list[Figure]
 ) -> None:
     log = sine_run(rate=1e5, duration=10.0)
     torques = log.of("arm", "torques")
@@ -114,7 +123,7 @@ def test_a_peak_of_one_row_in_a_million_is_in_the_figure(
     begin = time.perf_counter()
     plot_run(log, tmp_path / "long.png")
     assert time.perf_counter() - begin < 10.0
-    points = line(sheets[0].axes[0][0], "torques")
+    points = line(figures[0].axes[0][0], "torques")
     assert len(points) < 5000
     assert points[np.argmax(points[:, 1])].tolist() == [log.times[654_321], 55.0]
 
@@ -145,17 +154,17 @@ def test_a_gap_stays_a_gap() -> None:
     assert np.isnan(kept[inside]).all()
 
 
-def test_what_is_missing_is_left_out(tmp_path: Path, sheets: list[Sheet]) -> None:
+def test_what_is_missing_is_left_out(tmp_path: Path, figures: list[Figure]) -> None:
     log = sine_run()
     signals = {key: log.signals[key] for key in ("arm_joint_angles", "arm_torques")}
     plot_run(
         RunLog(log.robots, signals, log.times, "measured"), tmp_path / "m.svg", joints=["turn"]
     )
-    (sheet,) = sheets
-    assert [len(row) for row in sheet.axes] == [1]
+    (figure,) = figures
+    assert [len(row) for row in figure.axes] == [1]
     blank = {**log.signals, "arm_torques": np.full((4001, 2), np.nan)}
     plot_run(RunLog(log.robots, blank, log.times, "blank"), tmp_path / "b.pdf")
-    assert [text.get_text() for text in sheets[1].axes[0][1].texts] == ["no data"]
+    assert [text.get_text() for text in figures[1].axes[0][1].texts] == ["no data"]
 
 
 def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
@@ -180,19 +189,19 @@ def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize("last", [0.001, 5.0, 100.0, 12345.0])
 def test_the_number_at_the_last_tick_is_whole(tmp_path: Path, last: float) -> None:
     with styled():
-        sheet = Sheet(
+        figure = Figure(
             [("A1", "")],
             [("torque", 1.25), ("error", 1.0)],
             title="",
             subtitle="",
             times=(0.0, last),
         )
-        sheet.save(tmp_path / "x.png")
-        labels = [each.get_window_extent() for each in sheet.axes[0][1].get_xticklabels()]
-        end = sheet.axes[0][1].get_window_extent().x1
+        figure.save(tmp_path / "x.png")
+        labels = [each.get_window_extent() for each in figure.axes[0][1].get_xticklabels()]
+        end = figure.axes[0][1].get_window_extent().x1
         shown = [box.x1 for box in labels if box.x0 <= end and box.width > 1]
     assert len(shown) >= 3
-    assert max(shown) < sheet.figure.bbox.width - 1
+    assert max(shown) < figure.figure.bbox.width - 1
 
 
 def test_it_is_as_wide_as_a4_and_sharp_enough_for_print(tmp_path: Path) -> None:
@@ -230,29 +239,29 @@ def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path:
 
 @pytest.mark.slow
 def test_a_comparison_shows_both_torques_and_both_differences(
-    tmp_path: Path, sheets: list[Sheet]
+    tmp_path: Path, figures: list[Figure]
 ) -> None:
     a, b = simulated(800.0).log, simulated(2000.0).log
     path = tmp_path / "both.png"
     plot_comparison(a, b, path)
-    (sheet,) = sheets
-    assert [len(row) for row in sheet.axes] == [3] * 7
-    titles = [panel.get_title(loc="left") for panel in sheet.axes[0]]
+    (figure,) = figures
+    assert [len(row) for row in figure.axes] == [3] * 7
+    titles = [panel.get_title(loc="left") for panel in figure.axes[0]]
     assert titles == ["torque, Nm", "torque, A − B, Nm", "angle, A − B, deg"]
-    for k, (both, torque, angle) in enumerate(sheet.axes):
+    for k, (both, torque, angle) in enumerate(figure.axes):
         np.testing.assert_array_equal(line(both, "a")[:, 1], a.of("lwr", "torques")[:, k])
         np.testing.assert_array_equal(line(both, "b")[:, 1], b.of("lwr", "torques")[:, k])
         difference = a.of("lwr", "torques")[:, k] - b.of("lwr", "torques")[:, k]
         np.testing.assert_array_equal(line(torque, "difference")[:, 1], difference)
         degrees = np.rad2deg(a.of("lwr", "joint_angles")[:, k] - b.of("lwr", "joint_angles")[:, k])
         np.testing.assert_allclose(line(angle, "difference")[:, 1], degrees, atol=1e-12)
-        pixels = pixels_of(path, sheet, both)
+        pixels = pixels_of(path, figure, both)
         assert share_of(pixels, ORANGE) > 1e-3
         assert share_of(pixels, BLUE) > 1e-4
     only = {"arm_joint_angles": sine_run().signals["arm_joint_angles"]}
     angles = RunLog(sine_run().robots, only, sine_run().times, "angles")
     plot_comparison(angles, sine_run(), tmp_path / "angles.png", joints=["slide"])
-    assert [panel.get_title(loc="left") for panel in sheets[1].axes[0]] == [
+    assert [panel.get_title(loc="left") for panel in figures[1].axes[0]] == [
         "angle, mm",
         "angle, A − B, mm",
     ]
@@ -271,3 +280,21 @@ def test_what_happens_in_a_scenario_becomes_bands() -> None:
         faults={"dead": {"kind": "dead_sensor", "begin": 0.3}},
     )  # fmt: skip
     assert spans_of(scenario) == [Span("push", 0.1, 0.2), Span("dead", 0.3, None, True)]
+
+
+def test_names_of_spans_do_not_run_into_each_other(tmp_path: Path, figures: list[Figure]) -> None:
+    spans = [Span("a_first_disturbance", 0.5 + 0.1 * k, 3.0) for k in range(3)]
+    plot_run(sine_run(), tmp_path / "x.png", spans=spans)
+    names = [
+        text for text in figures[0].axes[0][0].texts if text.get_text() == "a_first_disturbance"
+    ]
+    boxes = [name.get_window_extent() for name in names]
+    assert len(boxes) == 3
+    assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[k + 1 :])
+
+
+def test_peak_and_rms_leave_out_what_is_unknown() -> None:
+    values = np.array([np.nan, 3.0, -4.0, np.inf])
+    assert peak(values) == 2
+    assert rms(values) == pytest.approx(np.sqrt(12.5))
+    assert peak(np.full(3, np.nan)) is None and np.isnan(rms(np.full(3, np.nan)))

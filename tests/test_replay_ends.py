@@ -6,36 +6,17 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
-from recordings import record
+from recordings import SCENE, moving, record
 
 from sero_mj import Mirror, Scene, SerialRobot
 from sero_mj.assemble.inputs import SOURCE_FIELDS
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
-from sero_mj.receive.structure import Structure
 from sero_mj.record.replay import Replay
 
-LAYOUT = Structure("2F1V1M")  # what `recordings` declares
-PACKETS = [
-    LAYOUT.encode({"values0": [k / 10, 0], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
-    for k in range(11)
-]
-SCENE = """
-[robots.two]
-dh_convention = "craig"
-dh_params = [[0, 0.3, 0, 0], [0, 0.3, 0, 0]]
-
-[sources.arm]
-kind = "replay"
-file = "rec.mcap"
-{more}
-
-[routes]
-"two.joint_angles" = "arm.values0"
-"""
+PACKETS = moving(11)
 
 
 @pytest.fixture
@@ -48,7 +29,7 @@ def recording(tmp_path: Path) -> Path:
 
 def scene_file(recording: Path, more: str = "") -> Path:
     path = recording.with_name("scene.toml")
-    path.write_text(SCENE.format(more=more))
+    path.write_text(SCENE.format(file="rec.mcap", more=more))
     return path
 
 
@@ -94,7 +75,7 @@ def test_so_are_those_of_the_command_line(
 ) -> None:
     scene = tmp_path / "live.toml"
     scene.write_text(
-        SCENE.replace('"replay"\nfile = "rec.mcap"', '"udp"\nstructure = "2F1V1M"').format(more="")
+        SCENE.replace('"replay"\nfile = "{file}"', '"udp"\nstructure = "2F1V1M"').format(more="")
     )
     refused("render", scene, "-o", tmp_path / "x.png", "--replay", recording, "--start", 99)
     assert "sero-mj: --start: found 99; the recording ends at 1.00 s" in capsys.readouterr().err

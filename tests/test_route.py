@@ -22,7 +22,7 @@ from sero_mj.drive.route import wire
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
 from sero_mj.plugins import SOURCES, plugins
-from sero_mj.receive.source import Packet, make_source
+from sero_mj.receive.source import make_source
 from sero_mj.receive.udp import UdpReceiver
 
 KINDS = [*plugins(SOURCES)]
@@ -220,7 +220,7 @@ def test_a_router_writes_its_input_and_nothing_else(key: str) -> None:
     data, untouched = world.make_data(), world.make_data()
     values = np.array([0.1, -0.2, 0.3])
     router = Router(world, wire(scene).routes)
-    router.apply(Packet({"values0": values}, 0.0, 1), data)
+    router.apply(data, {"udp": {"values0": values}})
     flag = world.flags[f"right.{key}"]
     assert data.userdata[flag] == 1.0
     untouched.userdata[flag] = 1.0
@@ -249,7 +249,7 @@ def test_one_packet_drives_several_robots() -> None:
     world, wiring = World(scene), wire(scene)
     data, numbers = world.make_data(), np.linspace(-1, 1, 28)
     values = wiring.sources["udp"].layout.decode(struct.pack("<28d", *numbers))
-    Router(world, wiring.routes).apply(Packet(values, 0.0, 1), data)
+    Router(world, wiring.routes).apply(data, {"udp": values})
     assert (data.qpos[world.robots["left"].qpos] == numbers[:7]).all()
     assert (data.userdata[world.slots["left.torques"]] == numbers[7:14]).all()
     assert (data.qpos[world.robots["right"].qpos] == numbers[14:21]).all()
@@ -261,7 +261,7 @@ def test_one_event_leads_to_several_inputs() -> None:
     world, wiring = World(scene), wire(scene)
     assert [route.to.key for route in wiring.routes] == list(INPUTS)
     data, values = world.make_data(), np.array([0.5, -0.5])
-    Router(world, wiring.routes).apply(Packet({"values0": values}, 0.0, 1), data)
+    Router(world, wiring.routes).apply(data, {"udp": {"values0": values}})
     assert (data.qpos == values).all()
     for key in VALUE_INPUTS:
         assert (data.userdata[world.slots[f"arm.{key}"]] == values).all()

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from runs import HOME, in_old_words, record_packets, record_run, simulated
 
-from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.cli._arguments import replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import RecordingError, UsageError
@@ -156,7 +156,7 @@ def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
         '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "7F"\n'
         '[routes]\n"lwr.joint_angles" = "udp.values0"\n'
     )
-    scene, problems = read_scene(file)
+    scene, problems = read_scene_file(file)
     assert not problems
     run = read_run(path, scene=scene)
     np.testing.assert_array_equal(run.of("lwr", "joint_angles"), angles)

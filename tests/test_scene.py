@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene, View
-from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.errors import DeclarationError
 
 ARM = '[robots.arm]\ndh_convention = "craig"\n'
@@ -22,7 +22,7 @@ def read(tmp_path):
     def read(text, overrides=None):
         file = tmp_path / "s.toml"
         file.write_text(text, encoding="utf-8")
-        scene, problems = read_scene(file, overrides)
+        scene, problems = read_scene_file(file, overrides)
         return scene, [str(problem).replace(f"{tmp_path}/", "") for problem in problems]
 
     return read
@@ -320,7 +320,7 @@ def test_file_that_is_no_toml_is_refused_with_its_name(tmp_path, contents, text)
     if contents is not None:
         file.write_bytes(contents)
     with pytest.raises(DeclarationError) as caught:
-        read_scene(file)
+        read_scene_file(file)
     line = ":2" if "line 2" in text else ""
     assert str(caught.value).startswith(f"{file}{line}: {text}")
     assert "\n" not in str(caught.value)
@@ -328,5 +328,5 @@ def test_file_that_is_no_toml_is_refused_with_its_name(tmp_path, contents, text)
 
 def test_folder_in_place_of_a_file_is_refused(tmp_path):
     with pytest.raises(DeclarationError) as caught:
-        read_scene(tmp_path)
+        read_scene_file(tmp_path)
     assert str(caught.value) == f"{tmp_path}: cannot be read: Is a directory"

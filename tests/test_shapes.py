@@ -17,7 +17,7 @@ from sero_mj.assemble.dh import DhTable
 from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.scene_file import read_scene
+from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.assemble.shapes import generate_shapes
 from sero_mj.assemble.world import World
 from sero_mj.errors import DeclarationError
@@ -297,7 +297,7 @@ def test_files_that_cannot_be_used_are_named_all_at_once_with_key_and_line(
     for name in ("text.stl", "text.obj"):
         (tmp_path / name).write_bytes(b"This is not a mesh at all.\n")
     (tmp_path / "s.toml").write_text(text)
-    scene, problems = read_scene(tmp_path / "s.toml")
+    scene, problems = read_scene_file(tmp_path / "s.toml")
     assert problems == []
     with pytest.raises(DeclarationError) as caught:
         World(scene)

@@ -11,12 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from polling import until
+from pydantic import PrivateAttr
 
-from sero_mj import Mirror, Recording, Replay, load_scene, record_sources
+from sero_mj import Mirror, Recording, Replay, Scene, SerialRobot, load_scene, record_sources
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, SourceError
 from sero_mj.plugins import SOURCES, plugins
 from sero_mj.receive.receiver import Receiver
+from sero_mj.show.clock import Clock
 
 EXAMPLE = Path(__file__).parent / "plugins" / "json_lines.py"
 ENTRY_POINTS = """\
@@ -195,3 +197,59 @@ def test_as_many_arrivals_as_packets_are_taken(installed: None, server: Server) 
     source.accept([bytes(8), bytes(3), bytes(10**6)])
     assert (source.counters.received, source.counters.wrong_size) == (3, 2)
     source.close()
+
+
+class Rows(Receiver):
+    """Plays a row every 10 ms up to 2 s: a source that does not follow the real time."""
+
+    structure: str = "7F"
+    _played: int = PrivateAttr(0)
+
+    @property
+    def is_live(self) -> bool:
+        return False
+
+    @property
+    def end(self) -> float:
+        return 2.0
+
+    def now(self) -> float:
+        return 0.01 * self._played
+
+    def open(self) -> None:
+        self.reset()
+        self._played = 0
+
+    def close(self) -> None:
+        pass
+
+    def advance_to(self, time: float) -> None:
+        row = round(100 * min(time, 2.0))
+        if row < self._played:
+            self.open()
+        rows = range(self._played + 1, row + 1)
+        packets = [self.layout.encode({"values0": np.full(7, 0.01 * k)}) for k in rows]
+        self.accept(packets, [0.01 * k for k in rows])
+        self._played = row
+
+
+def test_a_source_without_real_time_has_a_time_line() -> None:
+    scene = Scene(
+        robots=[SerialRobot.from_model("lwr")],
+        sources={"table": Rows(name="table")},
+        routes={"lwr.joint_angles": "table.values0"},
+    )
+    with Mirror(scene) as mirror:
+        clock = Clock(mirror)
+        assert (clock.is_live, clock.end) == (False, 2.0)
+        for passed, angle in ((0.1, 0.1), (0.2, 0.3)):
+            clock.advance(passed)
+            np.testing.assert_allclose(mirror.data.qpos, angle)
+        clock.seek(1.5)
+        clock.advance(0.0)
+        np.testing.assert_allclose(mirror.data.qpos, 1.5)
+        clock.seek(0.5)  # back
+        clock.advance(0.0)
+        np.testing.assert_allclose(mirror.data.qpos, 0.5)
+        clock.seek(9.0)
+        assert clock.is_at_end

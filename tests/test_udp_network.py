@@ -251,7 +251,7 @@ def test_a_sender_with_its_port_is_known_on_a_socket_for_both_families(
 def test_a_sender_that_nobody_can_be_is_told(sender: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         UdpReceiver(structure="1F", sender=sender)
-    expected = f"found {sender!r}, from which nobody sends; leave it out for anybody"
+    expected = f"found {sender!r}, which no sender has; leave it out to accept every sender"
     assert str(caught.value) == f"sender: {expected}"
 
 

@@ -55,7 +55,9 @@ def test_an_overlay_looks_as_its_model_does() -> None:
     joint = '<body><joint axis="0 0 1"/><geom size=".1"/></body>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
-    with pytest.raises(UsageError, match="look: found 'dark'; an overlay has the look of its model"):
+    with pytest.raises(
+        UsageError, match="look: found 'dark'; an overlay has the look of its model"
+    ):
         sero_mj.view(overlay, web=True, look="dark")
 
 

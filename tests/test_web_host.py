@@ -180,9 +180,7 @@ def test_what_a_browser_has_no_room_for_is_said(caplog: pytest.LogCaptureFixture
             page.frame()
     said = [record.getMessage() for record in caplog.records if "not shown" in record.getMessage()]
     assert len(said) == 1
-    assert said[0].endswith(
-        "decor geoms are not shown: the scene's capacity is 1024"
-    )
+    assert said[0].endswith("decor geoms are not shown: the scene's capacity is 1024")
 
 
 def test_doubles_that_are_off_are_out_of_sight_in_browsers_only(page: WebHost) -> None:

@@ -22,7 +22,7 @@ from .scene import Scene, SceneToggles
 T = TypeVar("T")
 
 
-def read_scene(
+def read_scene_file(
     path: Path,
     overrides: Mapping[str, Any] | None = None,
     *,

@@ -48,7 +48,15 @@ def join_negative_values(arguments: list[str]) -> list[str]:
 
 
 def add_command(commands: Commands, name: str, run: Any, summary: str, epilog: str) -> Any:
-    """Adds a command whose help shows its summary and its epilog as they are written."""
+    """Adds a command whose help shows its summary and its epilog as they are written.
+
+    Args:
+        commands: of the main parser.
+        name: of the command.
+        run: gets the parsed options; returns the exit status.
+        summary: one line, without a full stop.
+        epilog: what stands below the options.
+    """
     parser = commands.add_parser(
         name,
         help=summary,
@@ -231,6 +239,11 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
 
 def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
     """Refuses times of `--start` and `--stop` between which a recording has nothing.
+
+    Args:
+        recording: which is to be read between them.
+        start: s since the recording began; None for its beginning.
+        stop: likewise; None for its end.
 
     Raises:
         UsageError: it ends before the start, or the stop is not after the start.

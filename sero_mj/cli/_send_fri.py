@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..errors import DeclarationError, UsageError
+from ..errors import UsageError
 from ._arguments import not_negative, positive
 
 if TYPE_CHECKING:
@@ -52,9 +52,7 @@ def source_of(scene: Scene, name: str | None) -> FriReceiver | None:
     from ..drive.route import wire
     from ..receive.fri import FriReceiver
 
-    wiring = wire(scene)
-    if wiring.problems:
-        raise DeclarationError(scene.located(wiring.problems))
+    wiring = wire(scene).check(scene)
     if name is None and len(wiring.sources) == 1:
         name = next(iter(wiring.sources))
     source = wiring.sources.get(name or "")
@@ -63,6 +61,11 @@ def source_of(scene: Scene, name: str | None) -> FriReceiver | None:
 
 def send(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
     """Sends as the controller of the robot that the source moves; returns 0.
+
+    Args:
+        options: of the command.
+        scene: with the robot.
+        source: that receives the packets.
 
     Raises:
         UsageError: the options do not suit FRI, or the source moves no robot.

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import DeclarationError, UsageError
+from ..errors import UsageError
 from ..paths import list_scenarios
 from ._arguments import positive
 from ._sink import goes_to_shm
@@ -73,13 +73,11 @@ def send_file(
         return _send_simulation(options)
     if options.amplitude is not None:
         raise UsageError("--amplitude is for a motion; it does nothing with --play")
-    wiring = wire(scene)
-    if wiring.problems:
-        raise DeclarationError(scene.located(wiring.problems))
+    wiring = wire(scene).check(scene)
     source = choose_source(wiring, options.source)
     structure = structure_for(source, options.structure)
     playback = _open(options, source, structure, goes_to_shm(options, source))
-    told = _tell(playback.notes)
+    printed = _print_notes(playback.notes)
     with sink(options, source, structure) as to:
         print(
             f"sending {playback.about}: {playback.count} packets, {playback.duration:.2f} s, "
@@ -94,13 +92,13 @@ def send_file(
         )
         report = send(packets, to)
     print(report)
-    _tell(playback.notes[told:])
+    _print_notes(playback.notes[printed:])
     if playback.skipped:
         print(f"{playback.skipped} could not be sent in '{structure.text}'")
     return 0
 
 
-def _tell(notes: list[str]) -> int:
+def _print_notes(notes: list[str]) -> int:
     for note in notes:
         print(f"note: {note}", flush=True)
     return len(notes)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
-    """Whether packets go to shared memory: said so, or the source reads it and no port is given."""
+    """Whether packets go to shared memory: by `--shm`, or for a source that reads it."""
     from ..receive.shm import ShmReader
 
     return options.shm is not None or (isinstance(source, ShmReader) and options.port is None)
@@ -24,7 +24,17 @@ def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
 def make_sink(
     options: argparse.Namespace, source: Source, structure: Structure
 ) -> UdpSink | ShmWriter:
-    """Where the packets go: what the command line says, else where the source receives."""
+    """Where the packets go: what the command line says, else where the source receives.
+
+    Args:
+        options: `host`, `port` and `shm`.
+        source: that receives the packets.
+        structure: of the packets.
+
+    Raises:
+        UsageError: neither says where.
+        SourceError: the address cannot be resolved, or the memory not be written.
+    """
     from ..receive.shm import ShmReader
     from ..receive.udp import UdpReceiver
     from ..send.sender import UdpSink

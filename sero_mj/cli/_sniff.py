@@ -64,7 +64,7 @@ def _listen(sniffer: Sniffer, options: argparse.Namespace, show: Callable[[], No
 def _shown(
     options: argparse.Namespace, sniffer: Sniffer, layout: Structure | None, place: str
 ) -> Iterator[Callable[[], None]]:
-    """What shows the state of things when it is called."""
+    """A function that shows the current state."""
     if options.json:
         yield lambda: None
     elif not sys.stdout.isatty():
@@ -113,7 +113,7 @@ def _head(stream: Stream) -> str:
 
 
 def _picture(sniffer: Sniffer, layout: Structure | None, title: str) -> RenderableType:
-    """Everything that is known, for a terminal or a file."""
+    """All streams, for a terminal or a file."""
     from rich.console import Group
     from rich.text import Text
 
@@ -143,7 +143,7 @@ def _values(stream: Stream, layout: Structure | None) -> str:
         return ""
     if stream.size != layout.size:
         return f"{stream.size} bytes; '{layout.text}' has {layout.size}"
-    if wrong := layout.tell_wrong_constant(stream.rows[-1:]):
+    if wrong := layout.describe_wrong_constant(stream.rows[-1:]):
         return wrong
     values = layout.decode(stream.last[-1])
     return "  ".join(f"{event} {_first(array)}" for event, array in values.items())

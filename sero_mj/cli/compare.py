@@ -105,8 +105,8 @@ def run(options: argparse.Namespace) -> int:
         from rich.console import Console
 
         Console().print(as_table(pair, differences))
-        if pair.likeness is not None:
-            print(f"offset {pair.offset:+.4f} s, likeness of the motions {pair.likeness:.3f}")
+        if pair.correlation is not None:
+            print(f"offset {pair.offset:+.4f} s, correlation of the motions {pair.correlation:.3f}")
     if options.csv is not None:
         write_csv(pair, options.csv)
     if options.plot is not None:
@@ -121,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_names(options: argparse.Namespace) -> None:
-    """Refuses names that nothing can be written to before anything is computed."""
+    """Refuses unsuitable file names before anything is computed."""
     from ..study.figure import SUFFIXES
 
     if options.plot is not None and options.plot.suffix.lower() not in SUFFIXES:

@@ -1,4 +1,4 @@
-"""`sero-mj demo`: everything at once, with real packets from another process."""
+"""`sero-mj demo`: a film of a robot that another process plays."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ..errors import UsageError, did_you_mean
+from ..errors import UsageError
 from ._arguments import Commands, add_command, check_span, not_negative
 
 _EPILOG = """\
@@ -39,14 +39,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output.exists() and not options.overwrite:
         raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")
     with Recording(options.recording) as recording:
-        names = list(recording.sources)
-        if options.source is None and len(names) != 1:
-            found = f"has several sources: {', '.join(names)}; choose with --source"
-            raise UsageError(f"{options.recording} {found if names else 'has no source'}")
-        name = options.source or names[0]
-        if name not in names:
-            near = did_you_mean(name, names)
-            raise UsageError(f"--source: no source '{name}' in {options.recording}{near}")
+        name = recording.choose_source(options.source or "")
         check_span(recording, options.start, options.stop)
         decode = Replay(file=options.recording, source=name).decode
         start = -math.inf if options.start is None else options.start

@@ -1,4 +1,4 @@
-"""`sero-mj list`: what is there to use."""
+"""`sero-mj list`: shipped robots, scenes and environments, and kinds of sources."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import DeclarationError, UsageError
+from ..errors import UsageError
 from ._arguments import Commands, add_command, not_negative, positive, read_scene, until_ended
 
 if TYPE_CHECKING:
@@ -57,9 +57,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output.suffix.lower() != ".mcap":
         raise UsageError(f"{options.output}: expected a name that ends in .mcap")
     scene = read_scene(options.scene)
-    wiring = wire(scene)
-    if wiring.problems:
-        raise DeclarationError(scene.located(wiring.problems))
+    wiring = wire(scene).check(scene)
     if not any(source.is_live for source in wiring.sources.values()):
         raise UsageError(f"scene '{scene.name}' has no source to record")
     with ExitStack() as stack:

@@ -175,7 +175,14 @@ def check_picture_or_film(option: str, path: Path) -> bool:
 def film_with_progress(
     scene: Scene, output: Path, *, quiet: bool = False, **options: Any
 ) -> list[str]:
-    """Calls `render_film` with a progress bar; returns the silent sources."""
+    """Calls `render_film` with a progress bar; returns the silent sources.
+
+    Args:
+        scene: what to film.
+        output: the film.
+        quiet: no progress bar.
+        **options: of `render_film`.
+    """
     from rich import progress as bars
     from rich.console import Console
 

@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_options(options: argparse.Namespace) -> None:
-    """Refuses what would only fail when all is done."""
+    """Refuses options that would only fail at the end."""
     endings = {
         "record": (".mcap",),
         "csv": (".csv",),

@@ -9,7 +9,7 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from ..errors import DeclarationError, UsageError
+from ..errors import UsageError
 from ._arguments import Commands, add_command, positive, read_scene, until_ended
 
 if TYPE_CHECKING:
@@ -47,9 +47,7 @@ def run(options: argparse.Namespace) -> int:
     from ..receive.report import report
 
     scene = read_scene(options.scene)
-    wiring = wire(scene)
-    if wiring.problems:
-        raise DeclarationError(scene.located(wiring.problems))
+    wiring = wire(scene).check(scene)
     sources = list(wiring.sources.values())
     if not sources:
         raise UsageError(f"scene '{scene.name}' has no source to watch")
@@ -68,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None:
-    """Waits, and shows the table where somebody can see it change."""
+    """Waits, and refreshes the table on a terminal."""
     from rich.live import Live
 
     from ..receive.report import report

@@ -67,7 +67,7 @@ def _count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
-    _refuse_nonsense(options)
+    _check_options(options)
     if options.scene:
         return _print_scene(options)
     layout = None if options.structure is None else _read(options)
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_nonsense(options: argparse.Namespace) -> None:
+def _check_options(options: argparse.Namespace) -> None:
     if not options.sniff:
         for name in ("host", "interface", "duration", "count"):
             if getattr(options, name) is not None:
@@ -119,11 +119,7 @@ def _print_scene(options: argparse.Namespace) -> int:
     from ..drive.route import wire
 
     scene = read_scene(options.scene)
-    layouts = {
-        name: source.layout
-        for name, source in wire(scene).sources.items()
-        if hasattr(source, "layout")
-    }
+    layouts = {name: source.layout for name, source in wire(scene).sources.items()}
     if options.json:
         print(json.dumps({name: as_json(layout) for name, layout in layouts.items()}, indent=2))
         return 0

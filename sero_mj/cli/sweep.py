@@ -15,8 +15,7 @@ from ._arguments import Commands, add_command, overrides
 
 if TYPE_CHECKING:
     from ..study.sweep import Sweep
-    from ..study.sweep_summary import Summary
-    from ..study.sweep_table import SweepTable
+    from ..study.sweep_table import SweepSummary, SweepTable
 
 _EPILOG = """\
 examples:
@@ -81,8 +80,7 @@ def run(options: argparse.Namespace) -> int:
     """Runs; returns 0, or 1 when not every variant held."""
     from ..paths import find_scenario
     from ..study.sweep import Sweep
-    from ..study.sweep_summary import summarise
-    from ..study.sweep_table import SweepTable
+    from ..study.sweep_table import SweepTable, summarise_sweep
     from ..study.vary import Vary
 
     _check_options(options)
@@ -101,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
         before = len(table.rows)
         is_whole = _run_variants(sweep, table, options)
     seconds = time.perf_counter() - begin
-    summary = summarise(table.rows, sweep.columns)
+    summary = summarise_sweep(table.rows, sweep.columns)
     if options.plot is not None:
         from ..study.sweep_plot import plot_sweep
 
@@ -160,7 +158,9 @@ def _run_variants(sweep: Sweep, table: SweepTable, options: argparse.Namespace) 
     return True
 
 
-def _print(sweep: Sweep, table: SweepTable, summary: Summary, seconds: float, before: int) -> None:
+def _print(
+    sweep: Sweep, table: SweepTable, summary: SweepSummary, seconds: float, before: int
+) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -200,7 +200,7 @@ def _values(sweep: Sweep, number: int) -> str:
     return ", ".join(parts)
 
 
-def _as_json(sweep: Sweep, summary: Summary, seconds: float) -> dict[str, Any]:
+def _as_json(sweep: Sweep, summary: SweepSummary, seconds: float) -> dict[str, Any]:
     def at(value: float, number: int) -> Any:
         if math.isnan(value):
             return None

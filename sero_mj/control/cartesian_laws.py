@@ -15,8 +15,8 @@ from pydantic import Field, model_validator
 from ..declaration import Declaration, Frame
 from ..errors import DeclarationError, Problem
 from ..kinds import by_kind
+from .laws import Arrivals
 from .time_laws import TimeLaw, along, schedule
-from .way_points import Arrivals
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""`Compiler`: compiles worlds, and remembers them, for the same robots are simulated many times."""
+"""`Compiler`: a cache of compiled worlds, for runs that simulate the same robots."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..assemble.world import World
 from ..declaration import Declaration
 from .robot_model import RobotModel
 
-_MOST = 8  # worlds that are remembered; a sweep over masses has a new one every time
+_MAX_WORLDS = 8  # worlds that are remembered; a sweep over masses has a new one every time
 
 
 class Compiler:
-    """Compiles dynamic worlds; one that was compiled before is copied, which takes no time.
+    """Compiles dynamic worlds, and copies those that it has compiled before.
 
     Two scenes are the same when everything that is declared of robots, objects and floor is;
     mesh files are taken not to change while it lives.
@@ -54,14 +54,14 @@ class Compiler:
         world = self._worlds.pop(key, None)
         if world is None:
             world = World(scene, dynamic=True)
-            if len(self._worlds) >= _MOST:
+            if len(self._worlds) >= _MAX_WORLDS:
                 self._worlds.pop(next(iter(self._worlds)))
         self._worlds[key] = world  # the one that was asked for last stands last
         return world
 
 
 def fingerprint(value: Any) -> object:
-    """Something that is equal, and hashes alike, where declarations say the same."""
+    """A hashable value that is equal for equal declarations."""
     if isinstance(value, Declaration):
         fields = type(value).model_fields
         return type(value).__name__, tuple(fingerprint(getattr(value, key)) for key in fields)

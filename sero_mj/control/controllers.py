@@ -1,21 +1,151 @@
-"""The controllers by their names in files, and how one gets to work on a robot."""
+"""The kinds of controllers, and their torque limits."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, SimulationError
 from ..kinds import by_kind
 from .cartesian_control import CartesianImpedance
-from .gains import ControllerDeclaration
+from .controller import Controller, ControllerDeclaration
 from .joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
 from .robot_model import RobotModel
-from .torque_limits import Controller, LimitedController
+from .state import Sensed, Target
 
 Array = NDArray[np.float64]
+
+
+class LimitedController:
+    """A controller behind torque limits and torque rate limits.
+
+    The rate limit counts from the first torques on: what holds the robot at the start is taken
+    for what held it before.
+
+    Args:
+        controller: whose torques to limit.
+        limits: (n,), Nm or N.
+        timestep: s between two calls.
+        rates: (n,), Nm/s or N/s; None for no limit.
+        robot: its name, for messages.
+        joint_names: of every joint, for messages.
+
+    Attributes:
+        controller: what is limited.
+        asked: (n,), what the controller asked for in the last step; the same array at every step.
+
+    Raises:
+        DeclarationError: a limit is not positive, or there is not one for every joint.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        limits: Array,
+        timestep: float,
+        rates: Array | None = None,
+        *,
+        robot: str = "robot",
+        joint_names: Sequence[str],
+    ) -> None:
+        n = len(joint_names)
+        problems = _limit_problems("torque_limits", limits, "Nm", joint_names)
+        if rates is not None:
+            problems += _limit_problems("torque_rate_limits", rates, "Nm/s", joint_names)
+        if problems:
+            raise DeclarationError(problems)
+        self.controller = controller
+        self.asked: Array = np.zeros(n)
+        self._given: Array = self.asked
+        self._robot, self._names = robot, list(joint_names)
+        self._high: Array = np.array(limits, float)
+        self._low: Array = -self._high
+        self._step: Array | None = None if rates is None else np.multiply(rates, timestep)
+        self._last: Array | None = None
+        self._from: Array = np.zeros(n)
+        self._to: Array = np.zeros(n)
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques within the limits, (n,).
+
+        Raises:
+            SimulationError: a torque is NaN or infinite.
+        """
+        asked = self.asked
+        try:
+            returned = self.controller.torques(sensed, target, asked)  # type: ignore[func-returns-value]
+        except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
+            asked[:] = math.nan
+            returned = None
+        if returned is not None:
+            reason = "torques() has returned something; expected it to write into `out`"
+            raise SimulationError(sensed.time, self._robot, reason)
+        # One number tells of NaN and inf in any joint.
+        if not asked.dot(asked) < math.inf:
+            raise self.not_finite(sensed)
+        np.minimum(np.maximum(asked, self._low, out=out), self._high, out=out)
+        if self._step is not None:
+            if self._last is None:
+                self._last = out.copy()
+            np.subtract(self._last, self._step, self._from)
+            np.add(self._last, self._step, self._to)
+            np.minimum(np.maximum(out, self._from, out=out), self._to, out=out)
+            self._last[...] = out
+        self._given = out
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Which joints got something else than they asked for in the last step, (n,)."""
+        return np.not_equal(self._given, self.asked)
+
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long, where the controller can tell.
+
+        Args:
+            angles: (n,), rad or m, where the robot starts.
+
+        Raises:
+            DeclarationError: names the joint that would shake most.
+        """
+        check = getattr(self.controller, "check", None)
+        if check is not None:
+            check(angles)
+
+    def restart(self) -> None:
+        """Forgets the last torques, as after a reset."""
+        self._last = None
+
+    def not_finite(self, sensed: Sensed) -> SimulationError:
+        """Names the joint whose sensor is to blame, else the one whose torque is."""
+        for values, what in zip(sensed.values, ("angle", "velocity", "torque"), strict=True):
+            if not np.isfinite(values).all():
+                joint = int(np.argmax(~np.isfinite(values)))
+                reason = f"the controller gets a measured {what} of {values[joint]:g}"
+                break
+        else:
+            bad = ~np.isfinite(self.asked)
+            joint = int(np.argmax(bad if bad.any() else np.abs(self.asked)))
+            reason = f"the controller asks for {self.asked[joint]:g} Nm"
+        place = f"{self._robot}/{self._names[joint]}"
+        return SimulationError(sensed.time, place, f"{reason}; expected a finite number")
+
+
+def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) -> list[Problem]:
+    """What is wrong with limits, joint by joint."""
+    values = np.asarray(limits, float)
+    if values.shape != (len(names),):
+        message = f"found {values.size} entries; expected {len(names)}, one per joint"
+        return [Problem(key, message)]
+    return [
+        Problem(key, f"joint {name} has {value:g}; expected a positive number of {unit}")
+        for name, value in zip(names, values, strict=True)
+        if not value > 0
+    ]
+
 
 CONTROLLERS: dict[str, type[ControllerDeclaration]] = {
     "gravity_compensation": GravityCompensation,
@@ -44,7 +174,7 @@ def make_controller(
     timestep: float,
     torque_limits: Array | None = None,
 ) -> LimitedController:
-    """Puts a controller to work behind the torque limits of its robot.
+    """Makes a controller and limits its torques as its robot asks.
 
     Args:
         controller: a declaration, or any object with the method `torques` of `Controller`.

@@ -1,4 +1,4 @@
-"""Damping from mass and stiffness, and whether a time step is short enough for both."""
+"""Damping design by mass and stiffness, and stability at a time step."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array
 
 
 def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: float) -> int | None:
-    """Joint that moves most in a mode that a sampled controller makes grow, or None.
+    """The joint that moves most in an unstable mode of a sampled controller, or None.
 
     The torques -K q - D dq are held for a step, and velocities are stepped before angles (MuJoCo's
     semi-implicit Euler): the robot is stable where no eigenvalue of that map is beyond one. For one
@@ -68,6 +68,12 @@ def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: floa
 
 
 def too_stiff(joint: str, gain: str, timestep: float) -> DeclarationError:
-    """The error for gains that a time step cannot hold, by the joint that shakes most."""
+    """The error for gains that are unstable at a time step.
+
+    Args:
+        joint: name of the one that moves most.
+        gain: for the message: ` at 500 Nm/rad`, say.
+        timestep: s between two torques.
+    """
     found = f"joint {joint} is unstable{gain} with a time step of {1e3 * timestep:g} ms"
     return DeclarationError([Problem("stiffness", f"{found}; expected less, or a shorter step")])

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from .controller import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
 from .damping import design_damping, too_stiff, unstable_joint
-from .gains import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
 from .robot_model import RobotModel
 from .state import Sensed, Target
 
 Array = NDArray[np.float64]
 
-LARGEST_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
+MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
 
 
 class GravityCompensation(ControllerDeclaration):
-    """The robot weighs nothing and can be moved by hand.
+    """Compensates gravity: the robot can be moved by hand.
 
     Attributes:
         damping: Nm s/rad or N s/m per joint, against motion.
@@ -29,12 +29,12 @@ class GravityCompensation(ControllerDeclaration):
     damping: Annotated[PerJoint, within(0.0, 1e4, "Nm s/rad")] = np.zeros(1)
 
     def make(self, model: RobotModel, timestep: float) -> GravityCompensator:
-        """The controller at work."""
+        """The controller, without torque limits."""
         return GravityCompensator(model, damping=self.per_joint("damping", model.n))
 
 
 class Torque(ControllerDeclaration):
-    """Torques as they are given, and gravity.
+    """Constant torques on top of gravity compensation.
 
     Attributes:
         torques: Nm per joint, all the time; what a target brings comes on top.
@@ -46,7 +46,7 @@ class Torque(ControllerDeclaration):
     compensate_gravity: bool = True
 
     def make(self, model: RobotModel, timestep: float) -> GravityCompensator:
-        """The controller at work."""
+        """The controller, without torque limits."""
         own = self.per_joint("torques", model.n)
         return GravityCompensator(
             model, torques=own, feed_forward=True, compensate_gravity=self.compensate_gravity
@@ -66,14 +66,14 @@ class JointImpedance(ControllerDeclaration):
     kind: Literal["joint_impedance"] = "joint_impedance"
     stiffness: Annotated[
         PerJoint,
-        within(0.0, LARGEST_STIFFNESS, "Nm/rad", "; kind = 'joint_position' can be stiffer"),
+        within(0.0, MAX_STIFFNESS, "Nm/rad", "; kind = 'joint_position' can be stiffer"),
     ]
     damping: Ratio = DEFAULT_RATIO
     feed_forward: bool = False
     damping_every: float = Field(0.1, gt=0, le=1)
 
     def make(self, model: RobotModel, timestep: float) -> JointImpedanceController:
-        """The controller at work."""
+        """The controller, without torque limits."""
         return JointImpedanceController(
             model,
             self.per_joint("stiffness", model.n),

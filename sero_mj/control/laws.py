@@ -3,23 +3,289 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from ..assemble.robot import SerialRobot
-from ..declaration import Vector, of_shape
+from ..declaration import Declaration, Vector, of_shape
 from ..errors import DeclarationError, Problem
 from ..kinds import by_kind
-from .gains import MaybePerJoint, PerJoint, within
-from .law import Law, Motion
-from .time_laws import quintic
-from .way_points import WayPoints
+from .controller import MaybePerJoint, PerJoint, within
+from .time_laws import TimeLaw, along, quintic, schedule, trapezoid_blend
 
 Array = NDArray[np.float64]
+
+_SLACK = 1e-9  # of limits, for targets that go just up to them
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A target motion of all joints, a row for every time.
+
+    Attributes:
+        times: (T,), s.
+        angles: (T, n), rad or m.
+        velocities: (T, n), per second.
+        accelerations: (T, n), per second squared.
+    """
+
+    times: Array
+    angles: Array
+    velocities: Array
+    accelerations: Array
+
+    def since(self, time: float) -> Motion:
+        """The rows from a time (s) on."""
+        rows = self.times >= time
+        return Motion(
+            self.times[rows], self.angles[rows], self.velocities[rows], self.accelerations[rows]
+        )
+
+
+class Law(Declaration):
+    """Base of the declarations of target motions in joint space."""
+
+    in_degrees: ClassVar[tuple[str, ...]] = ()
+
+    @model_validator(mode="after")
+    def _from_degrees(self) -> Law:
+        for key in self.in_degrees:
+            value = getattr(self, f"{key}_deg")
+            if value is None:
+                continue
+            if getattr(self, key) is not None:
+                raise ValueError(f"found both {key} and {key}_deg; expected one of them")
+            self.__dict__[key] = np.deg2rad(value)
+            self.__dict__[f"{key}_deg"] = None
+        return self
+
+    def sample(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
+        """The motion of a whole run, within the robot's limits.
+
+        Args:
+            times: (T,), s, rising.
+            robot: whose joints move, with their limits.
+            start: (n,), rad or m, where it stands at first.
+
+        Raises:
+            DeclarationError: it does not fit the robot, or leaves its limits: by joint and time.
+        """
+        motion = self.motion(np.asarray(times, float), robot, np.asarray(start, float))
+        problems = beyond_limits(motion, robot)
+        ramp = getattr(self, "ramp", None)
+        if problems and ramp and not beyond_limits(motion.since(ramp), robot):
+            hint = f"; it grows within {ramp:g} s: ramp = {2 * ramp:g} is gentler"
+            problems = [Problem(each.key, each.message + hint) for each in problems]
+        if problems:
+            raise DeclarationError(problems)
+        return motion
+
+    def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
+        """The motion of a whole run, whose limits are not checked.
+
+        Args:
+            times: (T,), s, rising.
+            robot: whose joints move.
+            start: (n,), rad or m, where it stands at first.
+        """
+        raise NotImplementedError
+
+    def per_joint(self, key: str, n: int) -> Array:
+        """A field of one number for all joints or of n, as (n,).
+
+        Raises:
+            DeclarationError: it is missing, or has another number of entries.
+        """
+        value = getattr(self, key)
+        degrees = f" or {key}_deg" if key in self.in_degrees else ""
+        if value is None:
+            raise DeclarationError([Problem(key, f"is required; expected {key}{degrees}")])
+        if len(value) not in (1, n):
+            message = f"found {len(value)} entries; expected {n}, one per joint, or one for all"
+            raise DeclarationError([Problem(key, message)])
+        return np.array(np.broadcast_to(value, n))
+
+    def rows(self, key: str, n: int) -> Array:
+        """A field of rows of n joint angles, (m, n).
+
+        Raises:
+            DeclarationError: it is missing, empty, or has another number of joints.
+        """
+        value = getattr(self, key)
+        if value is None:
+            raise DeclarationError([Problem(key, f"is required; expected {key} or {key}_deg")])
+        if value.shape[-1] != n or not value.size:
+            message = f"found rows of {value.shape[-1]}; expected {n} angles, one per joint"
+            raise DeclarationError([Problem(key, message if value.size else "found no rows")])
+        return np.asarray(value)
+
+
+def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
+    """Where every joint is farthest beyond its position or velocity limits."""
+    problems = []
+    limits, speeds = robot.position_limits, robot.velocity_limits
+    for joint, name in enumerate(robot.names):
+        factor, unit = (np.rad2deg(1.0), "deg") if robot.types[joint] == "revolute" else (1.0, "m")
+        if limits is not None:
+            low, high = limits[joint]
+            angles = motion.angles[:, joint]
+            bad = (angles < low - _SLACK) | (angles > high + _SLACK)
+            if bad.any():
+                row = int(np.argmax(np.maximum(low - angles, angles - high)))
+                where = f"joint {name} is to be at {factor * angles[row]:.4g} {unit}"
+                allowed = f"expected {factor * low:.4g} to {factor * high:.4g} {unit}"
+                problems.append(Problem("", f"{where} at t = {motion.times[row]:.3f} s; {allowed}"))
+                continue
+        if speeds is not None:
+            fast = np.abs(motion.velocities[:, joint])
+            if (fast > speeds[joint] * (1.0 + _SLACK)).any():
+                row = int(np.argmax(fast))
+                where = f"joint {name} is to move at {factor * fast[row]:.4g} {unit}/s"
+                allowed = f"expected up to {factor * speeds[joint]:.4g} {unit}/s"
+                problems.append(Problem("", f"{where} at t = {motion.times[row]:.3f} s; {allowed}"))
+    return problems
+
+
+_NOTHING = 1e-12  # s: ways that no joint needs more for are none
 _Rows = Annotated[Array | None, of_shape(None, None)]
+
+
+def rising(times: Array | None) -> Array | None:
+    """Returns times that rise and start at zero or later.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if times is not None:
+        if not len(times) or times[0] < 0:
+            raise ValueError(f"found {times.tolist()}; expected times from 0 s on")
+        if (np.diff(times) <= 0).any():
+            raise ValueError(f"found {times.tolist()}; expected times that rise")
+    return times
+
+
+def _positive(values: Array | None) -> Array | None:
+    if values is not None and (values <= 0).any():
+        raise ValueError(f"found {values[values <= 0][0]:g}; expected positive numbers")
+    return values
+
+
+Arrivals = Annotated[Vector | None, AfterValidator(rising)]
+
+
+class WayPoints(Law):
+    """Goes to one point after the other; all joints start and arrive together.
+
+    Either `times` say when it arrives, or it goes as fast as `speed` allows.
+
+    Attributes:
+        way_points: (m, n), rad or m.
+        way_points_deg: the same in degrees.
+        times: (m,), s, when it arrives; a first of 0 is where it starts.
+        speed: share of the robot's velocity limits, 0 to 1.
+        accelerations: rad/s2 or m/s2 per joint; the robot's `acceleration_limits` by default.
+        time_law: `quintic` (no jumps in acceleration) or `trapezoidal` (faster).
+        dwell: s at each point, where there are no `times`.
+    """
+
+    kind: Literal["way_points"] = "way_points"
+    way_points: _Rows = None
+    way_points_deg: _Rows = None
+    times: Arrivals = None
+    speed: float | None = Field(None, gt=0, le=1)
+    accelerations: Annotated[MaybePerJoint, AfterValidator(_positive)] = None
+    time_law: TimeLaw = "quintic"
+    dwell: float = Field(0.0, ge=0)
+    in_degrees: ClassVar[tuple[str, ...]] = ("way_points",)
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> WayPoints:
+        if (self.times is None) == (self.speed is None):
+            found = "neither" if self.times is None else "both"
+            raise ValueError(f"found {found} of times and speed; expected one of them")
+        return self
+
+    def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
+        """Straight lines in joint space."""
+        points = np.vstack([start, self.rows("way_points", robot.n)])
+        if self.times is not None:
+            points, starts, durations, blends = self._timed(points, robot)
+        else:
+            starts, durations, blends = self._fast(np.diff(points, axis=0), robot)
+        index, way, speed, rate = along(times, starts, durations, blends)
+        lines = np.diff(points, axis=0)[index]
+        return Motion(
+            times,
+            points[index] + way[:, None] * lines,
+            speed[:, None] * lines,
+            rate[:, None] * lines,
+        )
+
+    def _timed(self, points: Array, robot: SerialRobot) -> tuple[Array, Array, Array, Array | None]:
+        """Points, and when the ways between them start and how long they take."""
+        arrivals = self.times
+        assert arrivals is not None
+        if len(arrivals) != len(points) - 1:
+            message = (
+                f"found {len(arrivals)} entries; expected {len(points) - 1}, one per way point"
+            )
+            raise DeclarationError([Problem("times", message)])
+        if arrivals[0] == 0.0:
+            points = points[1:]
+            if len(points) == 1:
+                points, arrivals = np.vstack([points, points]), np.array([0.0, 1.0])
+        else:
+            arrivals = np.hstack([0.0, arrivals])
+        starts, durations = arrivals[:-1], np.diff(arrivals)
+        if self.time_law == "quintic":
+            return points, starts, durations, None
+        blends = []
+        for row, (line, duration) in enumerate(
+            zip(np.diff(points, axis=0), durations, strict=True)
+        ):
+            share = self._share(line, self._accelerations(robot))
+            try:
+                blends.append(trapezoid_blend(duration, share))
+            except ValueError as error:
+                joint = robot.names[int(np.argmax(self._shares(line, self._accelerations(robot))))]
+                when = f"to arrive at t = {starts[row] + duration:.3f} s"
+                message = f"joint {joint} is too slow {when}: {error}; expected more time"
+                raise DeclarationError([Problem("times", message)]) from None
+        return points, starts, durations, np.array(blends)
+
+    def _fast(self, lines: Array, robot: SerialRobot) -> tuple[Array, Array, Array | None]:
+        """When the ways start, and how long they take at the declared speed."""
+        limits, rates = robot.velocity_limits, self._accelerations(robot)
+        if limits is None or rates is None:
+            lacks = "velocity_limits" if limits is None else "acceleration_limits"
+            hint = "times" if limits is None else "accelerations"
+            message = f"robot '{robot.name}' has no {lacks}; expected {hint} here"
+            raise DeclarationError([Problem("speed", message)])
+        speeds = np.array([self._share(line, float(self.speed or 1.0) * limits) for line in lines])
+        shares = np.array([self._share(line, rates) for line in lines])
+        return schedule(speeds, shares, self.time_law, self.dwell)
+
+    def _accelerations(self, robot: SerialRobot) -> Array | None:
+        if self.accelerations is not None:
+            return self.per_joint("accelerations", robot.n)
+        return robot.acceleration_limits
+
+    @staticmethod
+    def _shares(line: Array, limits: Array | None) -> Array:
+        """How much of its limit every joint takes of each unit of the way."""
+        return np.zeros(len(line)) if limits is None else np.abs(line) / limits
+
+    @classmethod
+    def _share(cls, line: Array, limits: Array | None) -> float:
+        """The limit on the way (0 to 1) that the joint with the least room sets; inf for none."""
+        most = float(cls._shares(line, limits).max())
+        return 1.0 / most if most > _NOTHING else np.inf
+
+
 _Hertz = Annotated[PerJoint, within(0.0, 1e3, "Hz")]
 
 

@@ -125,7 +125,7 @@ def external_torques(
     *,
     motor_side: bool = False,
 ) -> Array:
-    """What a `MomentumObserver` says at every row of a log, (T, n), Nm or N.
+    """Estimates of a `MomentumObserver` at every row of a log, (T, n), Nm or N.
 
     Args:
         model: of the robot; it is moved.

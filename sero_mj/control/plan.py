@@ -1,4 +1,4 @@
-"""Where robots are to be at every step of a run, computed before it begins."""
+"""Targets of robots at every step of a run, computed before it begins."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from ..assemble.robot import SerialRobot
 from .cartesian_control import CartesianImpedance
 from .cartesian_laws import CartesianLaw, CartesianMotion
 from .compiler import Compiler
-from .gains import ControllerDeclaration
+from .controller import Controller, ControllerDeclaration
+from .inverse_kinematics import follow_poses
 from .joint_control import GravityCompensation, Torque
-from .law import Law, Motion
-from .laws import Constant
-from .reach import follow_poses
-from .torque_limits import Controller
+from .laws import Constant, Law, Motion
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What a controller sees of its robot, and what it is asked to do, at one instant."""
+"""Inputs of a controller: what is measured, and the target."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 class Sensed:
-    """What the sensors of one robot say; the buffers are the same ones at every step.
+    """What the sensors of one robot measure; the buffers are the same ones at every step.
 
     Args:
         n: number of joints.
@@ -66,7 +66,7 @@ class Sensed:
 
 
 class Target:
-    """What one robot is asked to do; a controller reads what it needs and ignores the rest.
+    """The target of one robot; a controller reads what it needs and ignores the rest.
 
     Write into the arrays (`target.angles[:] = ...`): controllers keep them.
 

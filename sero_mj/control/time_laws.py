@@ -1,4 +1,4 @@
-"""Time laws: how far along a way, 0 to 1, one is at a time, from rest to rest.
+"""Time laws: the share of a path, 0 to 1, over time, from rest to rest.
 
 All joints of a robot, and all six directions of a flange, share one: they start and arrive together
 and move on a straight line.
@@ -100,7 +100,7 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
 def schedule(
     speeds: Array, accelerations: Array, time_law: TimeLaw, dwell: float
 ) -> tuple[Array, Array, Array | None]:
-    """When ways that follow each other start, and how long they take, as fast as is allowed.
+    """Start times and durations of consecutive segments, as fast as is allowed.
 
     Args:
         speeds: (m,), 1/s; infinite where there is no way to go.
@@ -127,7 +127,7 @@ def schedule(
 def along(
     times: Array, starts: Array, durations: Array, blends: Array | None
 ) -> tuple[NDArray[np.intp], Array, Array, Array]:
-    """Where one is on ways that follow each other, with rests between them.
+    """Position, speed and acceleration along consecutive segments, with rests between them.
 
     Args:
         times: (T,), s.

@@ -36,16 +36,16 @@ class Names:
         self._owners = {item.name for item in self._outputs.values()}
 
     def is_frame(self, text: str) -> bool:
-        """Whether a text that is one name means a frame, and not numbers."""
+        """Whether a name is that of a frame, and not of numbers."""
         return "/" in text or text in self._frames
 
     def is_fwd_kin(self, text: str) -> bool:
-        """Whether a text that is one name means a robot's forward kinematics."""
+        """Whether a name is that of a robot's forward kinematics."""
         name, _, key = text.partition(".")
         return key == FWD_KIN and name in self._scene.robots and name not in self._scene.sources
 
     def frame_hint(self, text: str) -> str:
-        """What may have been meant by the name of no frame."""
+        """A hint at what was meant by an unknown name of a frame."""
         events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
         spaces = _missing_spaces(text, [*UNITS, *self._outputs, *events])
         return spaces or did_you_mean(text, self._frames)
@@ -101,7 +101,7 @@ class Names:
         return Problem("", f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}")
 
     def _unknown(self, owner: str, *, is_bare: bool) -> str:
-        """The name of nothing, and what may have been meant."""
+        """A message about an unknown name, with the nearest known one."""
         sources = self._scene.declared("sources")
         if nearest(owner, sources) is None:
             near = nearest(owner, self._owners)

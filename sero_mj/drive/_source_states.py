@@ -1,4 +1,4 @@
-"""`SourceStates`: how sources fare, written where the picture reads it."""
+"""`SourceStates`: what sources have counted, in user data, where decor reads it."""
 
 from __future__ import annotations
 
@@ -23,14 +23,20 @@ class SourceStates:
         self._foreign: dict[str, tuple[int, float]] = {}
 
     def forget(self) -> None:
-        """Begins anew, as the sources do when they are opened."""
+        """Resets, as the sources do when they are opened."""
         self._link.clear()
         self._foreign.clear()
 
     def write(
         self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
     ) -> None:
-        """Writes what every source has counted until now."""
+        """Writes what every source has counted until now.
+
+        Args:
+            data: the world's state.
+            sources: by name.
+            latest: the newest packet of each source that has one.
+        """
         for name, source in sources.items():
             packet, counters, now = latest.get(name), source.counters, source.now()
             data.userdata[self._slots[f"sources.{name}"]] = (
@@ -67,7 +73,7 @@ class SourceStates:
         return max(now - since, 0.0) if since >= 0 else -1.0
 
     def _foreign_age(self, name: str, foreign: int, now: float) -> float:
-        """How long ago (s) a packet of somebody else came; -1 when none has."""
+        """How long ago (s) a packet of a foreign sender came; -1 when none has."""
         before, since = self._foreign.get(name, (0, -1.0))
         if foreign != before:
             self._foreign[name] = foreign, now

@@ -55,7 +55,13 @@ class Expression:
         return self.text[self.words[first_word(node)].at : last.at + len(last.text)]
 
     def refuse(self, word: int, reason: str, length: int = 1) -> NoReturn:
-        """Raises a RouteError that points at a word."""
+        """Raises a RouteError that points at a word.
+
+        Args:
+            word: its index.
+            reason: what was expected there.
+            length: how many characters are wrong.
+        """
         raise RouteError(self.text, self.words[word].at, reason, length)
 
 

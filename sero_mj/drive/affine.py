@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +68,7 @@ class Affine:
     whole: Origin | None
     only: tuple[Origin, Ints] | None
 
-    @property
+    @cached_property
     def origins(self) -> tuple[Origin, ...]:
         """All origins, each once."""
         return tuple(dict.fromkeys(term.origin for term in self.terms))

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..assemble.world_view import WorldView
-from ..errors import DeclarationError
 from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
 from ._router import Router
 from ._source_states import SourceStates
@@ -88,9 +87,7 @@ class Mirror:
     """
 
     def __init__(self, scene: Scene) -> None:
-        wiring = wire(scene)
-        if wiring.problems:
-            raise DeclarationError(scene.located(wiring.problems))
+        wiring = wire(scene).check(scene)
         self.world = World(scene)
         self.data = self.world.make_data()
         self.routes: list[Route] = wiring.routes
@@ -197,7 +194,7 @@ class Mirror:
                     listener(name, packets)
             packet = self._latest.get(name)
             if packet is not None and (packets is not None or name in self._again):
-                self._routers[name].apply(packet, data)
+                self._routers[name].apply(data, {name: packet.values})
                 fresh.add(name)
         self._states.write(data, self.sources, self._latest)
         self._again.clear()
@@ -225,6 +222,12 @@ class Mirror:
 
 
 def restore(world: World, data: mujoco.MjData, state: NDArray[np.float64]) -> None:
-    """Puts a state that `Mirror.state` returned into `data` and moves the frames."""
+    """Puts a state into `data` and moves the frames.
+
+    Args:
+        world: whose state it is.
+        data: gets it.
+        state: what `Mirror.state` returned.
+    """
     mujoco.mj_setState(world.model, data, state, _STATE)
     follow(world.model, data)

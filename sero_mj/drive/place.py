@@ -11,9 +11,8 @@ from ..assemble.mjcf_double import OUT_OF_SIGHT
 from ..assemble.named_frames import WORLD
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
-from ..errors import DeclarationError
 from ..frames import frame, rotation_from_quat
-from ._router import LateRouter, LatestValues
+from ._router import LatestValues, Router
 from .route import wire
 from .wiring import FrameRoute, Wiring
 
@@ -32,11 +31,9 @@ class Placer:
     """
 
     def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
-        wiring = wire(world.scene) if wiring is None else wiring
-        if wiring.problems:
-            raise DeclarationError(world.scene.located(wiring.problems))
+        wiring = (wiring or wire(world.scene)).check(world.scene)
         self._world = world
-        self._late = LateRouter(world, wiring.later)
+        self._late = Router(world, wiring.later)
         self._levels = wiring.levels
         placing = [route for route in wiring.frame_routes if route.to.key != "flange_check"]
         self._routes = {route.to.name: route for route in placing}
@@ -100,7 +97,7 @@ class Placer:
 
 
 def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Computes frames, cameras and lights from `qpos` and `mocap`; time does not pass."""
+    """Computes frames, cameras and lights from `qpos` and `mocap`, without a time step."""
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)  # MuJoCo's own visualisation needs subtree centres
     mujoco.mj_camlight(model, data)

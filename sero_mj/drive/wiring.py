@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
+from typing import Self
 
 from ..assemble.inputs import BLANKABLE, Input
 from ..assemble.scene import Scene
@@ -21,7 +22,7 @@ class Route:
         to: the input it leads to.
         text: where it leads from, as declared.
         value: how the input's numbers are computed.
-        negated: whether a switch is turned round.
+        negated: whether a toggle is negated.
     """
 
     to: Input
@@ -82,6 +83,12 @@ class Wiring:
     frame_routes: list[FrameRoute] = field(default_factory=list)
     levels: list[list[str]] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
+
+    def check(self, scene: Scene) -> Self:
+        """Returns itself; raises DeclarationError where something in the scene is wrong."""
+        if self.problems:
+            raise DeclarationError(scene.located(self.problems))
+        return self
 
 
 def routes_in_order(routes: Sequence[Route]) -> list[Route]:

@@ -9,8 +9,8 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
+from ..control.controller import ControllerDeclaration
 from ..control.controllers import make_controller
-from ..control.gains import ControllerDeclaration
 from ..control.joint_control import JointImpedance, Torque
 from ..control.robot_model import RobotModel
 from ..control.state import Sensed, Target
@@ -68,7 +68,7 @@ class TorqueAction:
         """Begins a step of the simulation."""
 
     def observation(self) -> dict[str, Array]:
-        """What an agent has to know of it."""
+        """The state of the action that an agent observes."""
         return {}
 
     def observation_spec(self) -> dict[str, specs.Array]:
@@ -151,7 +151,7 @@ class ImpedanceAction:
                 self._target.angles[:] = self._goal  # no error adds up
 
     def observation(self) -> dict[str, Array]:
-        """Where the springs are drawn to, without which the robot's motion cannot be foretold."""
+        """The target angles, (n,), without which the next state cannot be predicted."""
         return {"commanded_angles": self._goal.copy()}
 
     def observation_spec(self) -> dict[str, specs.Array]:

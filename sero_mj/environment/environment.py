@@ -179,7 +179,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
                 self._mirror.open()  # forgets what was shown
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """Lets a control step pass; after the end of an episode the next one begins.
+        """Simulates a control step; after the end of an episode the next one begins.
 
         Args:
             action: (n,), see `action_spec`.
@@ -201,7 +201,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             # Whoever got it before may have changed it.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
-        self.plant.joints.look()  # `data` is as up to date as after MuJoCo's own step
+        self.plant.joints.update_derived()  # `data` is as up to date as after MuJoCo's own step
         self._is_over = simulation.is_done
         self._observation = self._observe()
         end = dm_env.truncation if self._is_over else dm_env.transition

@@ -1,4 +1,4 @@
-"""`hold`: stay in a pose while somebody pushes the flange about."""
+"""`hold`: stay in a pose under random pushes at the flange."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads datagrams from a socket by the batch, with the time at which the kernel got each.
+"""Reads datagrams from a socket in batches, with the time at which the kernel got each.
 
 On Linux one `recvmmsg` call takes up to 256 packets; a Python call for each would be too slow for
 a hundred thousand a second. Elsewhere they are read one by one.
@@ -93,7 +93,7 @@ class Batch:
         lengths: as they were sent, (n,), bytes; of what was cut off at least the row's length.
         arrivals: on the clock of `time.monotonic`, (n,), s.
         senders: socket addresses as the system has them, (n, 28), uint8.
-        dropped: packets that the kernel has thrown away so far, or None where it does not say.
+        dropped: packets that the kernel has dropped so far, or None where it does not say.
     """
 
     rows: NDArray[np.uint8]
@@ -107,7 +107,7 @@ class Batch:
 
 
 class Datagrams:
-    """Reads a socket by the batch.
+    """Reads a socket in batches.
 
     Args:
         sock: a bound datagram socket; it is made non-blocking.
@@ -239,7 +239,7 @@ class Datagrams:
 
     def _arrivals(self, count: int) -> Array:
         """When the kernel got the packets, on the monotonic clock."""
-        now, wall = time.monotonic_ns(), time.time_ns()
+        now, wall = _both_clocks()
         stamps = self._stamps[:count]
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
             return np.full(count, now * 1e-9)
@@ -269,6 +269,15 @@ class Datagrams:
                 self.on_arrival(self._rows[i].data, int(self._lengths[i]), packed)
             self._senders[i] = np.frombuffer(packed, np.uint8)
         return BATCH - first
+
+
+def _both_clocks() -> tuple[int, int]:
+    """The monotonic and the wall clock at one moment, ns; nothing has run in between."""
+    for _ in range(4):
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < 20_000:
+            break  # else another thread had the processor, and the two would be apart
+    return before, wall
 
 
 def pack_address(host: str, port: int) -> bytes:

@@ -34,8 +34,8 @@ class _Attributes(ctypes.Structure):
     ]
 
 
-def ask_for_short_slices() -> bool:
-    """Asks for the thread that calls; returns whether the system has taken note.
+def request_short_slices() -> bool:
+    """Requests them for the calling thread; returns whether the system grants it.
 
     Older systems, and others than Linux, have not; nor do threads change that somebody has made
     real-time ones.
@@ -63,7 +63,7 @@ def _read() -> _Attributes | None:
 
 
 class _ShortTurns:
-    """Lets threads that compute in Python run for less at a time, as long as somebody answers.
+    """Shortens the interpreter's switch interval as long as a receiver answers.
 
     Who answers has to wait until the interpreter switches to it: up to 5 ms by default, of which
     a controller's cycle of 1 ms knows nothing.
@@ -75,7 +75,7 @@ class _ShortTurns:
         self._lock = threading.Lock()
 
     def begin(self, receiver: object) -> None:
-        """Shortens them, from now on."""
+        """Shortens it, from now on."""
         with self._lock:
             if not self._answering:
                 self._usual = sys.getswitchinterval()
@@ -83,7 +83,7 @@ class _ShortTurns:
             self._answering.add(id(receiver))
 
     def end(self, receiver: object) -> None:
-        """Restores them, when nobody else answers."""
+        """Restores it, when no other receiver answers."""
         with self._lock:
             was_answering = id(receiver) in self._answering
             self._answering.discard(id(receiver))

@@ -1,4 +1,4 @@
-"""Who sends: one after the other, as when a robot's program is started anew, or several at once."""
+"""Detects senders: one that replaces another, as after a restart, or several at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STREAM = 2  # packets; who sends every packet from a new port does not begin an
 
 @dataclass
 class _Sender:
-    """When a sender was heard of.
+    """When a sender has sent.
 
     Attributes:
         first: which packet of all was its first.
@@ -56,7 +56,7 @@ class Senders:
         self._packets = 0
 
     def note(self, senders: Addresses, arrivals: Array) -> None:
-        """Takes note of who sent a batch.
+        """Registers the senders of a batch.
 
         Args:
             senders: addresses, (n, any number of bytes), n >= 1.

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-LATE_WITHIN = 64  # numbers; what is further back comes from a sender that began anew
+LATE_WITHIN = 64  # numbers; what is further back comes from a sender that restarted
 LATE_SECONDS = 0.5  # likewise for time stamps
 RUN = 4  # as many old packets, one after the other in order, come from such a sender as well
 PAUSE = 0.5  # s; after it, an old number comes from such a sender as well
-MOST_LOST = 3000  # numbers; who skips more over the wrap to 0 began anew (RFC 3550, appendix A.1)
+MOST_LOST = 3000  # numbers; who skips more over the wrap to 0 restarted (RFC 3550, appendix A.1)
 
 _WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # a bit for the newest number and each that may be late
 
 
 class Position(Enum):
-    """Where a packet stands among those before it."""
+    """Order of a packet relative to those before it."""
 
     NEXT = 0
     DUPLICATE = 1
@@ -51,8 +51,8 @@ class SequenceTracker(Track):
         # Bit k is about the number k before the last: whether it came, whether it counts as lost.
         self._came = self._missing = 0
 
-    def is_plain(self, numbers: Sequence[int]) -> bool:
-        """Whether they are just the ones that come next; then `skip_to` will do."""
+    def is_consecutive(self, numbers: Sequence[int]) -> bool:
+        """Whether they directly follow the last number, so that `skip_to` suffices."""
         first, last = numbers[0], numbers[-1]
         return (
             self._last is not None
@@ -63,16 +63,16 @@ class SequenceTracker(Track):
         )
 
     def skip_to(self, number: int, arrival: float) -> None:
-        """Takes it for granted that all up to this number came in order."""
+        """Advances to a number, all before it having come in order."""
         steps = number - (self._last or 0)
         self._came = _shifted(self._came, steps) | ((1 << min(steps, LATE_WITHIN + 1)) - 1)
         self._missing = _shifted(self._missing, steps)
         self._last, self._last_arrival, self._run = number, arrival, 0
 
-    def place(self, number: int, arrival: float) -> Position:
-        """Where this number stands; `arrival` (s) tells pauses.
+    def classify(self, number: int, arrival: float) -> Position:
+        """Classifies a number; `arrival` (s) shows pauses.
 
-        The sender has begun anew when the number is more than 64 back, not ahead after a pause
+        The sender has restarted when the number is more than 64 back, not ahead after a pause
         of half a second, the fourth old one in order, or more than 3000 ahead over the wrap to 0.
         """
         last, paused = self._last, arrival - self._last_arrival > PAUSE
@@ -136,8 +136,8 @@ class StampTracker(Track):
         self._last_arrival = 0.0
         self._run, self._run_last = 0, 0.0
 
-    def place(self, stamp: float, arrival: float) -> Position:
-        """Where this time (s) stands; `arrival` (s) tells pauses."""
+    def classify(self, stamp: float, arrival: float) -> Position:
+        """Classifies a time stamp (s); `arrival` (s) shows pauses."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None or stamp >= last:

@@ -53,7 +53,7 @@ class ShmPackets:
         self.forget()
 
     def forget(self) -> None:
-        """Takes what is read next for new."""
+        """Treats the next packet that is read as new."""
         self._done = b""  # the packet that was returned last
         self._standing = b""  # a new one that may not be whole
         self._unfinished = b""  # one that is not, as its lock says
@@ -67,6 +67,8 @@ class ShmPackets:
         Raises:
             OSError: the block cannot be read.
         """
+        # Before it is read: whoever is held up in between must not count that as standing still.
+        started = time.monotonic()
         seen = block.read(self._size, self._offset)
         if seen == self._done and seen:
             return None
@@ -79,7 +81,7 @@ class ShmPackets:
         if self._lock is not None:
             packet = self._find_locked(block, self._lock, seen)
         elif self._sequence is None or not self._done or _differ(seen, self._done, self._sequence):
-            packet = self._find_standing(block, seen)
+            packet = self._find_standing(block, seen, started)
         else:
             packet = None  # the writer is in the middle of the next one
         if packet is not None:
@@ -128,10 +130,16 @@ class ShmPackets:
             return True
         return False
 
-    def _find_standing(self, block: Block, seen: bytes) -> bytes | None:
-        """Reads again until nothing has changed for a while."""
+    def _find_standing(self, block: Block, seen: bytes, started: float) -> bytes | None:
+        """Reads again until nothing has changed for a while.
+
+        Args:
+            block: to be read again.
+            seen: what stood there.
+            started: when it was about to be read, s.
+        """
         stands = seen == self._standing
-        if stands and time.monotonic() - self._since >= self._settle:
+        if stands and started - self._since >= self._settle:
             return seen
         if self._settle > _LONGEST_SPIN:
             if not stands:

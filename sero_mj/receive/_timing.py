@@ -30,12 +30,12 @@ class Timing:
         self._since = 0.0
 
     def restart(self) -> None:
-        """Forgets the sender's clock: it has begun anew."""
+        """Discards what depends on the sender's clock, after a restart."""
         self._arrival = self._stamp = None
         self._fastest = [np.inf, np.inf]
 
     def add(self, arrivals: Array, stamps: Array | None = None) -> None:
-        """Takes note of packets.
+        """Adds packets to the statistics.
 
         Args:
             arrivals: when they came, (n,), n >= 1, s.
@@ -67,7 +67,7 @@ class Timing:
             self._compare(float(slowness.min()), float(slowness[-1]))
 
     def _add_one(self, before: float, arrival: float, stamp: float | None) -> None:
-        """Takes note of one packet behind others, which is what comes at a robot's rate.
+        """Adds a single packet, the usual case at a robot's rate.
 
         Plain numbers: arrays of one number would take eight times as long.
         """

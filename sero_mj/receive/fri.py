@@ -66,7 +66,7 @@ class FriReceiver(UdpReceiver):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words, for people."""
+        """Kind and address, as shown to the user."""
         does = "answers, commands nothing" if self.answer else "listens only"
         return f"KUKA FRI 1.0 on {super().about}, {does}"
 

@@ -111,7 +111,7 @@ class FriLayout(Structure):
             before, offset = (values[event] for event in _COMMANDED)
             with np.errstate(invalid="ignore"):  # infinity - infinity
                 values["commanded_angles"] = before + offset
-        _turn_round(values)
+        _reverse_moments(values)
         for event in self.missing & values.keys():
             frames = values[event]
             with np.errstate(invalid="ignore", over="ignore"):
@@ -132,12 +132,12 @@ class FriLayout(Structure):
         if "commanded_angles" in packed:
             offset = np.asarray(packed.get("commanded_offset", 0.0))
             packed["commanded_before_fri"] = np.asarray(packed.pop("commanded_angles")) - offset
-        _turn_round(packed)
+        _reverse_moments(packed)
         return super().encode(packed)
 
 
-def _turn_round(values: dict[str, Any]) -> None:
-    """Puts z, y, x in place of x, y, z, and the other way."""
+def _reverse_moments(values: dict[str, Any]) -> None:
+    """Reverses the order of z, y, x to x, y, z, and back."""
     if "tcp_moment" in values:
         values["tcp_moment"] = values["tcp_moment"][..., ::-1]
     if "jacobian" in values:
@@ -177,7 +177,7 @@ def no_command(counter: int, reflected: int) -> bytes:
 
 
 def is_good(state: float, quality: float) -> bool:
-    """Whether there is nothing to tell of a controller's state and quality."""
+    """Whether a controller's state and quality need no warning."""
     return STATES.get(int(state)) in ("monitor", "command") and QUALITIES.get(int(quality)) in (
         "ok",
         "perfect",

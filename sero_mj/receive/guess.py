@@ -1,4 +1,4 @@
-"""Guesses what is in packets that nobody has described, from their size and their bytes."""
+"""Guesses the structure of unknown packets from their size and their bytes."""
 
 from __future__ import annotations
 

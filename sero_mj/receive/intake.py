@@ -1,4 +1,4 @@
-"""`Intake`: sorts packets into those that are applied and those that are counted and left out."""
+"""`Intake`: sorts packets into those that are applied and those that are only counted."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
 
 
 class Intake:
-    """Checks packets by the batch, as they come from a socket, a memory block or a file.
+    """Checks packets in batches, as they come from a socket, a memory block or a file.
 
     Args:
         layout: of the packets.
@@ -122,12 +122,12 @@ class Intake:
             senders = None if senders is None else senders[~bad]
         if len(rows) and (bad := layout.find_wrong_constants(rows)).any():
             counters.wrong_constant += int(bad.sum())
-            self._fault(layout.tell_wrong_constant(rows[bad][-1:]), arrivals[bad][-1])
+            self._fault(layout.describe_wrong_constant(rows[bad][-1:]), arrivals[bad][-1])
             rows, arrivals = rows[~bad], arrivals[~bad]
             senders = None if senders is None else senders[~bad]
         if not len(rows):
             return rows, arrivals
-        begins = None if senders is None else self._who(senders, arrivals)
+        begins = None if senders is None else self._note_senders(senders, arrivals)
         stamps = self._stamps(rows) if self._time else None
         places = self._follow(rows, arrivals, stamps, senders)
         blank = layout.find_not_finite(rows)
@@ -135,7 +135,7 @@ class Intake:
             good = ~blank
         else:
             good = ~layout.find_not_finite(rows, self.nan_allowed)
-            self._tell_not_finite(rows, arrivals, good)
+            self._count_not_finite(rows, arrivals, good)
         if required := layout.required_frames:
             good &= self._are_frames(rows, arrivals, good, required)
         self._time_good(good, arrivals, stamps, places, begins)
@@ -151,7 +151,7 @@ class Intake:
             rows, arrivals = rows[good], arrivals[good]
         return rows, arrivals
 
-    def _tell_not_finite(self, rows: Rows, arrivals: Array, good: NDArray[np.bool_]) -> None:
+    def _count_not_finite(self, rows: Rows, arrivals: Array, good: NDArray[np.bool_]) -> None:
         if good.all():
             return
         self._tally.not_finite += int((~good).sum())
@@ -185,7 +185,7 @@ class Intake:
             self.on_fault(tally.last_fault)
 
     def restart(self) -> None:
-        """Takes note that the sender has begun anew, where more than its numbers tells so."""
+        """Registers a restart of the sender that more than its numbers shows."""
         self._lost_by_forgotten += sum(tracker.lost for tracker in self._trackers.values())
         self._trackers.clear()
         self.counters.restarts += 1
@@ -264,13 +264,13 @@ class Intake:
         one_sender = senders is None or (senders == senders[0]).all()
         if one_sender and finite.all():
             tracker = self._tracker(b"" if senders is None else senders[0].tobytes())
-            if isinstance(tracker, SequenceTracker) and tracker.is_plain(numbers):
+            if isinstance(tracker, SequenceTracker) and tracker.is_consecutive(numbers):
                 tracker.skip_to(numbers[-1], float(arrivals[-1]))
                 return places
         for i, arrival in enumerate(arrivals.tolist()):
             if finite[i]:
                 tracker = self._tracker(b"" if senders is None else senders[i].tobytes())
-                places[i] = tracker.place(numbers[i], arrival).value
+                places[i] = tracker.classify(numbers[i], arrival).value
         return places
 
     def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:
@@ -284,10 +284,10 @@ class Intake:
             self._trackers.move_to_end(sender)
         return tracker
 
-    def _who(self, senders: Addresses, arrivals: Array) -> int | None:
+    def _note_senders(self, senders: Addresses, arrivals: Array) -> int | None:
         """Notes who sent; returns the row from which on another one does, with another clock."""
         self._senders.note(senders, arrivals)
-        for gone in self._senders.gone:  # its successor is it, begun anew
+        for gone in self._senders.gone:  # its successor is the same program, restarted
             self._tally.restarts += 1
             if (tracker := self._trackers.pop(gone, None)) is not None:
                 self._lost_by_forgotten += tracker.lost

@@ -175,13 +175,18 @@ class Receiver(Declaration):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words, for people."""
+        """Kind and address, as shown to the user."""
         return self.name
 
     @property
     def trouble(self) -> str:
-        """What keeps packets from coming, for people; empty when nothing is known to."""
+        """Why no packets arrive, as shown to the user; empty when unknown."""
         return ""
+
+    @property
+    def error(self) -> Exception | None:
+        """Why it cannot go on, where it has failed since it was opened; else None."""
+        return None
 
     @property
     def receiving(self) -> bool:
@@ -196,7 +201,7 @@ class Receiver(Declaration):
 
     @property
     def is_live(self) -> bool:
-        """Whether packets come when they like; those of a recording come when they are wanted."""
+        """Whether packets arrive in real time; those of a recording come as `advance_to` asks."""
         return True
 
     @property
@@ -222,7 +227,7 @@ class Receiver(Declaration):
         return clock.monotonic()
 
     def advance_to(self, time: float) -> None:
-        """Goes on to a time, s, where a source does not follow the clock by itself."""
+        """Advances to a time, s, where a source does not follow the real time."""
 
     def allow_nan(self, events: Collection[str]) -> None:
         """Lets NaN and infinity mean `no data` in these events, and in no others.
@@ -333,7 +338,7 @@ class Receiver(Declaration):
         return self._first.wait(timeout)
 
     def accept(self, packets: Sequence[bytes], arrivals: Sequence[float] | None = None) -> None:
-        """Takes in packets as they came, the malformed too; only for the source's own thread.
+        """Accepts packets as they came, the malformed too; only for the source's own thread.
 
         Args:
             packets: bytes of each, n.
@@ -351,7 +356,7 @@ class Receiver(Declaration):
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> None:
-        """Takes in packets as they came, in rows; only for the source's own thread."""
+        """Accepts packets in rows; only for the source's own thread."""
         if (tap := self._tap) is not None:
             tap(rows, lengths, arrivals)
         intake = self._intake or self.intake
@@ -361,7 +366,7 @@ class Receiver(Declaration):
             self._hand_on(rows, arrivals)
         intake.count()
         if self.debug_level >= 2:
-            self._tell(before, len(rows))
+            self._log_batch(before, len(rows))
         if len(rows):
             self._call_back()
 
@@ -392,10 +397,10 @@ class Receiver(Declaration):
             self._warned = now
             log.warning("source '%s': a packet is not applied: %s", self.name, fault)
 
-    def _tell(self, before: tuple[int, int], good: int) -> None:
+    def _log_batch(self, before: tuple[int, int], good: int) -> None:
         counters = self.counters
         if counters.restarts > before[0]:
-            log.info("source '%s': its sender has begun anew", self.name)
+            log.info("source '%s': its sender restarted", self.name)
         if counters.lost > before[1]:
             log.info("source '%s': %d packets lost", self.name, counters.lost - before[1])
         if self.debug_level >= 3:

@@ -12,7 +12,7 @@ MEANINGS = {
     "lost": "numbers that never came",
     "late": "after one with a higher number",
     "duplicates": "with a number that was there",
-    "restarts": "the sender began anew",
+    "restarts": "the sender restarted",
     "wrong_size": "not as long as the structure says",
     "wrong_constant": "another number where the structure demands one",
     "not_finite": "NaN or infinity where something would move",
@@ -20,12 +20,12 @@ MEANINGS = {
     "foreign": "from others than the sender that is named",
     "torn": "reads given up because the writer was in between",
     "blanked": "with values that are no data",
-    "dropped": "thrown away by the kernel, its buffer was full",
+    "dropped": "dropped by the kernel, its buffer was full",
 }
 
 
 def report(source: Source) -> dict[str, Any]:
-    """Everything that is known about what came in.
+    """Counters, rate and age of a source, by name.
 
     Returns:
         every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s

@@ -16,7 +16,7 @@ from .source import Packet, Packets
 
 _LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
 _BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
-_TELL_EVERY = 1.0  # s; how often a block that stays too small is counted
+_COUNT_EVERY = 1.0  # s; how often a block that stays too small is counted
 _GATHER = 8e-4  # s; packets that come faster are checked together, as one costs what ten do
 
 
@@ -64,7 +64,7 @@ class ShmReader(Receiver):
     _owes_call_back: bool = PrivateAttr(False)
     _packets: ShmPackets | None = PrivateAttr(None)
     _look_next: float = PrivateAttr(0.0)
-    _tell_next: float = PrivateAttr(0.0)
+    _count_next: float = PrivateAttr(0.0)
     _trouble: str = PrivateAttr("")  # with the block itself
     # What has been read and is to be checked: packets, of any length, and when they were read.
     _gathered: list[tuple[bytes, float]] = PrivateAttr(default_factory=list)
@@ -98,12 +98,12 @@ class ShmReader(Receiver):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words, for people."""
+        """Kind and address, as shown to the user."""
         return f"shared memory {block_path(self.block)}"
 
     @property
     def trouble(self) -> str:
-        """What keeps packets from coming, for people; empty when nothing is known to."""
+        """Why no packets arrive, as shown to the user; empty when unknown."""
         return self._trouble or (self._packets.trouble if self._packets is not None else "")
 
     def open(self) -> None:
@@ -123,7 +123,7 @@ class ShmReader(Receiver):
             settle=self.settle,
         )
         self._gathered, self._checked = [], -np.inf
-        self._tell_next, self._look_next = 0.0, clock.monotonic() + _LOOK_EVERY
+        self._count_next, self._look_next = 0.0, clock.monotonic() + _LOOK_EVERY
         self._trouble = ""
         try:
             self._block = Block(self.block)
@@ -139,7 +139,7 @@ class ShmReader(Receiver):
         self._thread.start()
 
     def close(self) -> None:
-        """Stops the thread and lets go of the block; harmless when it is not open."""
+        """Stops the thread and closes the block; harmless when it is not open."""
         if self._thread is not None:
             self._closing.set()
             self._wake.release()
@@ -227,8 +227,8 @@ class ShmReader(Receiver):
                 packets.torn = 0
         elif len(found) == self.size:
             self._gathered.append((found, now))
-        elif now >= self._tell_next and block.size:  # else it has been made a moment ago
-            self._tell_next = now + _TELL_EVERY
+        elif now >= self._count_next and block.size:  # else it has been made a moment ago
+            self._count_next = now + _COUNT_EVERY
             self._gathered.append((found, now))
 
     def _check(self) -> None:
@@ -263,7 +263,7 @@ class ShmReader(Receiver):
                 self.intake.restart()
                 self._packets.forget()
                 if self.debug_level >= 2:
-                    log.info("source '%s': %s was made anew", self.name, self.about)
+                    log.info("source '%s': %s was made again", self.name, self.about)
         self._block = found
 
 

@@ -42,7 +42,7 @@ def block_path(name: str) -> str:
 
 
 def _system_call(name: str) -> _Call | None:
-    """`pread` or `pwrite` without giving up the interpreter meanwhile.
+    """`pread` or `pwrite` while holding the interpreter lock.
 
     `os.pread` lets other Python threads run, and a busy one gives the interpreter back after 5 ms
     only: between two reads that must be next to each other.
@@ -141,7 +141,7 @@ class Block:
         return self._map
 
     def close(self) -> None:
-        """Lets go of it; it stays where it is. Harmless when that is done already."""
+        """Closes it; the block stays. Harmless when it is closed."""
         if self._map is not None:
             self._map.close()
             self._map = None
@@ -150,7 +150,7 @@ class Block:
             self._fd = -1
 
     def unlink(self) -> None:
-        """Removes its name, if that is still its own; it goes when the last one lets go of it."""
+        """Removes its name, if that is still its own; the last user frees the memory."""
         try:
             other = Block(self.path)
         except OSError:

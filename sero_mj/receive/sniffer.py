@@ -1,4 +1,4 @@
-"""Listens to a port and sorts what comes by sender and size, whatever it is."""
+"""Listens to a port and sorts packets of any kind by sender and size."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ class Stream:
 
     @property
     def description(self) -> str:
-        """What can be said of the bytes in words; mostly nothing."""
+        """The bytes in words, where they are text or zeros; else empty."""
         return describe_bytes(self.rows)
 
 
 class Sniffer:
-    """Receives packets of any size from anybody.
+    """Receives packets of any size from any sender.
 
     Args:
         host: address to listen on; `0.0.0.0` for every interface, or a multicast group.

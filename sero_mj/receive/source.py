@@ -81,7 +81,7 @@ class Counters:
         lost: sequence numbers that never came.
         late: came after one with a higher number; applied only when none may be lost.
         duplicates: came before with the same number; not applied.
-        restarts: how often the sender began anew: with its numbers, or from another port.
+        restarts: how often the sender restarted: with its numbers, or from another port.
         torn: reads of shared memory given up because the writer was always in between.
         senders: how many send at once, in turns, within the last 2 s.
         blanked: good ones with NaN or infinity where these are allowed.
@@ -147,11 +147,15 @@ class Source(Protocol):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words, for people."""
+        """Kind and address, as shown to the user."""
 
     @property
     def trouble(self) -> str:
-        """What keeps packets from coming, for people; empty when nothing is known to."""
+        """Why no packets arrive, as shown to the user; empty when unknown."""
+
+    @property
+    def error(self) -> Exception | None:
+        """Why it cannot go on, where it has failed since it was opened; else None."""
 
     @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
@@ -227,7 +231,7 @@ class Source(Protocol):
 
     @property
     def is_live(self) -> bool:
-        """Whether packets come when they like; those of a recording come when they are wanted."""
+        """Whether packets arrive in real time; those of a recording come as `advance_to` asks."""
 
     @property
     def end(self) -> float | None:
@@ -249,7 +253,7 @@ class Source(Protocol):
         """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
 
     def advance_to(self, time: float) -> None:
-        """Goes on to a time, s, where the source does not follow the clock by itself."""
+        """Advances to a time, s, where the source does not follow the real time."""
 
     def on_receive(self, callback: Callable[[], None]) -> None:
         """Calls back, on the source's thread, whenever good packets have come."""

@@ -243,7 +243,7 @@ class Structure:
             bad |= _is_wrong(rows, item, constant).any(axis=1)
         return bad
 
-    def tell_wrong_constant(self, rows: Rows) -> str:
+    def describe_wrong_constant(self, rows: Rows) -> str:
         """Says what is wrong with the first packet's constants; empty when nothing is."""
         for item, constant in self._constants:
             if (wrong := _is_wrong(rows[:1], item, constant)[0]).any():
@@ -254,7 +254,7 @@ class Structure:
                 said = f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
                 if item.item_bytes > 1 and found.byteswap() == constant:
                     other = "<" if item.dtype.byteorder == ">" else ">"
-                    said += f"; these are its bytes turned round: '{other}'?"
+                    said += f"; these are its bytes in reverse order: '{other}'?"
                 return said
         return ""
 

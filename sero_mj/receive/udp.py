@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 
 from ._datagrams import BATCH, Batch, Datagrams, OnArrival, canonical_address, pack_address
-from ._scheduling import ask_for_short_slices
+from ._scheduling import request_short_slices
 from ._sockets import open_socket
 from .receiver import Receiver, log
 
@@ -84,7 +84,7 @@ class UdpReceiver(Receiver):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words, for people."""
+        """Kind and address, as shown to the user."""
         return f"UDP {self.host}:{self.port}"
 
     def open(self) -> None:
@@ -128,7 +128,7 @@ class UdpReceiver(Receiver):
         datagrams.on_arrival = self._on_arrival(datagrams.send)
         answers, since = datagrams.on_arrival is not None, 0.0
         if answers:
-            ask_for_short_slices()
+            request_short_slices()
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake[0], selectors.EVENT_READ)
@@ -161,7 +161,7 @@ class UdpReceiver(Receiver):
             self._take_in(batch)
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
-        """What is done with each packet first of all, strangers' too; None for nothing."""
+        """A callback for every packet, before its sender is checked; None for none."""
         return None
 
     def _is_known(self, sender: bytes) -> bool:
@@ -169,7 +169,7 @@ class UdpReceiver(Receiver):
         return not self._allowed or _is_among(sender, self._allowed)
 
     def _take_in(self, batch: Batch) -> None:
-        """Takes in a batch, without what strangers sent."""
+        """Accepts a batch, without packets of other senders than `sender`."""
         rows, lengths, arrivals, senders = batch.rows, batch.lengths, batch.arrivals, batch.senders
         if self._allowed:
             if (senders == senders[0]).all():
@@ -177,9 +177,9 @@ class UdpReceiver(Receiver):
             else:
                 known = np.array([self._is_known(sender.tobytes()) for sender in senders])
             if not known.all():
-                strangers = int((~known).sum())
-                self.counters.foreign += strangers
-                self.counters.received += strangers
+                foreign = int((~known).sum())
+                self.counters.foreign += foreign
+                self.counters.received += foreign
                 if not known.any():
                     return
                 rows, lengths = rows[known], lengths[known]
@@ -206,7 +206,9 @@ def split_sender(text: str) -> tuple[str, int]:
         number = -1
     else:
         if address.is_unspecified or address.is_multicast:
-            raise ValueError(f"found {text!r}, from which nobody sends; leave it out for anybody")
+            raise ValueError(
+                f"found {text!r}, which no sender has; leave it out to accept every sender"
+            )
     if not 0 <= number <= 65535:
         message = "expected an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234"
         raise ValueError(f"found {text!r}; {message}")

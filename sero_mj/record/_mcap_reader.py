@@ -1,4 +1,4 @@
-"""Reads MCAP files of anybody: where everything is, and the messages of a chunk.
+"""Reads MCAP files of any program: where everything is, and the messages of a chunk.
 
 Where everything is says the file's summary, or else a walk through it. A file whose process was
 killed has no summary. Walking through it skips what records contain, so it takes about as long as
@@ -100,7 +100,16 @@ def read_index(file: BinaryIO) -> FileIndex:
 
 
 def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
-    """Returns what a record says, without its head; raises ValueError where it does not fit."""
+    """Returns the content of a record, without its head.
+
+    Args:
+        file: the MCAP file.
+        offset: where the content begins, bytes.
+        length: of the content, bytes.
+
+    Raises:
+        ValueError: it does not fit into the file.
+    """
     size = file.seek(0, os.SEEK_END)
     if not 0 <= offset <= offset + length <= size:
         raise ValueError(f"{length} bytes at byte {offset} are beyond the end of the file")
@@ -186,7 +195,7 @@ def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 
 class _Chunks:
-    """Chunks as they are met, and their messages as the records behind them tell."""
+    """Chunks in the order of the file, with counts from the message indices behind them."""
 
     def __init__(self) -> None:
         self.places: list[tuple[int, int, int, int]] = []
@@ -213,7 +222,7 @@ class _Chunks:
 def _note(
     file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex, chunks: _Chunks
 ) -> None:
-    """Notes what a record is; the file stands behind the record's head."""
+    """Adds a record to the index; the file stands behind the record's head."""
     if opcode == Opcode.CHUNK:
         first, last = struct.unpack("<QQ", file.read(16))
         chunks.places.append((offset, length, first, last))

@@ -117,7 +117,7 @@ class McapStream:
         self.size = self._end + len(data)
 
     def _rescue(self, error: OSError) -> NoReturn:
-        """Takes back what is half written, closes the file, and tells."""
+        """Removes what is half written, closes the file, and raises the error."""
         with contextlib.suppress(OSError):
             # The ending keeps its room on the disk throughout.
             self._file.truncate(self._end + len(SHORT_ENDING))

@@ -18,7 +18,7 @@ TIME = "time"
 
 @dataclass(frozen=True)
 class Exported:
-    """What came into a table.
+    """What was written to a table.
 
     Attributes:
         rows: packets, one row each.

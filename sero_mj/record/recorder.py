@@ -28,7 +28,7 @@ _BURST = 0.05  # s of signals that may come at once, because packets come in bat
 
 @dataclass(frozen=True)
 class RecorderStatistics:
-    """How a recording goes.
+    """Packets and bytes of a recording so far.
 
     Attributes:
         packets: those that were written, of all sources. When the disk was full, up to one chunk
@@ -146,7 +146,7 @@ class Recorder:
         self._thread.start()
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
-        """Makes room for a source; before its packets are taken.
+        """Adds a source; before its packets are taken.
 
         Args:
             name: the source's name in routes.
@@ -161,7 +161,16 @@ class Recorder:
             self._decoders[name] = (decode, RateLimiter(self._signals_rate))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Puts a file into the recording: the scene, a robot; raises RecordingError."""
+        """Puts a file into the recording: the scene, a robot.
+
+        Args:
+            name: the file's name, with folders where that matters.
+            media_type: e.g. `application/toml`.
+            data: its contents.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
         with self._writing:
             self._writer.attach(name, media_type, data)
 
@@ -224,7 +233,7 @@ class Recorder:
 
     @property
     def statistics(self) -> RecorderStatistics:
-        """How it goes, at this moment."""
+        """Packets and bytes so far."""
         with self._changed:
             end = time.monotonic() if math.isnan(self._ended) else self._ended
             return RecorderStatistics(

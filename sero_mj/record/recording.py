@@ -16,7 +16,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 from mcap.writer import MCAP0_MAGIC
 
-from ..errors import RecordingError, UnknownName
+from ..errors import RecordingError, UnknownName, UsageError, did_you_mean
 from ..files import open_file
 from ._mcap_reader import (
     BROKEN,
@@ -186,6 +186,25 @@ class Recording:
             return math.nan, math.nan
         return self._seconds(first), self._seconds(last)
 
+    def choose_source(self, name: str = "", default: str = "") -> str:
+        """Returns the name of one of its sources.
+
+        Args:
+            name: which; empty for `default`, or the only one.
+            default: taken where there is a source of this name and no other is asked for.
+
+        Raises:
+            UsageError: there is no such source, or several to choose from.
+        """
+        names = list(self.sources)
+        chosen = name or (default if default in names or len(names) != 1 else names[0])
+        if chosen in names:
+            return chosen
+        if name:
+            raise UsageError(f"no source '{name}' in {self.path}{did_you_mean(name, names)}")
+        found = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
+        raise UsageError(f"{self.path} {found}")
+
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
@@ -322,13 +341,13 @@ class Recording:
         try:
             found = unpack_messages(record.getvalue(), channel)
         except BROKEN as error:
-            self._tell_damaged(chunk, error)
+            self._report_damaged(chunk, error)
             return []
         with self._lock:
             self._cached = (chunk.offset, channel, found)
         return found
 
-    def _tell_damaged(self, chunk: ChunkPlace, error: BaseException) -> None:
+    def _report_damaged(self, chunk: ChunkPlace, error: BaseException) -> None:
         with self._lock:
             if chunk.offset in self._damaged:
                 return

@@ -48,7 +48,7 @@ class _Channels:
 
 
 class RecordingWriter:
-    """Writes a recording. For one thread at a time; `Recorder` is the front for several.
+    """Writes a recording. For one thread at a time; `Recorder` is for several.
 
     The process may be killed at any time: what came more than `flush_after` before is in the file,
     as long as something is written or `flush_if_old` is called now and then. The file can be read
@@ -112,7 +112,7 @@ class RecordingWriter:
         size: int,
         signals: Signals | None = None,
     ) -> None:
-        """Makes room for a source's packets and for what they mean.
+        """Adds a source: a channel for its packets and one for its decoded values.
 
         Args:
             name: the source's name in routes.
@@ -155,7 +155,7 @@ class RecordingWriter:
         return number
 
     def _repeat(self, record: McapRecord) -> None:
-        """Writes a record outside of chunks too: that it is there must not hang on a chunk."""
+        """Writes a record outside of chunks too, so that it can be read where a chunk is lost."""
         self._file.write(pack_record(record))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -172,7 +172,7 @@ class RecordingWriter:
     def write_raw(
         self, name: str, packet: bytes, arrival: float, sequence: int | None = None
     ) -> None:
-        """Keeps a packet as it came.
+        """Writes a packet as it came.
 
         Args:
             name: its source.
@@ -192,7 +192,7 @@ class RecordingWriter:
         self._add_packet(channels.raw, packet, log_time, number)
 
     def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
-        """Keeps packets of one length all at once.
+        """Writes packets of one length, all at once.
 
         Args:
             name: their source.
@@ -214,7 +214,7 @@ class RecordingWriter:
     def write_signals(
         self, name: str, values: Mapping[str, NDArray[np.float64]], arrival: float
     ) -> None:
-        """Keeps what a good packet means, for other programs; call it behind its `write_raw`.
+        """Writes the decoded values of a good packet, for other programs; after its `write_raw`.
 
         Args:
             name: its source.
@@ -239,7 +239,7 @@ class RecordingWriter:
         arrivals: NDArray[np.float64],
         sequences: Sequence[int],
     ) -> None:
-        """Keeps what many packets mean at once.
+        """Writes the decoded values of many packets.
 
         Args:
             name: their source.
@@ -282,7 +282,7 @@ class RecordingWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Brings all that was written into the file; raises RecordingError."""
+        """Writes all that waits into the file; raises RecordingError."""
         if not self._waiting:
             return
         self._writer.flush()

@@ -48,7 +48,7 @@ class Replay(Receiver):
         file: the recording, made by `sero-mj record`.
         source: which of its sources; the one of this name, or the only one, when empty.
         speed: 1 is as it was, 2 twice as fast.
-        loop: begins anew at the end; else it stays there, and grows stale.
+        loop: starts again at the end; else it stays there, and its data become stale.
         start: where it begins, s since the recording began; at the first packet of any of its
             sources when None.
         stop: where it ends, likewise; at the recording's end when None.
@@ -94,17 +94,10 @@ class Replay(Receiver):
     def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data:
             return source
-        file, name = info.data["file"], str(info.data.get("name"))
-        with Recording(file) as recording:
-            recorded = recording.sources
-        if source and source not in recorded:
-            raise ValueError(f"no source '{source}' in {file}{did_you_mean(source, recorded)}")
-        if not source and name not in recorded and len(recorded) != 1:
-            found = f"has {', '.join(recorded)}; choose one" if recorded else "has no source"
-            raise ValueError(f"{file} {found}")
-        chosen = source or (name if name in recorded else next(iter(recorded)))
+        with Recording(info.data["file"]) as recording:
+            chosen = recording.choose_source(source, str(info.data.get("name")))
         try:
-            _receiver_of(file, recorded[chosen], chosen)
+            _receiver_of(recording.path, recording.sources[chosen], chosen)
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return chosen
@@ -139,7 +132,7 @@ class Replay(Receiver):
 
     @cached_property
     def original(self) -> Receiver:
-        """The receiver that once listened; it is never opened, but knows how to decode."""
+        """The receiver as it was recorded; never opened, it only decodes."""
         receiver = _receiver_of(self.file, self.recorded, self.name)
         receiver.only_latest_packet = self.only_latest_packet
         return receiver
@@ -156,7 +149,7 @@ class Replay(Receiver):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words, for people."""
+        """Kind and address, as shown to the user."""
         return f"replay of {self.file}, {self.duration:.1f} s"
 
     @property
@@ -184,12 +177,12 @@ class Replay(Receiver):
 
     @property
     def is_live(self) -> bool:
-        """Packets come when they are wanted."""
+        """Packets come as `advance_to` asks."""
         return False
 
     @property
     def end(self) -> float | None:
-        """How long it plays, s; None where it begins anew."""
+        """How long it plays, s; None where it loops."""
         return None if self.loop else self.duration / self.speed
 
     def now(self) -> float:
@@ -233,11 +226,11 @@ class Replay(Receiver):
         self._coming = iter(())
 
     def wait(self, timeout: float) -> bool:
-        """Whether there are packets at all; nothing is to be waited for."""
+        """Whether there are packets at all; returns at once."""
         return self.recorded.count > 0
 
     def advance_to(self, time: float) -> None:
-        """Takes in what had come by then.
+        """Plays the packets up to a time.
 
         Args:
             time: of whoever drives it, s; 0 is where it starts.
@@ -260,19 +253,24 @@ class Replay(Receiver):
             self._beyond = beyond
 
     def seek(self, position: float, clock: float = 0.0) -> None:
-        """Goes to a position, s since the recording began; `clock` is the driver's time now."""
+        """Seeks a position.
+
+        Args:
+            position: s since the recording began.
+            clock: the time now of whoever drives it, s.
+        """
         with self._lock:
             position = min(max(position, self._begin), self._end)
             self._anchor = (clock, position)
             self._go_to(position)
 
     def pause(self, clock: float = 0.0) -> None:
-        """Stands still; `clock` is the driver's time now."""
+        """Pauses; `clock` is the driver's time now."""
         self.advance_to(clock)
         self._paused = True
 
     def resume(self, clock: float = 0.0) -> None:
-        """Goes on from where it stands."""
+        """Resumes at its position; `clock` is the driver's time now."""
         self._paused = False
         self._anchor = (clock, self._position)
 
@@ -282,7 +280,7 @@ class Replay(Receiver):
             return super().take()
 
     def _go_to(self, position: float) -> None:
-        """Forgets what was played, and shows what was there at that time."""
+        """Seeks: discards what was played, and plays the last packet before that time."""
         assert self._recording is not None
         number = self._number
         self._intake = self._new_intake()
@@ -297,7 +295,7 @@ class Replay(Receiver):
         self._number = number  # goes on: whoever takes packets must see that these are new
         if before is not None:
             self._hand_in([before])
-        self._tell_faults()
+        self._log_faults()
 
     def _play_until(self, position: float) -> None:
         self._position = position
@@ -314,9 +312,9 @@ class Replay(Receiver):
                 batch = []
         if batch:
             self._hand_in(batch)
-        self._tell_faults()
+        self._log_faults()
 
-    def _tell_faults(self) -> None:
+    def _log_faults(self) -> None:
         """Logs what is wrong with the recording, as it is found."""
         assert self._recording is not None
         faults = self._recording.faults

@@ -1,4 +1,4 @@
-"""What can be asked of a run: errors, speeds, torques, forces, as numbers over time."""
+"""Measures of a run: errors, speeds, torques and forces over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fault detector over the log of a run: when is something not as it should be, and where."""
+"""`Monitor`: a fault detector over the log of a run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CLOSE = 1e-3  # rad or m, from a stop
 
 
 class Monitor(Declaration):
-    """What counts as a fault; everything has to last for `hold`.
+    """Thresholds of faults; each has to be exceeded for `hold`.
 
     Attributes:
         torque_error: |commanded - measured| torque, as a share of the joint's torque limit. What
@@ -105,7 +105,7 @@ class Monitor(Declaration):
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that was found in a run.
+    """A fault that the monitor has found.
 
     Attributes:
         time: when it was noticed, s.

@@ -75,7 +75,7 @@ def read_events(recording: Recording, receiver: Receiver, name: str) -> Series:
 
 
 def receiver_of(recording: Recording, name: str) -> Receiver:
-    """What once received a source, as far as it takes to decode its packets."""
+    """A receiver that decodes the packets of a recorded source."""
     receiver = Replay(file=recording.path, source=name).original
     receiver.debug_level = 0
     return receiver

@@ -17,7 +17,7 @@ _ROBOT_FILE = "robot.toml"
 
 
 def recorded_robots(recording: Recording) -> dict[str, SerialRobot]:
-    """Robots by the names that they had: of the scene in the recording, else of their folders.
+    """Robots by their names in the recorded scene, else by those of their folders.
 
     A robot that is installed here as it was recorded has its meshes; of another one the links grow
     from its table.

@@ -1,4 +1,4 @@
-"""What a scene's routes make of recorded packets, all of them at once."""
+"""Signals of robots from recorded packets, by a scene's routes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..errors import RecordingError
 from ..receive.receiver import Receiver
 from ..receive.source import SIGNALS
 from ..record.recording import Recording
-from .recorded_events import Series, read_events, receiver_of
+from .recorded_events import read_events, receiver_of
 from .run_log import event_of
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ def follow_routes(
     routes: Mapping[str, Any],
     doubles: Mapping[str, Any],
 ) -> tuple[dict[str, Array], Array]:
-    """Computes what robots got.
+    """Computes the inputs of robots over a recording.
 
     The rows are the packets of the source that moves the first robot; of other sources the
     newest packet counts, as in a picture.
@@ -58,10 +58,11 @@ def follow_routes(
           if isinstance(table, Mapping) and table.get("of") in robots}  # fmt: skip
     wanted = {name: origin_text(origin) for name, origin in routes.items()}
     wanted = _possible(wanted, set(robots) | set(of), sources)
+    receivers = {name: receiver_of(recording, name) for name in sources}
     scene = Scene(
         robots=list(robots.values()),
         doubles=[Double(name=name, of=robot) for name, robot in of.items()],
-        sources={name: receiver_of(recording, name) for name in sources},
+        sources=receivers,
         routes=wanted,
     )
     wiring = wire(scene)
@@ -74,7 +75,7 @@ def follow_routes(
         led = ", ".join(routes) or "none"
         reason = f"no source in it moves a robot: found routes to {led}; expected {{}}.joint_angles"
         raise RecordingError(recording.path, reason.format(next(iter(robots))))
-    follower = _Follower(recording, wiring, moved[0])
+    follower = _Follower(recording, receivers, wiring, moved[0])
     return follower.signals(robots, of)
 
 
@@ -104,15 +105,17 @@ def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> b
 class _Follower:
     """Computes routes over time, each once."""
 
-    def __init__(self, recording: Recording, wiring: Wiring, first: str) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        receivers: Mapping[str, Receiver],
+        wiring: Wiring,
+        first: str,
+    ) -> None:
         self._routes = {route.to.target: route.value for route in wiring.routes}
         names = {origin.name for value in self._routes.values() for origin in value.origins
                  if origin.is_event}  # fmt: skip
-        self._series: dict[str, Series] = {}
-        for name in names:
-            receiver = wiring.sources[name]
-            assert isinstance(receiver, Receiver)
-            self._series[name] = read_events(recording, receiver, name)
+        self._series = {name: read_events(recording, receivers[name], name) for name in names}
         self._path = recording.path
         self._done: dict[str, Array] = {}
         self._times = self._rows_of(f"{first}.joint_angles")

@@ -1,4 +1,4 @@
-"""`RunLog`: what happened in a run, a row for every step; each row is a packet as well."""
+"""`RunLog`: the signals of a run, a row for every step; each row is a packet as well."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def recorded_event(event: str, recorded: Collection[str]) -> str:
 
 
 class RunLayout:
-    """Where everything stands in a row of float64 numbers.
+    """The columns of a log: rows of float64 numbers.
 
     Args:
         joints: robot name to its number of joints, in the order of the world.
@@ -120,7 +120,14 @@ class RunLog:
     def from_rows(
         cls, layout: RunLayout, rows: Array, robots: Mapping[str, SerialRobot], name: str = "run"
     ) -> RunLog:
-        """A log whose signals are views into rows (T, width)."""
+        """A log whose signals are views into rows.
+
+        Args:
+            layout: of the rows.
+            rows: (T, width).
+            robots: declarations by name.
+            name: for titles.
+        """
         signals = {}
         for event, columns in layout.columns.items():
             shape = layout.structure.events[event]
@@ -201,3 +208,41 @@ def routes_from_recording(
         target: event.sub(rename, origin) if isinstance(origin, str) else origin
         for target, origin in routes.items()
     }
+
+
+def commanded_torques(log: RunLog, robot: str) -> Array:
+    """Commanded torques, (T, n), Nm; NaN in the first row where nothing was commanded yet.
+
+    Zeros in the first row only are what a log starts with before anybody commands anything, and
+    would be the largest error of many a run.
+
+    Raises:
+        KeyError: nothing is known of what was commanded.
+    """
+    commanded = log.of(robot, "commanded_torques")
+    if len(commanded) == 0 or commanded[0].any():
+        return commanded
+    commanded = commanded.copy()
+    commanded[0] = np.nan
+    return commanded
+
+
+def torque_error(log: RunLog, robot: str) -> Array:
+    """Commanded less measured torque, (T, n), Nm; raises KeyError."""
+    return np.asarray(commanded_torques(log, robot) - log.of(robot, "torques"))
+
+
+def compared_signal(log: RunLog, robot: str, signal: str) -> Array:
+    """A signal of a robot, (T, n); commanded torques as `commanded_torques` has them.
+
+    Args:
+        log: the run.
+        robot: its name.
+        signal: `joint_angles`, `torques`, ...
+
+    Raises:
+        KeyError: it is not there.
+    """
+    if signal == "commanded_torques":
+        return commanded_torques(log, robot)
+    return log.of(robot, signal)

@@ -17,7 +17,7 @@ from ..receive.structure import Structure
 Array = NDArray[np.float64]
 
 
-class Run(Protocol):
+class LogRows(Protocol):
     """Rows that are there, or that can be computed; the first number of each is its time, s."""
 
     @property

@@ -64,7 +64,16 @@ class InverseDynamics:
         self._world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
     def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Joint torques (n,), Nm, that make the motion."""
+        """Joint torques that make the motion.
+
+        Args:
+            position: of the joints, (n,), rad or m.
+            velocity: of the joints, (n,), rad/s or m/s.
+            acceleration: of the joints, (n,), rad/s2 or m/s2.
+
+        Returns:
+            torques, (n,), Nm or N.
+        """
         data = self._data
         data.qpos[:], data.qvel[:], data.qacc[:] = position, velocity, acceleration
         mujoco.mj_inverse(self._world.model, data)

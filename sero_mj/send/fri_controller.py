@@ -102,7 +102,7 @@ class FriController:
         self.restart()
 
     def restart(self) -> None:
-        """Begins anew, as after the interface was closed and opened: counters and statistics."""
+        """Resets counters and statistics, as after the interface was closed and opened."""
         self._counter = self._first
         self._reflected = 0
         self._statistics = AnswerStatistics()
@@ -136,7 +136,7 @@ class FriController:
         return packet
 
     def take_answer(self, packet: bytes, came_at: float) -> bool:
-        """Takes what a client sent at a time (s); returns whether it is a command packet."""
+        """Takes an answer that came at a time (s); returns whether it is a command packet."""
         row = np.frombuffer(packet, np.uint8)[None]
         if len(packet) != self._command.size or self._command.find_wrong_constants(row)[0]:
             self.wrong_answers += 1
@@ -325,7 +325,7 @@ class AnswerStatistics:
 
 @dataclass
 class NetworkFaults:
-    """A network that loses, doubles and swaps packets, the same ones for one seed.
+    """A network that loses, duplicates and reorders packets; reproducible by its seed.
 
     Attributes:
         loss: share of the packets that are withheld, 0 to 1.
@@ -351,7 +351,7 @@ class NetworkFaults:
         self._random = np.random.default_rng(self.seed)
 
     def pass_on(self, packet: bytes) -> list[bytes]:
-        """Returns what comes out when a packet goes in."""
+        """Returns the packets that leave when one enters."""
         chance = self._random.random(3)  # always three, so that one share does not change another
         after = self.flush()
         if chance[0] < self.loss:

@@ -1,4 +1,4 @@
-"""Makes packets before their time comes, so that they leave when it has come."""
+"""Makes packets ahead of time, so that they leave on time."""
 
 from __future__ import annotations
 

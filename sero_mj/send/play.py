@@ -14,7 +14,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..drive.route import wire
 from ..drive.wiring import Route, Wiring
-from ..errors import DeclarationError, UsageError, did_you_mean
+from ..errors import UsageError, did_you_mean
 from ..frames import frame, rotation_about
 from ..receive.source import Source
 from ..receive.structure import Structure
@@ -55,7 +55,7 @@ def structure_for(source: Source, text: str | None = None) -> Structure:
 
 
 class Player(Protocol):
-    """Says what the sensors of one robot say."""
+    """Gives the measured signals of one robot."""
 
     def signals(self, t: float) -> Mapping[str, Array]:
         """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
@@ -88,9 +88,7 @@ class MotionPackets:
         amplitude: float = 1.0,
         players: Mapping[str, Player] | None = None,
     ) -> None:
-        wiring = wire(scene)
-        if wiring.problems:
-            raise DeclarationError(scene.located(wiring.problems))
+        wiring = wire(scene).check(scene)
         self.source = choose_source(wiring, source)
         self.structure = structure_for(self.source, structure)
         routes = _connected(wiring.routes, self.source.name, self.structure.events)
@@ -273,7 +271,7 @@ def _importance(scene: Scene, item: Input) -> int:
 
 
 class _Player:
-    """What one robot's sensors say during a motion."""
+    """The measured signals of one robot during a motion."""
 
     def __init__(self, robot: SerialRobot, amplitude: float) -> None:
         self._robot = robot

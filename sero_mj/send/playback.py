@@ -88,7 +88,9 @@ class RecordedPackets(Playback):
         only_whole: bool = False,
     ) -> None:
         self.file, self._only_whole = file, only_whole
-        name, faults = _choose(file, source)
+        with Recording(file) as recording:
+            name = recording.choose_source(source)
+            recording.check_readable(name)
         self._replay = Replay(file=file, source=name)
         recorded = self._replay.recorded
         if not recorded.count:
@@ -100,7 +102,7 @@ class RecordedPackets(Playback):
         how = "bit for bit" if self.is_raw else f"its {', '.join(self._events)}"
         about = f"{file}, source {name}, {how}"
         super().__init__(layout, about, recorded.count, recorded.last - recorded.first)
-        self._note(faults)
+        self._note(recording.faults)
         if not self.is_raw:
             self._note_absent(self._events)
 
@@ -234,20 +236,6 @@ def _identities(structure: Structure) -> dict[str, Array]:
     """Frames for all matrices of a structure: zeros would be none."""
     shapes = {event: structure.events[event] for event in structure.matrices}
     return {event: np.broadcast_to(np.eye(4), shape) for event, shape in shapes.items()}
-
-
-def _choose(file: Path, source: str) -> tuple[str, list[str]]:
-    """The source of a recording that is meant, and what is wrong with the recording."""
-    with Recording(file) as recording:
-        names = list(recording.sources)
-        if source and source not in names:
-            raise UsageError(f"no source '{source}' in {file}{did_you_mean(source, names)}")
-        if not source and len(names) != 1:
-            has = f"has several sources: {', '.join(names)}; choose one"
-            raise UsageError(f"{file} {has if names else 'has no source'}")
-        name = source or names[0]
-        recording.check_readable(name)
-        return name, recording.faults
 
 
 def _is_same(one: Structure, other: Structure) -> bool:

@@ -51,7 +51,7 @@ class ShmWriter:
             raise SourceError("writer", f"{self.place}: {reason}") from error
 
     def _found_lock(self) -> int:
-        """What another writer, that may have ended in the middle of a packet, has left there."""
+        """The lock's number that another writer has left, maybe in the middle of a packet."""
         if self._lock is None:
             return 0
         field = self._lock
@@ -82,7 +82,7 @@ class ShmWriter:
         block.write(after, offset + field.offset)
 
     def close(self) -> None:
-        """Lets go of the block, and removes it where this writer has made it."""
+        """Closes the block, and removes it where this writer has made it."""
         if self._is_own:
             self._block.unlink()
         self._block.close()
@@ -107,7 +107,7 @@ def _open(name: str) -> tuple[Block, bool]:
 
 
 def _modulus(dtype: np.dtype[np.generic]) -> int:
-    """How far a lock of this type counts, and knows odd from even."""
+    """Up to where a lock of this type can count exactly."""
     if dtype.kind == "f":
         return 2**53 if dtype.itemsize == 8 else 2**24
     return int(2 ** (8 * dtype.itemsize - (dtype.kind == "i")))

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from typing import Any, Literal
 
 from ..decor.status import SHOWN_FOR
-from ..receive.receiver import Receiver
 from ..receive.report import report
+from ..receive.source import Source
 from .clock import Clock, time_text
 
 Mood = Literal["good", "quiet", "bad", "plain"]
@@ -63,7 +63,7 @@ def clock_text(clock: Clock) -> Piece:
     return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")
 
 
-def status_pieces(sources: Iterable[Any], clock: Clock, frame_rate: float) -> list[Piece]:
+def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) -> list[Piece]:
     """Returns all parts of the status line, the most important first.
 
     Args:
@@ -73,12 +73,10 @@ def status_pieces(sources: Iterable[Any], clock: Clock, frame_rate: float) -> li
     """
     pieces = [clock_text(clock)]
     for source in sources:
-        if isinstance(source, Receiver):
-            error = getattr(source, "error", None)
-            if error is not None:
-                pieces.append((f"{source.name}: {error}", "bad"))
-            else:
-                pieces.append(source_text(report(source), is_live=source.is_live))
+        if source.error is not None:
+            pieces.append((f"{source.name}: {source.error}", "bad"))
+        else:
+            pieces.append(source_text(report(source), is_live=source.is_live))
     pieces.append((f"{frame_rate:.0f} frames/s", "plain"))
     return pieces
 

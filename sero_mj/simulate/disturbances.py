@@ -1,28 +1,46 @@
-"""What happens to a robot from outside: forces that push it, payloads that it picks up."""
+"""Disturbances of a scenario: external forces and payloads."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from ..assemble.inertia import inertia_problem, tensors_from
-from ..declaration import Frame, Name, Point, Vector
+from ..declaration import Declaration, Frame, Name, Point, Vector
 from ..kinds import by_kind
-from .timed import Timed
+
+
+class Timed(Declaration):
+    """An event that begins and may end.
+
+    Attributes:
+        begin: s.
+        end: s; None for never.
+    """
+
+    begin: float = Field(0.0, ge=0)
+    end: float | None = None
+
+    @model_validator(mode="after")
+    def _ends_later(self) -> Self:
+        if self.end is not None and self.end <= self.begin:
+            raise ValueError(f"end: found {self.end:g}; expected more than begin, {self.begin:g} s")
+        return self
+
 
 Array = NDArray[np.float64]
 
 
 class Disturbance(Timed):
-    """What happens to a robot from outside, for a while or from then on."""
+    """Base of the declarations of disturbances."""
 
 
 class Force(Disturbance):
-    """A force and a torque at a frame of a robot, which go with it: somebody pushes.
+    """An external force and torque at a frame of a robot, which move with it.
 
     Attributes:
         at: the frame at whose origin they act, `lwr/flange` say.

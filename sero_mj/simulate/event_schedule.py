@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..runs.run_log import event_of
 from .disturbances import Force, Payload
+from .external_loads import Push
 from .faults import Fault
 from .plant import Plant
-from .push import Push
 from .scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -171,7 +171,7 @@ class EventSchedule:
                 self._apply(other)
 
         if fault.part == "sensors":
-            self.plant.sensors.mend(apply_others)
+            self.plant.sensors.end_faults(apply_others)
             return
         if fault.part == "drives":
             self.gains[:] = 1.0

@@ -1,8 +1,8 @@
-"""`Expect`: what must hold in a run, so that CI can tell."""
+"""`Expect`: pass criteria of a run, for CI."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -22,8 +22,8 @@ from .faults import Fault
 Array = NDArray[np.float64]
 
 
-class Happening(Protocol):
-    """What has to be known of a scenario to judge its run."""
+class RunContext(Protocol):
+    """What an expectation has to know of the scenario that was run."""
 
     scene: Scene
     disturbances: dict[str, Disturbance]
@@ -43,7 +43,7 @@ class Happening(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Whether something held.
+    """The outcome of an expectation.
 
     Attributes:
         name: of what was expected.
@@ -118,8 +118,8 @@ class Expect(Declaration):
             raise ValueError(f"before: found {self.before:g}; expected more than {self.after:g} s")
         return self
 
-    def check(self, scenario: Happening) -> None:
-        """Looks whether the scenario has what is asked for.
+    def check(self, scenario: RunContext) -> None:
+        """Checks that the scenario has the robots, joints and causes that are named.
 
         Raises:
             DeclarationError: no such robot, joint, disturbance or fault.
@@ -159,9 +159,16 @@ class Expect(Declaration):
         return list(all_of_them) if self.robot is None else [self.robot]
 
     def judge(
-        self, name: str, log: RunLog, findings: Sequence[Finding], scenario: Happening
+        self, name: str, log: RunLog, findings: Sequence[Finding], scenario: RunContext
     ) -> Outcome:
-        """Says whether it held in a run."""
+        """Says whether it held in a run.
+
+        Args:
+            name: of the expectation.
+            log: of the run.
+            findings: of the monitor.
+            scenario: that was run.
+        """
         if self.measure is not None:
             return self._judge_measure(name, log)
         start = self.after
@@ -230,7 +237,7 @@ class Expect(Declaration):
         return Outcome(name, bool(holds), f"{text}, expected {' and '.join(bounds)}{ended}", worst)
 
 
-_REDUCE = {
+_REDUCE: dict[str, Callable[[Array], Array]] = {
     "max": lambda values: values.max(axis=0),
     "min": lambda values: values.min(axis=0),
     "mean": lambda values: values.mean(axis=0),

@@ -1,4 +1,4 @@
-"""What breaks in a robot: sensors, the controller, friction, the link to the controller."""
+"""Faults of a scenario: sensors, drives, friction."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ..assemble.robot import SerialRobot
 from ..declaration import Name
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..kinds import by_kind
+from .disturbances import Timed
 from .plant import Plant
 from .sensors import Signal
-from .timed import Timed
 
 Array = NDArray[np.float64]
 Part = Literal["sensors", "drives", "friction"]
 
 
 class Fault(Timed):
-    """Something that breaks at a time, and is whole again when that ends.
+    """A fault from one time to another.
 
     Attributes:
         robot: whose; may be left out where there is one only.
@@ -36,7 +36,7 @@ class Fault(Timed):
     joints: list[str] = Field(default_factory=list)
 
     def check(self, robots: Mapping[str, SerialRobot]) -> None:
-        """Looks whether its robot and joints are there.
+        """Checks that its robot and joints are there.
 
         Raises:
             DeclarationError: no such robot or joint, or it has to be named.
@@ -81,7 +81,7 @@ class Fault(Timed):
 
 
 class SensorFault(Fault):
-    """A sensor that is off from now on.
+    """A sensor with errors.
 
     Attributes:
         signal: `angles`, `velocities` or `torques`.
@@ -147,7 +147,7 @@ class DeadSensor(Fault):
     signal: Signal = "torques"
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Kills it."""
+        """Lets it read zero."""
         for row in rows:
             plant.sensors.kill(self.signal, row)
 
@@ -163,13 +163,13 @@ class FrozenSensor(Fault):
     signal: Signal = "torques"
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Freezes it."""
+        """Lets it keep its last value."""
         for row in rows:
             plant.sensors.freeze(self.signal, row)
 
 
 class ControllerFault(Fault):
-    """Drives that do something else than the controller asks for.
+    """Drives with a wrong gain.
 
     Attributes:
         gain: what torques are multiplied by: -1 is a wrong sign, 0 a drive that is off.

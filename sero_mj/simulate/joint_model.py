@@ -1,4 +1,4 @@
-"""What a torque sensor between motor and link reads, for rigid and for elastic joints.
+"""`JointModel`: motors, links and torque sensors of rigid and elastic joints in MuJoCo.
 
 Rigid: motor and link are one degree of freedom. The motor's torque, less what its own inertia and
 friction take, goes through the sensor:
@@ -27,7 +27,6 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from mujoco import mj_step, mj_step1, mj_step2
-from numpy import add
 from numpy.typing import NDArray
 
 from ..assemble.mjcf_dynamics import deflection_joint, spring_damping
@@ -158,13 +157,7 @@ class JointModel:
         self._after = slice(ends[2], ends[4])
         self._readings_of: Array = np.zeros((3 * n, len(self._terms)))
         self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
-        # What every step needs, in one place. A memoryview is copied in a third of the time that
-        # numpy takes for it.
-        views = (self._qpos, self._qvel, q_before, dq_before, q_after, dq_after, friction)
-        self._hot = (
-            model, self._data, self._applied, self.motor_dofs, given, len(friction), self._warned,
-            *(memoryview(array) for array in views),  # type: ignore[arg-type]
-        )  # fmt: skip
+        self._before, self._now = (q_before, dq_before), (q_after, dq_after)
 
     def _fill(self, readings: Array, first: Sequence[int]) -> None:
         """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""
@@ -192,8 +185,12 @@ class JointModel:
         self._qpos[self._spring_q] = deflection
         self._qpos[motors] = angles - deflection
 
+    def _copy_state(self, terms: tuple[Array, Array]) -> None:
+        """Copies positions and velocities to where they stand among the terms."""
+        terms[0][...], terms[1][...] = self._qpos, self._qvel
+
     def advance(self, pushes: Array | None) -> bool:
-        """Lets a step pass.
+        """Simulates one step.
 
         Args:
             pushes: what else acts from outside, (nv,), Nm.
@@ -201,19 +198,17 @@ class JointModel:
         Returns:
             whether the motion is stable.
         """
-        (
-            model, data, applied, motor_dofs, given, rubs, warned,
-            qpos, qvel, q_before, dq_before, q_after, dq_after, friction,
-        ) = self._hot  # fmt: skip
-        q_before[:], dq_before[:] = qpos, qvel
-        applied[motor_dofs] = given
+        model, data, friction = self._model, self._data, self._friction
+        self._copy_state(self._before)
+        self._applied[self.motor_dofs] = self.given
         if pushes is not None:
-            add(applied, pushes, applied)
+            self._applied += pushes
         (mj_step2 if self.is_ahead else mj_step)(model, data)
+        warned = self._warned
         if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
             return False
-        q_after[:], dq_after[:] = qpos, qvel
-        if rubs:
+        self._copy_state(self._now)
+        if rubs := len(friction):
             # Coulomb friction is there until the next `mj_step1`; its rows stand behind those of
             # equality constraints, and before all others.
             forces = data.efc_force
@@ -223,7 +218,7 @@ class JointModel:
         self.is_ahead = self.looks_ahead
         return True
 
-    def look(self) -> None:
+    def update_derived(self) -> None:
         """Computes what follows from the state that `data` is in, if that has not been done."""
         if not self.is_ahead:
             mj_step1(self._model, self._data)

@@ -1,4 +1,4 @@
-"""What a simulated robot's sensors say, in the words of routes."""
+"""The signals of a simulated robot for packets that are sent."""
 
 from __future__ import annotations
 

@@ -13,14 +13,13 @@ from ..assemble.parts import RobotPart
 from ..assemble.world import World
 from ..declaration import numbers
 from ..errors import SimulationError, UnknownName
+from .external_loads import Push, attach_payload, detach_payload
 from .joint_model import JointModel
-from .payload import attach_payload, detach_payload
-from .push import Push
 from .sensors import Sensors
 
 Array = NDArray[np.float64]
 
-_TOO_MUCH = 1e9  # Nm, of all motors together, and what NaN is not below
+_MAX_TORQUE = 1e9  # Nm, of all motors together, and what NaN is not below
 
 
 class Plant:
@@ -131,7 +130,7 @@ class Plant:
         self.sensors.reset(self._actual)
 
     def step(self, motor_torques: Array) -> Array:
-        """Lets one timestep pass.
+        """Simulates one timestep.
 
         Args:
             motor_torques: (n,), before gear friction and as seen at the joint, Nm; none is cut
@@ -147,7 +146,7 @@ class Plant:
         joints = self.joints
         given = joints.given
         given[...] = motor_torques
-        if not hypot(*given.tolist()) < _TOO_MUCH:
+        if not hypot(*given.tolist()) < _MAX_TORQUE:
             self._stop_for_torque()
         if not joints.advance(self._gather_pushes() if self._pushed else None):
             self._stop_for_motion()
@@ -187,7 +186,7 @@ class Plant:
         """What pushes do at the joints now, (nv,), Nm; also clears what they did before."""
         self._motor[:] = self._outer[:] = 0.0
         if self._pushes:
-            self.joints.look()
+            self.joints.update_derived()
         for push in self._pushes:
             push.apply(self.model, self.data, self._outer)
         self._pushed = bool(self._pushes)
@@ -201,7 +200,7 @@ class Plant:
         expressed_in: str = "world",
         at: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Push:
-        """Lets a force and a torque act on a frame until `release`.
+        """Applies a force and a torque at a frame until `release`.
 
         Args:
             frame: at whose origin they act, e.g. `lwr/flange`.
@@ -300,14 +299,14 @@ class Plant:
 
     def flange(self, robot: str) -> Array:
         """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
-        self.joints.look()
+        self.joints.update_derived()
         frame, body = np.eye(4), self._part(robot).flange_body
         frame[:3, :3] = self.data.xmat[body].reshape(3, 3)
         frame[:3, 3] = self.data.xpos[body]
         return frame
 
     def refresh(self) -> None:
-        """Lets all follow from `model` and `data` as they were changed; no time passes."""
+        """Recomputes what depends on `model` and `data` after they were changed; no time passes."""
         self.joints.refresh()
         mujoco.mj_step1(self.model, self.data)
         self.joints.is_ahead = True
@@ -326,7 +325,7 @@ class Plant:
     def _stop_for_torque(self) -> NoReturn:
         torques = self.joints.given.copy()
         self.joints.given[:] = 0.0
-        row = int(np.argmax(~(np.abs(torques) < _TOO_MUCH / np.sqrt(self.n))))
+        row = int(np.argmax(~(np.abs(torques) < _MAX_TORQUE / np.sqrt(self.n))))
         reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
         raise SimulationError(self.time, self._joint_name(row), reason)
 

@@ -1,4 +1,4 @@
-"""A motion that was recorded, or stands in a table, as a target for a simulated robot."""
+"""A motion from a recording or a table as a target for a simulated robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Scenario`: a scene whose robots are simulated, and everything that happens to them."""
+"""`Scenario`: a scene to be simulated, with controllers, targets, disturbances and faults."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from pydantic import Field
 from ..assemble.objects import Object
 from ..assemble.scene import Scene
 from ..control.cartesian_laws import CARTESIAN_LAWS, CartesianLaw
+from ..control.controller import Controller, ControllerDeclaration
 from ..control.controllers import controller_from
-from ..control.gains import ControllerDeclaration
 from ..control.joint_control import GravityCompensation, Torque
-from ..control.law import Law
-from ..control.laws import LAWS
-from ..control.torque_limits import Controller
+from ..control.laws import LAWS, Law
 from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..kinds import by_kind
@@ -33,7 +31,7 @@ AnyLaw = Law | CartesianLaw
 
 
 class RobotSensors(Declaration):
-    """What the sensors of a robot add to the truth.
+    """The sensor errors of a robot.
 
     Attributes:
         angles: errors of the encoders.
@@ -78,7 +76,7 @@ class Run(Declaration):
 
 
 class Scenario:
-    """A scene, what moves its robots, what happens to them, and what must hold.
+    """A scene with controllers, targets, disturbances, faults and expectations.
 
     Args:
         scene: robots, objects, and what is shown.

@@ -1,4 +1,4 @@
-"""Reads a scenario file: a scene, and what happens in it."""
+"""Reads scenario files."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..assemble.scene import Scene
-from ..assemble.scene_file import read_scene
+from ..assemble.scene_file import read_scene_file
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ..paths import find_scenario, find_scene
 from ..toml_file import read_toml
@@ -47,7 +47,7 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
             scene, problems = _other_scene(file, own["scene"], tables, of_scene)
         else:
             known = (*SECTIONS, *OTHERS)
-            scene, problems = read_scene(file, of_scene, tables=tables, known=known)
+            scene, problems = read_scene_file(file, of_scene, tables=tables, known=known)
     except DeclarationError as error:
         problems += error.problems
     if scene is None:
@@ -120,7 +120,7 @@ def _other_scene(
         path = beside if beside.is_file() else find_scene(name)
     except UnknownName as error:
         raise DeclarationError([Problem("scene", str(error), where)]) from None
-    return read_scene(path, overrides)
+    return read_scene_file(path, overrides)
 
 
 def _set(tables: dict[str, Any], key: str, value: Any, file: Path) -> None:

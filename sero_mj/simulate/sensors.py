@@ -1,4 +1,4 @@
-"""Sensors of a robot: what they add to the truth, and how they fail.
+"""`Sensors`: noise, bias, quantisation, delay and faults of a robot's sensors.
 
 A value goes through gain and bias, noise, quantisation and faults, and then through the delay.
 """
@@ -41,7 +41,7 @@ _NotNegative = Annotated[Array, BeforeValidator(_per_joint), AfterValidator(_at_
 
 
 class SensorErrors(Declaration):
-    """What sensors of one kind add to the truth: one number for all joints, or (n,).
+    """Errors of the sensors of one signal: one number for all joints, or (n,).
 
     Attributes:
         noise: standard deviation of white noise, rad, rad/s or Nm.
@@ -187,15 +187,15 @@ class Sensors:
             past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
         self._past[row] = past
 
-    def mend(self, again: Callable[[], None]) -> None:
+    def end_faults(self, reapply: Callable[[], None]) -> None:
         """Ends all faults and changes but those that go on.
 
         Args:
-            again: makes these once more; for them it is as if nothing had been.
+            reapply: makes these once more; for them it is as if nothing had been.
         """
         held, delays, past = self._held, self._delays, list(self._past)
         self.repair()
-        again()
+        reapply()
         self._held[:] = held
         wanted, self._delays, self._past = self._delays, delays, past
         for row in range(len(SIGNALS)):

@@ -15,10 +15,10 @@ from ..errors import DeclarationError, Problem
 from ..receive.structure import Structure
 from ..runs.monitor import Finding
 from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
-from .contacts import Contacts
 from .controlled_robot import ControlledRobot, observed_every
 from .event_schedule import EventSchedule
 from .expect import Outcome
+from .external_loads import Contacts
 from .plant import Plant
 from .scenario import Scenario
 

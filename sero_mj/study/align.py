@@ -11,17 +11,115 @@ from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import UsageError, did_you_mean
-from ..runs.run_log import RunLog
-from ..runs.torques import compared_signal
-from .shift import Shift, find_shift
+from ..runs.run_log import RunLog, compared_signal
 
 Array = NDArray[np.float64]
+
+_MIN_OVERLAP = 0.3  # of the shorter one
+_MIN_SPEED = 1e-4  # rad/s or m/s, root mean square
+_MAX_ROWS = 2**21
+# By how much two shifts must differ in correlation so that the one with the longer overlap loses:
+# of a motion that repeats itself every period would do, and the nearest is meant.
+_FOR_OVERLAP = 0.1
+
+
+@dataclass(frozen=True)
+class Shift:
+    """The time shift between two motions.
+
+    Attributes:
+        seconds: to be added to its times.
+        correlation: normalised cross-correlation of the velocities there, 1 for the same motion.
+    """
+
+    seconds: float
+    correlation: float
+
+
+def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array) -> Shift | None:
+    """Finds the shift of times of `b`, by the velocities of all joints together.
+
+    The normalised cross-correlation over every overlap of at least 30 % of the shorter motion, and
+    a parabola through its highest three values.
+
+    Args:
+        times_a: (T,), s.
+        angles_a: (T, n).
+        times_b: (T',), s.
+        angles_b: (T', n).
+
+    Returns:
+        None where one of them hardly moves.
+    """
+    spans = times_a[-1] - times_a[0], times_b[-1] - times_b[0]
+    if min(spans) <= 0.0:
+        return None
+    step = max(
+        float(np.median(np.diff(times_a))), float(np.median(np.diff(times_b))),
+        sum(spans) / _MAX_ROWS,
+    )  # fmt: skip
+    a, b = _velocities(times_a, angles_a, step), _velocities(times_b, angles_b, step)
+    if min(len(a), len(b)) < 3 or min(_rms(a), _rms(b)) < _MIN_SPEED:
+        return None
+    scores, correlation, first = _correlate(a, b)
+    best = int(np.argmax(scores))
+    # The overlap chooses among hills; how high they are is the correlation alone.
+    while best + 1 < len(correlation) and correlation[best + 1] > correlation[best]:
+        best += 1
+    while best > 0 and correlation[best - 1] > correlation[best]:
+        best -= 1
+    fraction = 0.0
+    if 0 < best < len(scores) - 1 and np.isfinite(scores[best - 1 : best + 2]).all():
+        before, at, after = correlation[best - 1 : best + 2]
+        bend = before - 2.0 * at + after
+        fraction = float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+    seconds = times_a[0] - times_b[0] + (first + best + fraction) * step
+    return Shift(float(seconds), float(correlation[best]))
+
+
+def _correlate(a: Array, b: Array) -> tuple[Array, Array, int]:
+    """Score and correlation for every lag of b in rows, and the first of these lags.
+
+    At lag k row i of `b` stands at row i + k of `a`.
+    """
+    length = len(a) + len(b) - 1
+    size = 1 << (length - 1).bit_length()
+    product = np.fft.rfft(a, size, axis=0) * np.conj(np.fft.rfft(b, size, axis=0))
+    circular = np.fft.irfft(product.sum(axis=1), size)
+    first = 1 - len(b)
+    raw = np.concatenate([circular[size + first :], circular[: len(a)]])
+    lags = np.arange(first, len(a))
+    begin, end = np.maximum(lags, 0), np.minimum(lags + len(b), len(a))
+    energy_a, energy_b = _summed(a), _summed(b)
+    energies = (energy_a[end] - energy_a[begin]) * (energy_b[end - lags] - energy_b[begin - lags])
+    overlap = (end - begin) / min(len(a), len(b))
+    enough = (overlap >= _MIN_OVERLAP) & (energies > 1e-9 * energy_a[-1] * energy_b[-1])
+    correlation = np.full(len(lags), -np.inf)
+    correlation[enough] = raw[enough] / np.sqrt(energies[enough])
+    return correlation + _FOR_OVERLAP * np.minimum(overlap, 1.0), correlation, first
+
+
+def _summed(velocities: Array) -> Array:
+    """Energy of all rows before each, (T + 1,)."""
+    return np.concatenate([[0.0], np.cumsum(np.sum(velocities**2, axis=1))])
+
+
+def _velocities(times: Array, angles: Array, step: float) -> Array:
+    """By differences of angles at even times, (T, n)."""
+    even = np.arange(times[0], times[-1] + 0.5 * step, step)
+    sampled = np.stack([np.interp(even, times, column) for column in angles.T], axis=1)
+    return np.asarray(np.gradient(sampled, step, axis=0)) if len(even) > 1 else sampled * 0.0
+
+
+def _rms(velocities: Array) -> float:
+    return float(np.sqrt(np.mean(velocities**2)))
+
 
 # What is compared, where both runs have it.
 COMPARED = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 # Longer without a packet than this, and than so many packets, nothing is known in between.
 _GAP, _GAP_ROWS = 0.1, 5
-_LEAST_LIKENESS = 0.5  # below, an offset that was found means nothing
+_MIN_CORRELATION = 0.5  # below, an offset that was found means nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +132,7 @@ class Pair:
         a: signal to the first run's values, (T, n).
         b: likewise of the second; NaN where it says nothing.
         offset: what was added to the times of the second run, s.
-        likeness: of the motions where the offset was found, 1 for the same motion; else None.
+        correlation: of the motions where the offset was found, 1 for the same motion; else None.
         names: of the two runs.
     """
 
@@ -43,7 +141,7 @@ class Pair:
     a: Mapping[str, Array]
     b: Mapping[str, Array]
     offset: float
-    likeness: float | None
+    correlation: float | None
     names: tuple[str, str]
 
     def difference(self, signal: str) -> Array:
@@ -83,9 +181,10 @@ def align(
         if shift is None:
             found = "one of the runs hardly moves"
             raise UsageError(f"--offset auto: {found}; expected a number of seconds")
-        if shift.likeness < _LEAST_LIKENESS:
+        if shift.correlation < _MIN_CORRELATION:
             found = (
-                f"the motions of {a.name} and {b.name} are not alike ({shift.likeness:.2f} of 1)"
+                f"the motions of {a.name} and {b.name} have a correlation of "
+                f"{shift.correlation:.2f}, below {_MIN_CORRELATION:g}"
             )
             raise UsageError(f"--offset auto: {found}; expected a number of seconds")
     seconds = float(offset) if shift is None else shift.seconds
@@ -103,18 +202,10 @@ def align(
     return Pair(
         a.robots[of_a],
         times,
-        {
-            s: at_times(a.times, compared_signal(a, of_a, s), times)
-            for s in COMPARED
-            if a.has(of_a, s)
-        },
-        {
-            s: at_times(moved, compared_signal(b, of_b, s), times)
-            for s in COMPARED
-            if b.has(of_b, s)
-        },
+        _sampled(a, of_a, a.times, times),
+        _sampled(b, of_b, moved, times),
         seconds,
-        None if shift is None else shift.likeness,
+        None if shift is None else shift.correlation,
         (a.name, b.name),
     )
 
@@ -166,7 +257,16 @@ def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, 
 
 
 def at_times(times: Array, values: Array, wanted: Array) -> Array:
-    """Values (T, n) at other times, linearly in between; NaN in gaps, and outside."""
+    """Interpolates linearly; NaN in gaps, and outside.
+
+    Args:
+        times: (T,), s, rising.
+        values: (T, n).
+        wanted: (T',), s.
+
+    Returns:
+        (T', n).
+    """
     if len(times) == 1:
         return np.where(wanted[:, None] == times[0], values[0], np.nan)
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)

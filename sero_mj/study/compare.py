@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..record.write_csv import csv_table
 from .align import Pair
+from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -58,7 +59,7 @@ class Exceeded:
 
 
 def compare(pair: Pair) -> list[Difference]:
-    """What differs, signal by signal and joint by joint; only what both runs have."""
+    """The differences of all signals that both runs have, joint by joint."""
     found = []
     for signal in pair.signals:
         difference = pair.difference(signal)
@@ -78,12 +79,10 @@ def unit_of(signal: str, joint_type: str) -> str:
 
 
 def _difference(joint: str, signal: str, unit: str, times: Array, values: Array) -> Difference:
-    known = np.isfinite(values)
-    if not known.any():
+    row = peak(values)
+    if row is None:
         return Difference(joint, signal, unit, np.nan, np.nan, np.nan)
-    row = int(np.nanargmax(np.abs(values)))
-    rms = float(np.sqrt(np.mean(values[known] ** 2)))
-    return Difference(joint, signal, unit, float(values[row]), float(times[row]), rms)
+    return Difference(joint, signal, unit, float(values[row]), float(times[row]), rms(values))
 
 
 def exceeded(
@@ -106,13 +105,13 @@ def exceeded(
 
 
 def as_json(pair: Pair, differences: Sequence[Difference]) -> dict[str, Any]:
-    """Everything, of JSON's types; what is unknown is None."""
+    """The comparison as JSON types; unknown values are None."""
     return {
         "a": pair.names[0],
         "b": pair.names[1],
         "robot": pair.robot.name,
         "offset": pair.offset,
-        "likeness": pair.likeness,
+        "correlation": pair.correlation,
         "begin": float(pair.times[0]),
         "end": float(pair.times[-1]),
         "rows": len(pair.times),
@@ -125,7 +124,7 @@ def as_json(pair: Pair, differences: Sequence[Difference]) -> dict[str, Any]:
 
 
 def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
-    """For the terminal: angles in degrees."""
+    """A table for the terminal; angles in degrees."""
     from rich import box
     from rich.table import Table
 
@@ -154,7 +153,7 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
 
 
 def shown_as(unit: str) -> tuple[float, str]:
-    """A factor, and the unit that people read: degrees, mm."""
+    """Factor and unit in which people read it: degrees, mm."""
     if unit.startswith("rad"):
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     if unit.startswith("m"):

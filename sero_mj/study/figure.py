@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RenderError, UsageError
-from .envelope import envelope
+from .reduction import envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,17 +30,17 @@ FAULT = "#8E3B8A"
 
 A4_WIDTH = 190.0  # mm, within its margins
 _A4_HEIGHT = 265.0
-_ROW, _LEAST_ROW = 27.0, 14.0  # mm
-_LEFT, _RIGHT, _BOTTOM, _GAP = 28.0, 2.0, 11.0, 11.0  # mm, about and between the panels
-_EDGE = 0.5  # mm of the sheet that stay free
+_ROW, _MIN_ROW = 27.0, 14.0  # mm
+_HEAD, _FOOT = 12.0, 20.0  # mm, of the title and the legend; of headings and the time axis
+_NAMES = 27.0  # mm, left of the panels
 _TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans stand beneath the title
 _MM = 1.0 / 25.4  # inch
-_LEAST_MM = 60.0, 40.0
-_MOST_MM = 2000.0, 20000.0
+_MIN_MM = 60.0, 40.0
+_MAX_MM = 2000.0, 20000.0
 _DPI = 300
 _POINTS = 1500  # bins of an envelope, more than a panel has printed dots
 # A panel shows this share of the joint's limit at least, so that noise does not look like torque.
-LEAST_SHARE = 0.01
+MIN_SHARE = 0.01
 
 _STYLE: Any = {
     "font.family": ["DejaVu Sans"],
@@ -75,7 +75,7 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Span:
-    """Something that happens for a while, shown as a band behind the panels.
+    """An event of a run, shown as a band behind the panels.
 
     Attributes:
         name: what.
@@ -109,8 +109,10 @@ def styled() -> Iterator[None]:
         yield
 
 
-class Sheet:
+class Figure:
     """A figure of rows and columns of panels that share their time. Use it within `styled`.
+
+    matplotlib's constrained layout gives every label its room.
 
     Args:
         rows: what stands left of each row, its name and a line beneath.
@@ -137,71 +139,68 @@ class Sheet:
         subtitle: str,
         times: tuple[float, float],
         size_mm: tuple[float, float] | None = None,
-        top_mm: float = 21.0,
     ) -> None:
-        from matplotlib.figure import Figure
+        from matplotlib import figure as matplotlib_figure
 
-        row = float(np.clip((_A4_HEIGHT - top_mm - _BOTTOM) / len(rows), _LEAST_ROW, _ROW))
-        width, height = size_mm or (A4_WIDTH, top_mm + _BOTTOM + row * len(rows))
+        row = float(np.clip((_A4_HEIGHT - _HEAD - _FOOT) / len(rows), _MIN_ROW, _ROW))
+        width, height = size_mm or (A4_WIDTH, _HEAD + _FOOT + row * len(rows))
         for value, least, most, what in (
-            (width, _LEAST_MM[0], _MOST_MM[0], "wide"), (height, _LEAST_MM[1], _MOST_MM[1], "high"),
+            (width, _MIN_MM[0], _MAX_MM[0], "wide"), (height, _MIN_MM[1], _MAX_MM[1], "high"),
         ):  # fmt: skip
             if not least <= value <= most:
                 expected = f"expected {least:g} mm to {most:g} mm"
                 raise UsageError(f"size_mm: found {value:g} mm {what}; {expected}")
-        self.figure = Figure(figsize=(width * _MM, height * _MM), dpi=_DPI, facecolor="white")
-        self._height = height
-        self._width = width
-        shares = [share for _, share in columns]
-        self._grid = grid = self.figure.add_gridspec(
-            len(rows),
-            len(columns),
-            left=_LEFT / width,
-            right=1.0 - _RIGHT / width,
-            top=1.0 - top_mm / height,
-            bottom=_BOTTOM / height,
-            width_ratios=shares,
-            hspace=0.22,
-            wspace=_GAP * len(columns) / (width - _LEFT - _RIGHT - _GAP * (len(columns) - 1)),
+        self.figure = matplotlib_figure.Figure(
+            figsize=(width * _MM, height * _MM), dpi=_DPI, facecolor="white", layout="constrained"
         )
-        self.axes: list[list[Axes]] = []
-        first: Axes | None = None
-        for i, (name, beneath) in enumerate(rows):
-            self.axes.append([])
-            for j, (heading, _) in enumerate(columns):
-                panel = self.figure.add_subplot(grid[i, j], sharex=first)
-                first = first or panel
-                self.axes[-1].append(panel)
-                panel.tick_params(labelbottom=i == len(rows) - 1)
-                if i == 0:
-                    panel.set_title(heading, fontsize=7.5, loc="left", pad=_TITLE_PAD, color=INK)
-                if i == len(rows) - 1:
-                    panel.set_xlabel("time, s", labelpad=2.0)
-            self._label(self.axes[-1][0], name, beneath)
-        assert first is not None
+        parts: Any = self.figure.subfigures(2, 1, height_ratios=[_HEAD, height - _HEAD])
+        self._head, body = parts
+        left = 1.0 / width
+        self._head.text(left, 0.9, title, fontsize=10.0, fontweight="bold", va="top")
+        self._head.text(left, 0.45, subtitle, fontsize=7.0, va="top", color=GREY)
+        panels: Any = body.subplots(
+            len(rows), len(columns), sharex=True, squeeze=False,
+            width_ratios=[share for _, share in columns],
+        )  # fmt: skip
+        self.axes: list[list[Axes]] = panels.tolist()
+        for row_of, (name, beneath) in zip(self.axes, rows, strict=True):
+            self._label(row_of[0], name, beneath)
+        for panel, (heading, _) in zip(self.axes[0], columns, strict=True):
+            panel.set_title(heading, fontsize=7.5, loc="left", pad=_TITLE_PAD, color=INK)
+        for panel in self.axes[-1]:
+            panel.set_xlabel("time, s", labelpad=2.0)
         margin = 0.0 if times[1] > times[0] else 0.5
-        first.set_xlim(times[0] - margin, times[1] + margin)
-        self._write(title, subtitle)
+        self.axes[0][0].set_xlim(times[0] - margin, times[1] + margin)
 
     def _label(self, panel: Axes, name: str, beneath: str) -> None:
-        at = panel.get_position()
-        x, y = 2.0 / self._width, at.y0 + 0.5 * at.height
-        text = self.figure.text
-        text(x, y, name, fontsize=9.0, fontweight="bold", va="bottom", color=INK)
-        text(x, y - 0.7 / self._height, beneath, fontsize=6.0, va="top", color=GREY,
-             linespacing=1.25)  # fmt: skip
-
-    def _write(self, title: str, subtitle: str) -> None:
-        x, text = 2.0 / self._width, self.figure.text
-        text(x, 1.0 - 2.0 / self._height, title, fontsize=10.0, fontweight="bold", va="top")
-        text(x, 1.0 - 7.0 / self._height, subtitle, fontsize=7.0, va="top", color=GREY)
+        left = -_NAMES * _MM * 72.0  # points
+        look: Any = {"xycoords": "axes fraction", "textcoords": "offset points"}
+        panel.annotate(name, (0.0, 0.5), (left, 0.0), **look, fontsize=9.0, fontweight="bold",
+                       va="bottom", color=INK)  # fmt: skip
+        panel.annotate(beneath, (0.0, 0.5), (left, -2.0), **look, fontsize=6.0, va="top",
+                       color=GREY, linespacing=1.25)  # fmt: skip
 
     def line(self, panel: Axes, times: Array, values: Array, label: str, **look: Any) -> None:
-        """Draws values (T,) over time; of many rows their smallest and largest."""
+        """Draws values over time; of many rows their smallest and largest.
+
+        Args:
+            panel: which one.
+            times: (T,), s.
+            values: (T,), NaN where nothing is known.
+            label: of the line.
+            **look: matplotlib's properties of a line.
+        """
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
     def signed_area(self, panel: Axes, times: Array, values: Array, label: str) -> None:
-        """Draws a difference: orange above zero, blue below, as the arrows are."""
+        """Draws a difference: orange above zero, blue below, as the arrows are.
+
+        Args:
+            panel: which one.
+            times: (T,), s.
+            values: (T,), NaN where nothing is known.
+            label: of the line.
+        """
         at, shown = envelope(times, values, _POINTS)
         for colour, side in ((ORANGE, np.maximum(shown, 0.0)), (BLUE, np.minimum(shown, 0.0))):
             panel.fill_between(at, side, 0.0, color=colour, alpha=0.45, linewidth=0.0)
@@ -246,11 +245,12 @@ class Sheet:
                    fontsize=5.5, color=GREY)  # fmt: skip
 
     def spans(self, spans: Sequence[Span]) -> None:
-        """Shows what happened behind all panels, with names above the first row."""
+        """Draws events as bands behind all panels, with names above the first row."""
         begin, end = self.axes[0][0].get_xlim()
         shown = [span for span in spans if span.begin < end
                  and (span.end is None or span.end > begin)]  # fmt: skip
-        free = [-np.inf] * 3
+        self.figure.draw_without_rendering()  # now it is known where the panels are
+        taken: list[Any] = []
         for span in sorted(shown, key=lambda span: span.begin):
             left, right = max(span.begin, begin), end if span.end is None else min(span.end, end)
             colour, alpha = (FAULT, 0.10) if span.is_fault else (GREY, 0.16)
@@ -258,70 +258,50 @@ class Sheet:
                 panel.axvspan(left, right, color=colour, alpha=alpha, linewidth=0.0, zorder=0.5)
                 if span.is_fault:
                     panel.axvline(left, color=FAULT, linewidth=0.7, zorder=0.6)
-            level = next((k for k, until in enumerate(free) if until <= left), 0)
-            # Names that would run into each other go into the panel.
-            height = 2.5 if level == 0 else -_LINE * level
-            first = self.axes[0][0]
-            share = first.get_position().width * self._width  # mm
-            free[level] = left + (len(span.name) * 1.15 + 2.0) / share * (end - begin)
-            first.annotate(
-                span.name, (left, 1.0), (0.0, height),
-                xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=5.5,
-                color=FAULT if span.is_fault else GREY, annotation_clip=False, clip_on=False,
+            name = self.axes[0][0].annotate(
+                span.name, (left, 1.0), (0.0, 2.5), xycoords=("data", "axes fraction"),
+                textcoords="offset points", fontsize=5.5, color=FAULT if span.is_fault else GREY,
+                annotation_clip=False, clip_on=False, in_layout=False,
             )  # fmt: skip
+            # Names that would run into each other go down into the panel.
+            for level in range(1, 4):
+                box = name.get_window_extent()
+                if not any(box.overlaps(other) for other in taken):
+                    break
+                name.set_position((0.0, -_LINE * level))
+            taken.append(name.get_window_extent())
 
     def legend(self, handles: Sequence[Any]) -> None:
-        """Puts the legend into the upper right corner of the sheet."""
-        self.figure.legend(
+        """Puts the legend into the upper right corner."""
+        self._head.legend(
             handles=list(handles), loc="upper right", ncols=min(len(handles), 4), frameon=False,
-            bbox_to_anchor=(1.0 - _RIGHT / self._width, 1.0 - 0.5 / self._height), borderpad=0.2,
-            handlelength=1.8, columnspacing=1.2, fontsize=6.5,
+            borderpad=0.2, borderaxespad=0.2, handlelength=1.8, columnspacing=1.2, fontsize=6.5,
         )  # fmt: skip
-
-    def make_room(self) -> None:
-        """Makes the panels narrower where the number at the last tick would be cut off."""
-        self.figure.draw_without_rendering()
-        panel = self.axes[-1][-1]
-        labels = [label.get_window_extent() for label in panel.get_xticklabels()
-                  if label.get_visible() and label.get_text()]  # fmt: skip
-        shown = panel.get_window_extent()
-        inside = [box for box in labels if box.x0 <= shown.x1]
-        beyond = max((box.x1 for box in inside), default=0.0) - self.figure.bbox.width
-        edge = _EDGE * _MM * self.figure.dpi
-        if beyond > -edge:
-            right = shown.x1 - beyond - edge
-            self._grid.update(right=right / self.figure.bbox.width)
-            for each in (panel for row in self.axes for panel in row):
-                spec = each.get_subplotspec()
-                assert spec is not None
-                each.set_position(spec.get_position(self.figure))
 
     def save(self, path: Path) -> None:
         """Writes it; raises RenderError."""
-        save_sheets([self], path)
+        save_figures([self], path)
 
 
-def save_sheets(sheets: Sequence[Sheet], path: Path) -> None:
-    """Writes a sheet, or several as the pages of a .pdf. Use it within `styled`.
+def save_figures(figures: Sequence[Figure], path: Path) -> None:
+    """Writes a figure, or several as the pages of a .pdf. Use it within `styled`.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: several sheets, and no .pdf.
+        UsageError: several figures, and no .pdf.
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
     suffix = path.suffix.lower()
-    if len(sheets) > 1 and suffix != ".pdf":
-        raise UsageError(f"{path}: {len(sheets)} pages; expected a name that ends in .pdf")
-    for sheet in sheets:
-        sheet.make_room()
+    if len(figures) > 1 and suffix != ".pdf":
+        raise UsageError(f"{path}: {len(figures)} pages; expected a name that ends in .pdf")
     try:
         if suffix == ".pdf":  # dates would make two files of one run differ
             with PdfPages(path, metadata={"CreationDate": None}) as pages:
-                for sheet in sheets:
-                    pages.savefig(sheet.figure, dpi=_DPI)
+                for each in figures:
+                    pages.savefig(each.figure, dpi=_DPI)
             return
         metadata: Any = {"Date": None} if suffix == ".svg" else None
-        sheets[0].figure.savefig(path, dpi=_DPI, metadata=metadata)
+        figures[0].figure.savefig(path, dpi=_DPI, metadata=metadata)
     except OSError as error:
         raise RenderError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -10,21 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError, did_you_mean
-from ..runs.run_log import RunLog
-from ..runs.torques import compared_signal, torque_error
+from ..runs.run_log import RunLog, compared_signal, torque_error
 from .figure import (
     BLUE,
     FAULT,
     GREY,
     INK,
-    LEAST_SHARE,
+    MIN_SHARE,
     ORANGE,
-    Sheet,
+    Figure,
     Span,
     check_suffix,
-    save_sheets,
+    save_figures,
     styled,
 )
+from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _IN_VIEW = 0.6  # share of its limit from which on a torque is shown together with it
-_LEAST_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
+_MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
 _MARKERS = {
     "torque_error": "v",
     "external_torque": "D",
@@ -101,7 +101,7 @@ def plot_runs(logs: Sequence[RunLog], path: Path | str, **options: Any) -> None:
     """
     path = check_suffix(path)
     with styled():
-        save_sheets([_draw_run(log, **options) for log in logs], path)
+        save_figures([_draw_run(log, **options) for log in logs], path)
 
 
 def _draw_run(
@@ -112,7 +112,7 @@ def _draw_run(
     findings: Sequence[Finding] = (),
     spans: Sequence[Span] = (),
     size_mm: tuple[float, float] | None = None,
-) -> Sheet:
+) -> Figure:
     chosen = _choose(log, robots, joints)
     has_both = all(log.has(robot, signal) for robot, _ in chosen
                    for signal in ("torques", "commanded_torques"))  # fmt: skip
@@ -124,7 +124,7 @@ def _draw_run(
     columns = [(f"torque, {unit}", 1.25)]
     if has_both:
         columns.append((f"torque error, {unit}", 1.0))
-    sheet = Sheet(
+    figure = Figure(
         rows,
         columns,
         title=log.name,
@@ -132,16 +132,16 @@ def _draw_run(
         times=(float(log.times[0]), float(log.times[-1])),
         size_mm=size_mm,
     )
-    for (robot, k), panels in zip(chosen, sheet.axes, strict=True):
-        _draw_torques(sheet, panels[0], log, robot, k)
+    for (robot, k), panels in zip(chosen, figure.axes, strict=True):
+        _draw_torques(figure, panels[0], log, robot, k)
         if has_both:
-            _draw_error(sheet, panels[1], log, robot, k)
-    sheet.spans(spans)
-    marked = _mark(sheet, log, chosen, findings)
-    has_limit = any(line.get_label() == "limit" for panels in sheet.axes
+            _draw_error(figure, panels[1], log, robot, k)
+    figure.spans(spans)
+    marked = _mark(figure, log, chosen, findings)
+    has_limit = any(line.get_label() == "limit" for panels in figure.axes
                     for line in panels[0].lines)  # fmt: skip
-    sheet.legend(_legend(log, chosen, spans, marked, has_limit=has_limit))
-    return sheet
+    figure.legend(_legend(log, chosen, spans, marked, has_limit=has_limit))
+    return figure
 
 
 def spans_of(scenario: Scenario) -> list[Span]:
@@ -188,9 +188,10 @@ def _beneath(log: RunLog, robot: str, k: int, *, named: bool) -> str:
     if np.isfinite(limit):
         lines.append(f"limit {limit:.4g} {_unit(log, robot, k)}")
     signal = "torques" if log.has(robot, "torques") else "commanded_torques"
-    size = np.abs(log.of(robot, signal)[:, k])
-    if np.isfinite(limit) and np.isfinite(size).any():
-        lines.append(f"peak {100.0 * np.nanmax(size) / limit:.0f} %")
+    values = log.of(robot, signal)[:, k]
+    row = peak(values)
+    if np.isfinite(limit) and row is not None:
+        lines.append(f"peak {100.0 * abs(values[row]) / limit:.0f} %")
     return "\n".join(lines)
 
 
@@ -200,7 +201,7 @@ def _about(log: RunLog, *, has_both: bool) -> str:
     return f"{span}; error is commanded less measured" if has_both else span
 
 
-def _draw_torques(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) -> None:
+def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) -> None:
     limit = float(log.torque_limits(robot)[k])
     curves = []
     for signal, look in (
@@ -209,7 +210,7 @@ def _draw_torques(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) ->
     ):
         if log.has(robot, signal):
             values = compared_signal(log, robot, signal)[:, k]
-            sheet.line(panel, log.times, values, signal, **look)
+            figure.line(panel, log.times, values, signal, **look)
             curves.append(values)
     shown: list[float] = []
     known = np.concatenate(curves)
@@ -219,23 +220,23 @@ def _draw_torques(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) ->
                  and (side * known).max() >= _IN_VIEW * limit]  # fmt: skip
         for bound in shown:
             panel.axhline(bound, color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="limit")
-    sheet.fit(panel, curves, least=LEAST_SHARE * limit, floor=_LEAST_TORQUE, also=shown)
+    figure.fit(panel, curves, least=MIN_SHARE * limit, floor=_MIN_TORQUE, also=shown)
 
 
-def _draw_error(sheet: Sheet, panel: Axes, log: RunLog, robot: str, k: int) -> None:
+def _draw_error(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) -> None:
     error = torque_error(log, robot)[:, k]
-    sheet.signed_area(panel, log.times, error, "torque_error")
+    figure.signed_area(panel, log.times, error, "torque_error")
     limit = float(log.torque_limits(robot)[k])
-    least = 0.5 * LEAST_SHARE * limit
-    if sheet.fit(panel, [error], least=least, floor=_LEAST_TORQUE, also=[0.0]):
-        row = int(np.nanargmax(np.abs(error)))
-        rms = float(np.sqrt(np.nanmean(error**2)))
-        peak = f"{error[row]:+.3g}".replace("-", "−")
-        sheet.note(panel, f"peak {peak} at {log.times[row]:.3f} s, rms {rms:.3g}")
+    least = 0.5 * MIN_SHARE * limit
+    if figure.fit(panel, [error], least=least, floor=_MIN_TORQUE, also=[0.0]):
+        row = peak(error)
+        assert row is not None  # `fit` has found something
+        text = f"peak {error[row]:+.3g}".replace("-", "−")
+        figure.note(panel, f"{text} at {log.times[row]:.3f} s, rms {rms(error):.3g}")
 
 
 def _mark(
-    sheet: Sheet, log: RunLog, chosen: Sequence[tuple[str, int]], findings: Sequence[Finding]
+    figure: Figure, log: RunLog, chosen: Sequence[tuple[str, int]], findings: Sequence[Finding]
 ) -> list[str]:
     """Marks findings at the upper edge of their joints' panels; returns their kinds."""
     rows = {(robot, log.robots[robot].names[k]): i for i, (robot, k) in enumerate(chosen)}
@@ -246,7 +247,7 @@ def _mark(
         row = rows.get((finding.robot, finding.joint))
         if row is None:
             continue
-        panels = sheet.axes[row]
+        panels = figure.axes[row]
         panel = panels[-1] if finding.kind in _OF_ERROR else panels[0]
         times = marked.setdefault(panel, [])
         level = sum(abs(finding.time - time) < close for time in times) % _LEVELS

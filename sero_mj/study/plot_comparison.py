@@ -13,15 +13,16 @@ from ..errors import UsageError, did_you_mean
 from ..runs.run_log import RunLog
 from .align import Pair, align
 from .compare import unit_of
-from .figure import BLUE, LEAST_SHARE, ORANGE, Sheet, check_suffix, styled
+from .figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, styled
+from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
-_LEAST_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
-_LEAST_ANGLE = 0.02  # deg or mm
+_MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
+_MIN_ANGLE = 0.02  # deg or mm
 
 
 def plot_comparison(
@@ -34,7 +35,21 @@ def plot_comparison(
     joints: Sequence[str] | None = None,
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws two runs of a robot: `align`, then `plot_pair`; arguments and errors are theirs."""
+    """Aligns two runs of a robot and draws them.
+
+    Args:
+        a: a run.
+        b: another one.
+        path: where to: .png (300 dpi), .pdf or .svg.
+        robot: see `align`.
+        offset: s, added to the times of `b`, or `auto`; see `align`.
+        joints: their names; all when None.
+        size_mm: width and height; the width of A4 when None.
+
+    Raises:
+        RenderError: the file cannot be written.
+        UsageError: see `align` and `plot_pair`.
+    """
     check_suffix(path)
     plot_pair(align(a, b, robot, offset), path, joints=joints, size_mm=size_mm)
 
@@ -79,7 +94,7 @@ def plot_pair(
     if main == "torques" and "joint_angles" in pair.signals:
         columns.append((f"angle, A − B, {unit_of_angle}", 1.0))
     with styled():
-        sheet = Sheet(
+        figure = Figure(
             [(names[k], _beneath(pair, k)) for k in chosen],
             columns,
             title=f"{pair.names[0]} − {pair.names[1]}",
@@ -87,13 +102,13 @@ def plot_pair(
             times=(float(pair.times[0]), float(pair.times[-1])),
             size_mm=size_mm,
         )
-        for k, panels in zip(chosen, sheet.axes, strict=True):
-            _draw_both(sheet, panels[0], pair, main, k)
-            _draw_difference(sheet, panels[1], pair, main, k)
+        for k, panels in zip(chosen, figure.axes, strict=True):
+            _draw_both(figure, panels[0], pair, main, k)
+            _draw_difference(figure, panels[1], pair, main, k)
             if len(panels) > 2:
-                _draw_difference(sheet, panels[2], pair, "joint_angles", k)
-        sheet.legend(_legend(pair))
-        sheet.save(path)
+                _draw_difference(figure, panels[2], pair, "joint_angles", k)
+        figure.legend(_legend(pair))
+        figure.save(path)
 
 
 def _shown(signal: str, joint_type: str) -> tuple[float, str]:
@@ -117,29 +132,30 @@ def _about(pair: Pair) -> str:
 def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:
     """How much a panel shows at least, and that without limits."""
     if signal == "joint_angles":
-        return np.inf, _LEAST_ANGLE
+        return np.inf, _MIN_ANGLE
     limits = pair.robot.torque_limits
-    return (np.inf if limits is None else LEAST_SHARE * float(limits[k])), _LEAST_TORQUE
+    return (np.inf if limits is None else MIN_SHARE * float(limits[k])), _MIN_TORQUE
 
 
-def _draw_both(sheet: Sheet, panel: Axes, pair: Pair, signal: str, k: int) -> None:
+def _draw_both(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> None:
     factor, _ = _shown(signal, pair.robot.types[k])
     a, b = factor * pair.a[signal][:, k], factor * pair.b[signal][:, k]
-    sheet.line(panel, pair.times, b, "b", color=BLUE, linewidth=1.5, zorder=2.0)
-    sheet.line(panel, pair.times, a, "a", color=ORANGE, linewidth=0.7, zorder=2.1)
+    figure.line(panel, pair.times, b, "b", color=BLUE, linewidth=1.5, zorder=2.0)
+    figure.line(panel, pair.times, a, "a", color=ORANGE, linewidth=0.7, zorder=2.1)
     least, floor = _least(pair, signal, k)
-    sheet.fit(panel, [a, b], least=least, floor=floor)
+    figure.fit(panel, [a, b], least=least, floor=floor)
 
 
-def _draw_difference(sheet: Sheet, panel: Axes, pair: Pair, signal: str, k: int) -> None:
+def _draw_difference(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> None:
     factor, _ = _shown(signal, pair.robot.types[k])
     values = factor * pair.difference(signal)[:, k]
-    sheet.signed_area(panel, pair.times, values, "difference")
+    figure.signed_area(panel, pair.times, values, "difference")
     least, floor = _least(pair, signal, k)
-    if sheet.fit(panel, [values], least=0.5 * least, floor=floor, also=[0.0]):
-        known = values[np.isfinite(values)]
-        peak = f"{known[np.argmax(np.abs(known))]:+.3g}".replace("-", "−")
-        sheet.note(panel, f"peak {peak}, rms {np.sqrt(np.mean(known**2)):.3g}")
+    if figure.fit(panel, [values], least=0.5 * least, floor=floor, also=[0.0]):
+        row = peak(values)
+        assert row is not None  # `fit` has found something
+        text = f"peak {values[row]:+.3g}".replace("-", "−")
+        figure.note(panel, f"{text}, rms {rms(values):.3g}")
 
 
 def _legend(pair: Pair) -> list[Any]:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runs.run_log import RunLog
-from ..runs.torques import torque_error
+from ..runs.run_log import RunLog, torque_error
 from .compare import shown_as, unit_of
+from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -84,16 +84,16 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
             values: dict[str, Any] = {"findings": len(mine)}
             if mine:
                 values |= {"first_finding": mine[0].kind, "first_finding_at": mine[0].time}
-            if error is not None:
-                row, values["peak_torque_error"] = _peak(error[:, k])
-                values["peak_torque_error_at"] = None if row is None else float(log.times[row])
-                values["rms_torque_error"] = _rms(error[:, k])
+            if error is not None and (row := peak(error[:, k])) is not None:
+                values["peak_torque_error"] = float(error[row, k])
+                values["peak_torque_error_at"] = float(log.times[row])
+                values["rms_torque_error"] = rms(error[:, k])
             if has["torques"]:
-                peak = values["peak_torque"] = _peak(log.of(robot, "torques")[:, k])[1]
-                if peak is not None and np.isfinite(limits[k]):
-                    values["peak_share"] = abs(peak) / float(limits[k])
+                most = values["peak_torque"] = _signed_peak(log.of(robot, "torques")[:, k])
+                if most is not None and np.isfinite(limits[k]):
+                    values["peak_share"] = abs(most) / float(limits[k])
             if position is not None:
-                values["peak_position_error"] = _peak(position[:, k])[1]
+                values["peak_position_error"] = _signed_peak(position[:, k])
             if has["saturated"] and len(log.times):
                 values["saturated_share"] = float(np.mean(log.of(robot, "saturated")[:, k] > 0.5))
             kind = declared.types[k]
@@ -108,7 +108,7 @@ def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
 
 
 def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
-    """For the terminal; angles in degrees. Columns of which nothing is known are left out."""
+    """A table for the terminal; angles in degrees. Empty columns are left out."""
     from rich import box
     from rich.table import Table
 
@@ -126,17 +126,10 @@ def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
     return table
 
 
-def _peak(values: Array) -> tuple[int | None, float | None]:
-    """Row and value of what is of the greatest size."""
-    if not np.isfinite(values).any():
-        return None, None
-    row = int(np.nanargmax(np.abs(values)))
-    return row, float(values[row])
-
-
-def _rms(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else None
+def _signed_peak(values: Array) -> float | None:
+    """The value of the greatest size."""
+    row = peak(values)
+    return None if row is None else float(values[row])
 
 
 def _with_unit(value: float | None, unit: str, form: str) -> str:

@@ -1,4 +1,4 @@
-"""`Sweep`: a scenario many times over, with other values each time."""
+"""`Sweep`: many variants of a scenario."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TRIED = 20  # variants that are read beforehand: if none can be, a key is wrong
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is to be run.
+    """Variants of a scenario to be run.
 
     Args:
         file: the scenario's.
@@ -88,7 +88,7 @@ class Sweep:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What its results depend on, for JSON: another sweep's must not be mixed with them."""
+        """Everything that its results depend on, as JSON types."""
         files = {
             file.name if file == self.file else f"{file.parent.name}/{file.name}": hashlib.sha256(
                 file.read_bytes()

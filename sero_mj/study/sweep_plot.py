@@ -10,10 +10,10 @@ import numpy as np
 
 from ..errors import RenderError
 from .sweep import Sweep
-from .sweep_summary import is_known, value_columns
+from .sweep_table import is_known, value_columns
 from .vary import Vary
 
-_MOST_ROWS, _MOST_COLUMNS = 8, 5
+_MAX_ROWS, _MAX_COLUMNS = 8, 5
 _HELD, _FAILED = "#2a7f62", "#c8553d"
 
 
@@ -41,8 +41,8 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
         for name in names
         if name not in expected and any(row.get(names[name]) for row in rows.values())
     ]
-    shown = (expected + others)[:_MOST_ROWS]
-    varied = sweep.varied[:_MOST_COLUMNS]
+    shown = (expected + others)[:_MAX_ROWS]
+    varied = sweep.varied[:_MAX_COLUMNS]
     figure = Figure(figsize=(1.2 + 3.3 * len(varied), 1.0 + 1.6 * len(shown)), layout="constrained")
     axes = figure.subplots(len(shown), len(varied), squeeze=False, sharex="col", sharey="row")
     for line, name in zip(axes, shown, strict=True):

@@ -1,4 +1,4 @@
-"""One variant of a sweep: what came of it, in a few numbers."""
+"""Runs one variant of a sweep."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from ..runs.run_log import RunLog
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from ..simulate.simulation import Simulation
+from .reduction import rms
 
 # Of every robot, all in Nm but the share: of its worst joint, over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
 
 
 def outcome_columns(scenario: Scenario) -> list[str]:
-    """Names of what is known of a variant, in the order in which a table has them.
+    """Columns of the results of a variant.
 
     `held`: whether all that is expected did and nothing stopped the run. `error`: what stopped it.
     `ended`: s of simulated time. For every expectation whether it held and the value found;
@@ -35,7 +36,7 @@ def outcome_columns(scenario: Scenario) -> list[str]:
 
 
 class VariantRunner:
-    """Runs variants of one scenario, one after the other; keeps nothing of them.
+    """Runs variants of one scenario, one after the other, and keeps no logs.
 
     Args:
         file: the scenario's.
@@ -92,7 +93,7 @@ def _of_robot(log: RunLog, robot: str, findings: int) -> dict[str, Any]:
     share = np.abs(log.of(robot, "commanded_torques")[rows]) / log.torque_limits(robot)
     values = (
         float(np.abs(error).max()),
-        float(np.sqrt(np.mean(error**2, axis=0)).max()),
+        max(rms(of_joint) for of_joint in error.T),
         float(share.max()),
         findings,
     )

@@ -16,7 +16,7 @@ from ..errors import UsageError
 
 Array = NDArray[np.float64]
 
-MOST_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
+MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
 _SCALES = ("log", "int")
 _WHOLE = ("run.seed",)  # keys that take whole numbers only
 _EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
@@ -118,6 +118,11 @@ def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dic
     The range of a key is cut into as many parts as there are samples; each part has one sample,
     somewhere in it, and the orders of the keys are shuffled against each other.
 
+    Args:
+        varied: the keys and their ranges.
+        samples: how many.
+        seed: of all that is random.
+
     Source: McKay, Beckman, Conover 1979, A Comparison of Three Methods for Selecting Values of
     Input Variables in the Analysis of Output from a Computer Code, Technometrics 21.
     """
@@ -133,13 +138,13 @@ def full_grid(varied: Sequence[Vary], count: int) -> list[dict[str, Any]]:
     """Every value of every key with every value of all others; `count` in each range.
 
     Raises:
-        UsageError: that are more than `MOST_VARIANTS`.
+        UsageError: that are more than `MAX_VARIANTS`.
     """
     columns = [vary.grid(count) for vary in varied]
     many = math.prod(map(len, columns))
-    if many > MOST_VARIANTS:
+    if many > MAX_VARIANTS:
         sizes = " x ".join(str(len(column)) for column in columns)
-        message = f"found {sizes} = {many} variants; expected up to {MOST_VARIANTS}"
+        message = f"found {sizes} = {many} variants; expected up to {MAX_VARIANTS}"
         raise UsageError(f"--grid: {message}: fewer --samples, or no --grid")
     return _named(varied, itertools.product(*columns))
 

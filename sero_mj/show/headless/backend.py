@@ -1,16 +1,20 @@
 """Selects the OpenGL backend for rendering without a window.
 
-MuJoCo reads the backend from `MUJOCO_GL` when it is imported. Nothing here loads a graphics
-driver: Mesa's loads its own LLVM, which ends a process in which torch has loaded another one.
+MuJoCo reads the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
+the first picture: Mesa's loads its own LLVM, which ends a process in which torch loads another one.
 """
 
 from __future__ import annotations
 
+import importlib.abc
+import importlib.machinery
 import os
 import subprocess
 import sys
+import types
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 BACKENDS = ("egl", "osmesa", "glfw")
 # Debian and Ubuntu packages for software rendering with each backend.
@@ -29,10 +33,59 @@ def choose_backend() -> str | None:
     Returns:
         the backend; None to keep MuJoCo's default (macOS, Windows).
     """
-    if os.environ.get("MUJOCO_GL") or "mujoco" in sys.modules or sys.platform != "linux":
-        return os.environ.get("MUJOCO_GL")
-    os.environ["MUJOCO_GL"] = backend = _headless_backend()
+    backend = os.environ.get("MUJOCO_GL")
+    if "mujoco" in sys.modules or sys.platform != "linux":
+        return backend
+    os.environ["MUJOCO_GL"] = backend = backend or _headless_backend()
+    if backend.lower().strip() == "egl":
+        sys.meta_path.insert(0, _LazyEglFinder())
     return backend
+
+
+class _LazyEgl(types.ModuleType):
+    """Placeholder of `mujoco.egl` until a context is created.
+
+    MuJoCo 4.0.0 imports that module with `mujoco` itself, and the module queries EGL's devices on
+    import, which loads the driver with Mesa 25 (Debian 13).
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # requested by the import system; the placeholder has none
+            raise AttributeError(name)
+        return _make_context if name == "GLContext" else getattr(_real_egl(), name)
+
+
+class _LazyEglFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Provides `_LazyEgl` for the first import of `mujoco.egl`."""
+
+    def find_spec(
+        self, fullname: str, path: object, target: object = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        if fullname != "mujoco.egl":
+            return None
+        sys.meta_path.remove(self)
+        return importlib.machinery.ModuleSpec(fullname, self)
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
+        return _LazyEgl(spec.name)
+
+    def exec_module(self, module: types.ModuleType) -> None:
+        """Does nothing: the placeholder has no code."""
+
+
+def _real_egl() -> Any:
+    import mujoco
+
+    if isinstance(sys.modules.get("mujoco.egl"), _LazyEgl):
+        del sys.modules["mujoco.egl"], mujoco.egl
+    from mujoco import egl
+
+    return egl
+
+
+def _make_context(*size: int) -> Any:
+    """Creates a context of EGL, width and height in pixels; replaces `mujoco.GLContext`."""
+    return _real_egl().GLContext(*size)
 
 
 def adopt_backend() -> None:
@@ -43,11 +96,10 @@ def adopt_backend() -> None:
     """
     if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
         return
-    from mujoco.egl import GLContext
     from mujoco.rendering.classic import gl_context
 
     # MuJoCo 4.0.0 has no public function for it; `Renderer` reads this name for every context.
-    gl_context.GLContext = GLContext
+    gl_context.GLContext = _make_context
 
 
 def has_display() -> bool:

@@ -220,6 +220,7 @@ class GuardedRun:
     def __init__(self, guard: Guard) -> None:
         self._guard = guard
         self._is_guarded = threading.Event()
+        self._error: OSError | None = None
 
     def __call__(self, server: Any, stop: threading.Event) -> None:
         """Runs until `stop` is set."""
@@ -228,15 +229,22 @@ class GuardedRun:
         run = types.FunctionType(
             theirs.__code__, namespace, theirs.__name__, theirs.__defaults__, theirs.__closure__
         )
-        run(server, stop)
+        try:
+            run(server, stop)
+        except OSError as error:  # another program has taken the port meanwhile, say
+            self._error = error
+            self._is_guarded.set()
 
     def wait(self, seconds: float = 10.0) -> None:
         """Waits until the server runs with the guard, at most `seconds`.
 
         Raises:
-            RenderError: it does not within this time.
+            RenderError: it does not within this time, or the server could not be started.
         """
-        if not self._is_guarded.wait(seconds):
+        is_guarded = self._is_guarded.wait(seconds)
+        if self._error is not None:
+            raise RenderError(f"no web page: {self._error.strerror}") from self._error
+        if not is_guarded:
             raise RenderError(
                 "no web page: Studio's web server of this MuJoCo has changed, and requests of "
                 "other sites could not be refused; `sero-mj view SCENE --window` needs none"

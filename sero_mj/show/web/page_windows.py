@@ -12,8 +12,8 @@ from ...assemble.world_view import WorldView
 from ...decor.pen import MAX_GEOMS
 from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
-from ...receive.receiver import Receiver
 from ...receive.report import describe, report
+from ...receive.source import Source
 from ..clock import SPEEDS, Clock, time_text
 from ..status_line import Message, Mood, clock_text, source_text
 from ..torque_history import TorqueHistory
@@ -197,11 +197,8 @@ class PageWindows(plugin.ViewerPlugin):
         if not host.mirror.sources:
             write_line("none: the scene is shown as declared", "quiet")
         for source in host.mirror.sources.values():
-            if not isinstance(source, Receiver):
-                continue
-            error = getattr(source, "error", None)
-            if error is not None:
-                write_line(f"{source.name}: {error}", "bad")
+            if source.error is not None:
+                write_line(f"{source.name}: {source.error}", "bad")
                 continue
             found = self._report(source)
             write_line(*source_text(found, is_live=source.is_live))
@@ -214,7 +211,7 @@ class PageWindows(plugin.ViewerPlugin):
                         imgui.SetItemTooltip(meaning)
                 imgui.TreePop()
 
-    def _report(self, source: Receiver) -> dict[str, Any]:
+    def _report(self, source: Source) -> dict[str, Any]:
         """Returns the report of a source, updated a few times a second so that it is readable."""
         now = time.monotonic()
         when, found = self._reports.get(source.name, (float("-inf"), {}))

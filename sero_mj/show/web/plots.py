@@ -11,7 +11,7 @@ from mujoco.studio.implot import implot
 from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
-from ...study.envelope import envelope
+from ...study.reduction import envelope
 from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Whether an arm can follow a motion of its flange, found by following it."""
+"""Inverse kinematics along a motion of the flange, and whether the robot can follow it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fewer points that look the same: the extremes of every stretch of time."""
+"""Fewer numbers out of many: peak, root mean square, and the envelope of a curve."""
 
 from __future__ import annotations
 
@@ -36,3 +36,16 @@ def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
     # The first and the last row as well, so that lines begin and end where they do.
     kept = np.unique(np.concatenate([low, high, [0, count - 1]]))
     return times[kept], values[kept]
+
+
+def peak(values: Array) -> int | None:
+    """Row of the value (T,) of the greatest size; None where nothing is known."""
+    if not np.isfinite(values).any():
+        return None
+    return int(np.argmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
+
+
+def rms(values: Array) -> float:
+    """Root mean square of the known ones among values (T,); NaN where nothing is known."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan

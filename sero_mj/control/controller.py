@@ -1,8 +1,8 @@
-"""What declarations of controllers share: gains per joint, and their checks."""
+"""What controllers share: the method that computes torques, and declarations with gains."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator
 from ..declaration import Declaration, numbers
 from ..errors import DeclarationError, Problem
 from .robot_model import RobotModel
-from .torque_limits import Controller
+from .state import Sensed, Target
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,14 @@ def _one_or_more(value: Any) -> Any:
 
 
 def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
-    """Returns a validator for arrays of numbers from `low` to `high`."""
+    """Returns a validator for arrays of numbers.
+
+    Args:
+        low: the least that is allowed.
+        high: the greatest.
+        unit: for the message.
+        note: at its end.
+    """
     unit = unit and f" {unit}"
 
     def validate(array: Array) -> Array:
@@ -47,6 +54,26 @@ Ratio = Annotated[PerJoint, within(0.0, 2.0, "(a ratio; 1 is critical damping)")
 DEFAULT_RATIO: Array = np.array([0.7])
 
 
+class Controller(Protocol):
+    """Computes torques: one of the shipped controllers, or any object with this method.
+
+    ```python
+    class Wave:
+        def torques(self, sensed, target, out):
+            out[:] = 5.0 * np.sin(sensed.time)
+    ```
+    """
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the motor torques of this step.
+
+        Args:
+            sensed: what the sensors say; not to be changed.
+            target: what is asked for; not to be changed.
+            out: (n,), Nm or N, to be written; holds the last step's.
+        """
+
+
 class ControllerDeclaration(Declaration):
     """Base of the declarations of controllers; numbers per joint may be one for all.
 
@@ -59,7 +86,7 @@ class ControllerDeclaration(Declaration):
     torque_rate_limits: MaybePerJoint = None
 
     def make(self, model: RobotModel, timestep: float) -> Controller:
-        """The controller at work, without torque limits.
+        """The controller, without torque limits.
 
         Args:
             model: what it knows of its robot; it has it for itself.

@@ -1,0 +1,183 @@
+"""Forces from outside on simulated robots: pushes at frames, payloads, contacts."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..assemble.inertia import inertia_problem, principal_moments, tensors_from
+from ..assemble.mjcf_dynamics import PAYLOAD
+from ..assemble.world import World
+from ..declaration import numbers
+from ..errors import UnknownName
+
+Array = NDArray[np.float64]
+
+
+class Push:
+    """A force and a torque at a frame, which go with it; change them while time passes.
+
+    Args:
+        world: whose frame it is.
+        frame: name of the frame at whose origin they act, e.g. `lwr/flange`.
+        force: (3,), N.
+        torque: (3,), Nm.
+        expressed_in: name of the frame in whose axes both are given.
+        at: (3,), where in the frame they act, m.
+
+    Attributes:
+        force: (3,), N.
+        torque: (3,), Nm.
+
+    Raises:
+        UnknownName: no such frame.
+        ValueError: not three finite numbers.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        frame: str,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        torque: ArrayLike = (0.0, 0.0, 0.0),
+        expressed_in: str = "world",
+        at: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.frame, self.expressed_in = frame, expressed_in
+        self.force, self.torque, self._at = (
+            _three(name, value)
+            for name, value in (("force", force), ("torque", torque), ("at", at))
+        )
+        self._site = _site(world, frame)
+        self._body = int(world.model.site_bodyid[self._site])
+        self._axes = None if expressed_in == "world" else _site(world, expressed_in)
+
+    def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
+        """Adds the joint torques that it causes.
+
+        Args:
+            model: of the world.
+            data: with its kinematics.
+            torques: (nv,), Nm or N, to which they are added.
+        """
+        force, torque = self.force, self.torque
+        if self._axes is not None:
+            axes = data.site_xmat[self._axes].reshape(3, 3)
+            force, torque = axes @ force, axes @ torque
+        point = data.site_xpos[self._site]
+        if self._at.any():
+            point = point + data.site_xmat[self._site].reshape(3, 3) @ self._at
+        mujoco.mj_applyFT(model, data, force, torque, point, self._body, torques)
+
+
+def _three(name: str, value: ArrayLike) -> Array:
+    array = numbers(value)
+    if array.shape != (3,):
+        raise ValueError(f"{name}: found {array.tolist()}; expected 3 numbers")
+    return array
+
+
+def _site(world: World, frame: str) -> int:
+    if frame not in world.frames.names:
+        raise UnknownName("frame", frame, [*world.frames.names, "world"])
+    return int(world.frames.site[world.frames.names.index(frame)])
+
+
+_STEEL = 7800.0  # kg/m3
+
+
+def attach_payload(
+    model: mujoco.MjModel,
+    robot: str,
+    mass: float,
+    center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
+    inertia: ArrayLike | None = None,
+) -> None:
+    """Gives the payload body of a robot a mass, in the frame of its flange.
+
+    Args:
+        model: of a dynamic world.
+        robot: its name.
+        mass: kg.
+        center_of_mass: (3,), m.
+        inertia: about it, 6 numbers or (3, 3), kg m2; that of a ball of steel when None.
+
+    Raises:
+        ValueError: no rigid body has this mass and inertia.
+    """
+    if not 0 < mass < np.inf:
+        raise ValueError(f"payload of {robot}: found {mass:g} kg; expected a positive mass")
+    center = numbers(center_of_mass)
+    if center.shape != (3,):
+        raise ValueError(f"payload of {robot}: found {center.tolist()}; expected 3 numbers in m")
+    if inertia is None:
+        radius = (3 * mass / (4 * np.pi * _STEEL)) ** (1 / 3)
+        tensor = 0.4 * mass * radius**2 * np.eye(3)
+    else:
+        tensor = tensors_from([inertia])[0]
+    reason = inertia_problem(tensor)
+    if reason is not None:
+        raise ValueError(f"payload of {robot}: {reason}")
+    moments, axes = principal_moments(tensor)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, axes.ravel())
+    _set(model, robot, mass, center, moments, quat)
+
+
+def detach_payload(model: mujoco.MjModel, robot: str) -> None:
+    """Takes the mass away again."""
+    _set(model, robot, 0.0, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0, 0]))
+
+
+def _set(
+    model: mujoco.MjModel, robot: str, mass: float, center: Array, moments: Array, quat: Array
+) -> None:
+    body = model.body(f"{robot}/{PAYLOAD}").id
+    model.body_mass[body] = mass
+    model.body_ipos[body], model.body_iquat[body] = center, quat
+    model.body_inertia[body] = moments
+    model.body_sameframe[body] = 0  # its centre of mass is no longer taken for its origin
+    kept = model.stat.center.copy(), model.stat.extent, model.stat.meansize
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    model.stat.center, model.stat.extent, model.stat.meansize = kept  # else the camera jumps
+
+
+class Contacts:
+    """Sums up what touches robots from outside; a robot's own links against each other are not.
+
+    Args:
+        world: compiled with `dynamic`.
+        data: of it.
+
+    Attributes:
+        forces: (robots, 3), on every robot, in the world's axes, N; of the last `update`.
+    """
+
+    def __init__(self, world: World, data: mujoco.MjData) -> None:
+        self._model, self._data = world.model, data
+        self.forces: Array = np.zeros((len(world.robots), 3))
+        roots = world.model.body_rootid
+        # Of every geom the robot's number, -1 for all else.
+        self._owner = np.full(world.model.ngeom, -1)
+        for number, part in enumerate(world.robots.values()):
+            mine = roots == roots[part.flange_body]
+            self._owner[mine[world.model.geom_bodyid]] = number
+        self._force: Array = np.zeros(6)
+
+    def update(self) -> Array:
+        """Returns `forces` as they are now."""
+        data, forces = self._data, self.forces
+        forces[:] = 0.0
+        contact = data.contact
+        for index, (first, second) in enumerate(self._owner[contact.geom].tolist()):
+            if first == second or contact.exclude[index]:
+                continue
+            mujoco.mj_contactForce(self._model, data, index, self._force)
+            # Rows of the contact's frame: normal from the first geom to the second, two tangents.
+            force = self._force[:3] @ contact.frame[index].reshape(3, 3)
+            if second >= 0:
+                forces[second] += force
+            if first >= 0:
+                forces[first] -= force
+        return forces
