@@ -79,7 +79,7 @@ def test_a_value_switches_its_feature_and_no_other(world, target, read) -> None:
     declared = toggles.snapshot()
     for value in (1.0, 0.0, 0.7):
         world.set_input(data, target, value)
-        toggles.follow(data)
+        toggles.apply_inputs(data)
         assert (read(toggles) == (value > 0.5)).all()
     now = toggles.snapshot()
     others = [key for key, before in declared.items() if np.array_equal(before, now[key])]
@@ -89,18 +89,18 @@ def test_a_value_switches_its_feature_and_no_other(world, target, read) -> None:
 def test_a_switch_acts_when_its_value_changes_so_that_a_click_in_between_holds(world) -> None:
     data, toggles = placed(world), Toggles(world)
     world.set_input(data, "lwr.show_arrows", 1.0)
-    toggles.follow(data)
+    toggles.apply_inputs(data)
     KEYS["a"][1](toggles)
     for _ in range(3):
-        toggles.follow(data)
+        toggles.apply_inputs(data)
     assert not toggles.arrows[:7].any()
     data.userdata[world.slots["lwr.show_arrows"]] = np.nan
-    toggles.follow(data)
+    toggles.apply_inputs(data)
     assert not toggles.arrows[:7].any()
     world.set_input(data, "lwr.show_arrows", 0.0)
-    toggles.follow(data)
+    toggles.apply_inputs(data)
     world.set_input(data, "lwr.show_arrows", 1.0)
-    toggles.follow(data)
+    toggles.apply_inputs(data)
     assert toggles.arrows[:7].all()
 
 
@@ -108,7 +108,7 @@ def test_a_packet_chooses_the_quantity_and_what_is_none_is_left(world) -> None:
     data, toggles = placed(world), Toggles(world)
     for value, expected in ((2.0, 2), (3.0, 3), (9.0, 3), (-1.0, 3)):
         world.set_input(data, "lwr.arrow_quantity", value)
-        toggles.follow(data)
+        toggles.apply_inputs(data)
         assert (toggles.arrow_quantity[:7] == expected).all()
     assert (toggles.arrow_quantity[7:] == 0).all()
 

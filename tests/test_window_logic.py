@@ -20,7 +20,7 @@ from sero_mj.show.keys import KeyHandler
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
 from sero_mj.show.window.arrange import arrange
-from sero_mj.show.window.capture import due_frames, free_name
+from sero_mj.show.window.capture import due_frames, unused_name
 from sero_mj.show.window.help import help_columns, pages
 from sero_mj.show.window.hud import TimeLine
 
@@ -260,10 +260,10 @@ def test_a_film_shows_real_time_whatever_the_frame_rate() -> None:
 
 def test_files_get_names_that_are_free(tmp_path: Path) -> None:
     now = datetime(2026, 5, 4, 17, 3, 12)
-    first = free_name(tmp_path, "two arms/1", ".png", now)
+    first = unused_name(tmp_path, "two arms/1", ".png", now)
     assert first.name == "two_arms_1_2026-05-04_17-03-12.png"
     first.touch()
-    assert free_name(tmp_path, "two arms/1", ".png", now).name.endswith("-12_2.png")
+    assert unused_name(tmp_path, "two arms/1", ".png", now).name.endswith("-12_2.png")
 
 
 def test_no_key_means_two_things_and_each_is_done() -> None:

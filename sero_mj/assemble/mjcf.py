@@ -16,11 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
-from .inputs import moving
-from .looks import PALETTES, Palette
-from .mjcf_double import add_double
-from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
-from .mjcf_geoms import (
+from ._mjcf_geoms import (
     MESH,
     SITE_GROUP,
     geom_type,
@@ -30,6 +26,10 @@ from .mjcf_geoms import (
     pose,
     shape_geom,
 )
+from .inputs import moving
+from .looks import PALETTES, Palette
+from .mjcf_double import add_double
+from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
 from .mjcf_piece import as_spec
 from .objects import Object
 from .robot import SerialRobot

@@ -8,8 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ._mjcf_geoms import MESH, SITE_GROUP, joint_centre, mesh_asset, pose, shape_geom
 from .double import PATH_FADE, Double
-from .mjcf_geoms import MESH, SITE_GROUP, joint_centre, mesh_asset, pose, shape_geom
 from .robot import SerialRobot
 from .shapes import generate_shapes
 

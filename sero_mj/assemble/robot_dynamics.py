@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
-from .estimate import LinkInertias, estimate_links, link_hulls
+from ._estimate import LinkInertias, estimate_links, link_hulls
 from .inertia import rotate_tensors
 from .robot import SerialRobot
 

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem
 from ..frames import frame_from
+from ._mesh_check import mesh_problems
 from .frame_table import arrow_table, frame_table
 from .inputs import BLANKABLE, list_inputs, userdata_slots
 from .joint_table import joint_table, site_ids
-from .mesh_check import mesh_problems
 from .mjcf import build_spec, moved_body
 from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
 from .mjcf_dynamics import set_contact_defaults

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
+from ._lines import Line, billboard_lines, declared_lines, detail_lines
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
-from .lines import Line, billboard_lines, declared_lines, detail_lines
 from .panels import PANEL_RGBA, panel_sizes
 from .pen import Kind
 from .picture_view import PictureView

@@ -59,7 +59,7 @@ class Decor:
         pen, world = self.pen, self._world
         data = world.state(data)
         pen.clear()
-        toggles.follow(data)
+        toggles.apply_inputs(data)
         pen.hidden = toggles.hidden_geoms()
         pen.drawn_doubles = world.drawn_doubles(data, toggles.doubles)
         stale = self._staleness.find(data)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import DrawnDouble
-from .drawn_doubles import DoublePainter
+from ._drawn_doubles import DoublePainter
 from .geoms import GEOM, set_geom, struct_view
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from ._lines import NO_DATA
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
-from .lines import NO_DATA
 from .panels import panel_sizes
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
 from .picture_view import PictureView

@@ -113,7 +113,7 @@ class Toggles:
         """Restores the toggles of a snapshot."""
         vars(self).update(copy.deepcopy(snapshot))
 
-    def follow(self, data: mujoco.MjData) -> None:
+    def apply_inputs(self, data: mujoco.MjData) -> None:
         """Applies the toggles that packets have set.
 
         Only changes of an input act, so that a user can click in between. A value above 0.5 is

@@ -1,7 +1,7 @@
 """`ModelWorld`: the `WorldView` of an external model.
 
 It provides what decor, picking and clicks read of a `World`, derived from the model instead of
-declared in a scene. Input values are stored here, not in the user's data (see `model_state`).
+declared in a scene. Input values are stored here, not in the user's data (see `_model_state`).
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from ..assemble.world_view import WorldView
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName
 from ..frames import frame_from
-from .found_frames import body_labels, list_found_frames
-from .found_robot import FoundPart, found_robot
-from .joint_poses import JointPoses
-from .model_doubles import ModelDoubles
+from ._found_frames import body_labels, list_found_frames
+from ._found_robot import FoundPart, found_robot
+from ._joint_poses import JointPoses
+from ._model_doubles import ModelDoubles
+from ._model_state import ModelState, Sites
 from .model_sizes import measure
-from .model_state import ModelState, Sites
 from .model_trees import Tree, find_trees, torque_limits
 
 log = logging.getLogger(__name__)

@@ -74,18 +74,18 @@ class KeyHandler:
             key: see `input.Event`.
             is_repeat: whether it is an automatic repetition.
         """
-        host, said = self._host, None
+        host, message = self._host, None
         name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
         if is_repeat and name not in _REPEATED:
             return
         if key in KEYS:
-            said = press_toggle(key, host.world, host.data, host.toggles)
+            message = press_toggle(key, host.world, host.data, host.toggles)
         elif name == "camera":
-            said = host.choose_camera(int(key))
+            message = host.choose_camera(int(key))
         elif name in self._actions:
-            said = self._actions[name]()
-        if said:
-            host.say(said)
+            message = self._actions[name]()
+        if message:
+            host.say(message)
 
     def _select(self, places: int) -> str:
         host = self._host

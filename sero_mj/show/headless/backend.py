@@ -1,7 +1,12 @@
 """Selects the OpenGL backend for rendering without a window.
 
+<<<<<<< HEAD
 MuJoCo takes the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
 the first picture: Mesa's brings its own LLVM, and a process in which torch loads another one ends.
+=======
+MuJoCo reads the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
+the first picture: Mesa's loads its own LLVM, which ends a process in which torch loads another one.
+>>>>>>> wt-e
 """
 
 from __future__ import annotations
@@ -43,20 +48,20 @@ def choose_backend() -> str | None:
 
 
 class _LazyEgl(types.ModuleType):
-    """Stands for `mujoco.egl` until a context is made.
+    """Placeholder of `mujoco.egl` until a context is created.
 
-    MuJoCo 4.0.0 imports that module with `mujoco` itself, and it asks EGL for its devices at once:
-    with Mesa 25 (Debian 13) this loads the driver.
+    MuJoCo 4.0.0 imports that module with `mujoco` itself, and the module queries EGL's devices on
+    import, which loads the driver with Mesa 25 (Debian 13).
     """
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # asked for by the import system: it is a module without any
+        if name.startswith("__"):  # requested by the import system; the placeholder has none
             raise AttributeError(name)
         return _make_context if name == "GLContext" else getattr(_real_egl(), name)
 
 
 class _LazyEglFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds `_LazyEgl` for the first import of `mujoco.egl`, and nothing else."""
+    """Provides `_LazyEgl` for the first import of `mujoco.egl`."""
 
     def find_spec(
         self, fullname: str, path: object, target: object = None
@@ -70,7 +75,7 @@ class _LazyEglFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return _LazyEgl(spec.name)
 
     def exec_module(self, module: types.ModuleType) -> None:
-        """Nothing is to be run."""
+        """Does nothing: the placeholder has no code."""
 
 
 def _real_egl() -> Any:
@@ -84,7 +89,7 @@ def _real_egl() -> Any:
 
 
 def _make_context(*size: int) -> Any:
-    """What `mujoco.GLContext` is then: makes one of EGL, width and height in pixels."""
+    """Creates a context of EGL, width and height in pixels; replaces `mujoco.GLContext`."""
     return _real_egl().GLContext(*size)
 
 
@@ -98,7 +103,11 @@ def adopt_backend() -> None:
         return
     from mujoco.rendering.classic import gl_context
 
+<<<<<<< HEAD
     # MuJoCo 4.0.0 has no public way to change it; `Renderer` reads this name for every context.
+=======
+    # MuJoCo 4.0.0 has no public function for it; `Renderer` reads this name for every context.
+>>>>>>> wt-e
     gl_context.GLContext = _make_context
 
 

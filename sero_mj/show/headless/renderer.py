@@ -18,9 +18,9 @@ from ..camera import find_camera
 from ..interaction import Gesture, click, hover
 from ..picking import Picked
 from ..scene_decor import SceneDecor
+from ._offscreen import check_size, offscreen_size
 from .backend import adopt_backend
 from .film import Picture
-from .offscreen import check_size, offscreen_size
 
 log = logging.getLogger(__name__)
 

@@ -90,11 +90,11 @@ class StudioApp(studio_app.App):
             return Event(kind, *at, time=now, button=button, shift=io.KeyShift or io.KeyCtrl)  # type: ignore[arg-type]
 
         found = [self._mouse.take(event("move"))]
-        for ours, theirs in _BUTTONS:
-            if over_scene and imgui.IsMouseClicked(int(theirs)):
-                found.append(self._mouse.take(event("press", ours)))
-            if imgui.IsMouseReleased(int(theirs)):
-                found.append(self._mouse.take(event("release", ours)))
+        for button, studio_button in _BUTTONS:
+            if over_scene and imgui.IsMouseClicked(int(studio_button)):
+                found.append(self._mouse.take(event("press", button)))
+            if imgui.IsMouseReleased(int(studio_button)):
+                found.append(self._mouse.take(event("release", button)))
         for each in found:
             if isinstance(each, Clicked):
                 self._target.click(each)

@@ -256,11 +256,11 @@ class WebHost:
         if number > len(names):
             return f"no camera {number}: the scene has {len(names) or 'none'}"
         camera = find_camera(self.world, self._start_camera if number == 0 else names[number - 1])
-        ours = self.viewer.camera
-        ours.type, ours.fixedcamid, ours.trackbodyid = camera.type, camera.fixedcamid, -1
+        current = self.viewer.camera
+        current.type, current.fixedcamid, current.trackbodyid = camera.type, camera.fixedcamid, -1
         if number == 0:
-            ours.lookat[:], ours.distance = camera.lookat, camera.distance
-            ours.azimuth, ours.elevation = camera.azimuth, camera.elevation
+            current.lookat[:], current.distance = camera.lookat, camera.distance
+            current.azimuth, current.elevation = camera.azimuth, camera.elevation
         is_fixed = camera.type == mujoco.mjtCamera.mjCAMERA_FIXED
         self._app.reset_camera_index(camera.fixedcamid if is_fixed else ux.TUMBLE_CAMERA_IDX)
         return f"camera {names[number - 1]}" if number else "initial view"

@@ -18,9 +18,9 @@ from ..clock import SPEEDS, Clock, time_text
 from ..status_line import Message, Mood, clock_text, source_text
 from ..torque_history import TorqueHistory
 from ..window.help import help_columns
+from ._robot_panel import RobotPanel
 from .decor import WebDecor
 from .plots import TorquePlots
-from .robot_panel import RobotPanel
 
 _ONCE = int(imgui.Cond.FirstUseEver)
 _ALWAYS = int(imgui.Cond.Always)

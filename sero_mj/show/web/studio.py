@@ -16,8 +16,8 @@ from mujoco.studio.web import web_server
 from websockets.exceptions import ConnectionClosed
 
 from ...errors import RenderError
+from ._same_process_socket import SameProcessSocket
 from .guard import Guard, GuardedRun
-from .same_process_socket import SameProcessSocket
 from .site import find_files, read_page
 
 LOOPBACK = "127.0.0.1"

@@ -19,7 +19,7 @@ _MOST_WAITING = 8
 Pixels = NDArray[np.uint8]
 
 
-def free_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
+def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
     """Returns an unused file name: `lwr_2026-05-04_17-03-12.png`.
 
     Args:
@@ -77,7 +77,7 @@ class Capture:
 
     def picture(self, pixels: Pixels) -> None:
         """Writes a screenshot, (height, width, 3)."""
-        path = free_name(self._folder, self._scene, ".png", datetime.now())
+        path = unused_name(self._folder, self._scene, ".png", datetime.now())
         future = self._pool.submit(save_picture, path, pixels)
         self._pending.append((future, "screenshot", path))
 
@@ -87,7 +87,7 @@ class Capture:
         Raises:
             RenderError: the file cannot be written.
         """
-        path = free_name(self._folder, self._scene, ".mp4", datetime.now())
+        path = unused_name(self._folder, self._scene, ".mp4", datetime.now())
         self._film, self._film_path = FilmWriter(path, *size, FPS), path
         self._size, self._begin, self._sent = size, time, 0
         self.is_filming, self.seconds = True, 0.0

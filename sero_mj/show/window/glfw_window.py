@@ -13,7 +13,7 @@ import mujoco
 from ...assemble.world_view import WorldView
 from ...decor.font import Font, font_scale, nearest_font_scale
 from ...errors import RenderError
-from ..headless.offscreen import check_size, offscreen_size
+from ..headless._offscreen import check_size, offscreen_size
 from ..input import LEFT, MIDDLE, RIGHT, Event
 
 _SAMPLES = 4  # samples per pixel, for antialiasing
@@ -220,27 +220,27 @@ class GlWindow:
 
 
 @contextmanager
-def _complaints() -> Iterator[list[str]]:
+def _glfw_errors() -> Iterator[list[str]]:
     """Collects GLFW's error messages, which it would otherwise print."""
-    said: list[str] = []
+    errors: list[str] = []
 
     def note(code: int, text: Any) -> None:
-        said.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
+        errors.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
 
-    nobody: Any = None
+    no_callback: Any = None
     listener: Callable[[int, str], None] = note
     glfw.set_error_callback(listener)
     try:
-        yield said
+        yield errors
     finally:
-        glfw.set_error_callback(nobody)
+        glfw.set_error_callback(no_callback)
 
 
 def _start_glfw() -> None:
-    with _complaints() as said:
+    with _glfw_errors() as errors:
         if glfw.init():
             return
-    reason = said[-1] if said else "GLFW does not start"
+    reason = errors[-1] if errors else "GLFW does not start"
     raise RenderError(f"no window can be opened: {reason}; is there a display?")
 
 
@@ -253,7 +253,7 @@ def _check(size: Any) -> None:
 
 
 def _make_window(size: tuple[int, int], title: str) -> Any:
-    with _complaints() as said:
+    with _glfw_errors() as errors:
         glfw.default_window_hints()
         glfw.window_hint(glfw.SCALE_TO_MONITOR, glfw.TRUE)
         for samples in (_SAMPLES, 0):
@@ -261,7 +261,7 @@ def _make_window(size: tuple[int, int], title: str) -> Any:
             window = glfw.create_window(*size, title, None, None)
             if window:
                 return window
-    reason = said[-1] if said else "no OpenGL"
+    reason = errors[-1] if errors else "no OpenGL"
     raise RenderError(
         f"no window can be opened: {reason}; `sero-mj render` makes pictures without one"
     )

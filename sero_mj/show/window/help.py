@@ -35,7 +35,9 @@ def help_columns(*, on_page: bool = False) -> list[list[Row]]:
     """
     of_host = HOST_KEYS
     if on_page:
-        of_host = {key: said for key, said in HOST_KEYS.items() if key not in OF_BROWSER}
+        of_host = {
+            key: description for key, description in HOST_KEYS.items() if key not in OF_BROWSER
+        }
         of_host |= {"t": ("panel", "panel on or off"), "h": ("help", "this help")}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.mjcf_double import OUT_OF_SIGHT
-from .joint_poses import JointPoses
+from ._joint_poses import JointPoses
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]

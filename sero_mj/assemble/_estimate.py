@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .. import frames
 from ..errors import DeclarationError
-from .mjcf_geoms import MESH, hull_asset, mesh_asset, shape_geom
+from ._mjcf_geoms import MESH, hull_asset, mesh_asset, shape_geom
 from .robot import SerialRobot
 from .shapes import generate_shapes
 

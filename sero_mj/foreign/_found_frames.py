@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..assemble.double import Double
 from ..assemble.named_frames import NamedFrame
 from ..errors import UnknownName
-from .found_robot import FoundPart, FoundRobot
+from ._found_robot import FoundPart, FoundRobot
 from .model_trees import Tree, without_scope
 
 Ints = NDArray[np.intp]
