@@ -21,11 +21,7 @@ from ..errors import UsageError
 from ..foreign.model_world import ModelWorld
 from ._canvas import canvas_of
 from .camera import find_camera
-<<<<<<< HEAD
-from .canvas import canvas_of
 from .headless.backend import adopt_backend
-=======
->>>>>>> wt-e
 from .headless.film import Picture
 from .headless.renderer import DEFAULT_SIZE, HeadlessRenderer
 from .interaction import Gesture, click, hover

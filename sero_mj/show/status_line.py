@@ -64,11 +64,7 @@ def clock_text(clock: Clock) -> Piece:
 
 
 def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) -> list[Piece]:
-<<<<<<< HEAD
-    """All pieces of the status line, the most important first.
-=======
     """Returns all parts of the status line, the most important first.
->>>>>>> wt-e
 
     Args:
         sources: of the mirror.

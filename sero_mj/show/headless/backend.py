@@ -1,12 +1,7 @@
 """Selects the OpenGL backend for rendering without a window.
 
-<<<<<<< HEAD
-MuJoCo takes the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
-the first picture: Mesa's brings its own LLVM, and a process in which torch loads another one ends.
-=======
 MuJoCo reads the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
 the first picture: Mesa's loads its own LLVM, which ends a process in which torch loads another one.
->>>>>>> wt-e
 """
 
 from __future__ import annotations
@@ -103,11 +98,7 @@ def adopt_backend() -> None:
         return
     from mujoco.rendering.classic import gl_context
 
-<<<<<<< HEAD
-    # MuJoCo 4.0.0 has no public way to change it; `Renderer` reads this name for every context.
-=======
     # MuJoCo 4.0.0 has no public function for it; `Renderer` reads this name for every context.
->>>>>>> wt-e
     gl_context.GLContext = _make_context
 
 
