@@ -25,10 +25,16 @@ settings.register_profile("quarter", max_examples=25)
 settings.register_profile("thorough", max_examples=100)
 settings.load_profile("quarter")
 
-# Screens, browsers and films take both cores: with several workers these run on one of them.
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
 _MAY_BE_SKIPPED = ("dm-control is not installed", "by hand", "Linux", "no IPv6 groups")
-_ON_ONE_WORKER = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_docs")
+# Screens, browsers and films take both cores.
+_LIVE = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_docs")
+# These open the ports of shipped scenes, or keep exact times. With several workers all of both run
+# on one of them, so that none runs beside another.
+_ALONE = (
+    "test_ahead", "test_cli", "test_film", "test_fri", "test_mirror", "test_shm",
+    "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
+)  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -44,9 +50,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.path.name.startswith(_ON_ONE_WORKER):
+        if item.path.name.startswith(_LIVE):
             item.add_marker(pytest.mark.live)
-            item.add_marker(pytest.mark.xdist_group("screen"))
+        if item.path.name.startswith(_LIVE + _ALONE):
+            item.add_marker(pytest.mark.xdist_group("alone"))
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -218,7 +218,7 @@ def test_list_names_robots_scenes_and_fields(capsys) -> None:
     assert re.search(r"^  impedance_push +Joint impedance holds", out, re.MULTILINE)
     assert re.search(r"^  lwr/reach +Brings the flange to a random target", out, re.MULTILINE)
     _, out, _ = run(capsys, "list", "--fields")
-    assert re.search(r"^axes_size = 0.2\n    their length in m\.", out, re.MULTILINE)
+    assert re.search(r"^axes_size = 0.2\n    their length, m", out, re.MULTILINE)
     assert "dh_convention = required" in out
 
 

@@ -62,6 +62,17 @@ def test_pictures_are_rendered_whatever_is_imported_first(code: str, tmp_path: P
     run_on_server(code, tmp_path)
 
 
+@pytest.mark.gl
+def test_a_renderer_of_ones_own_works_with_an_overlay_when_mujoco_came_first(
+    tmp_path: Path,
+) -> None:
+    overlay = """
+over = sero_mj.overlay(mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><body><joint/><geom size='.2'/></body></worldbody></mujoco>"))
+"""
+    run_on_server(f"import mujoco\nimport sero_mj\n{overlay}{_OWN_RENDERER}", tmp_path)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_no_graphics_driver_is_loaded_before_a_picture(tmp_path: Path) -> None:
     # Mesa brings an LLVM; a process that loads torch's as well ends with a segmentation fault.

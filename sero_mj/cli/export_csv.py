@@ -31,7 +31,7 @@ def add_to(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Writes; returns 0, or 1 where the recording is damaged and nothing could be read."""
+    """Writes; returns 0, or 1 where there are packets and none could be read."""
     from ..record.export_csv import export_csv
     from ..record.recording import Recording
     from ..record.replay import Replay
@@ -41,14 +41,15 @@ def run(options: argparse.Namespace) -> int:
     with Recording(options.recording) as recording:
         name = recording.choose_source(options.source or "")
         check_span(recording, options.start, options.stop)
-        decode = Replay(file=options.recording, source=name).decode
+        source = Replay(file=options.recording, source=name)
+        source.allow_nan(source.events)  # a table has a place for them
         start = -math.inf if options.start is None else options.start
         written = export_csv(
-            recording, name, options.output, decode, start=start, stop=options.stop
+            recording, name, options.output, source.decode, start=start, stop=options.stop
         )
         for fault in recording.faults:
             print(f"note: {options.recording}: {fault}")
         damaged = bool(recording.faults)
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
     print(f"{options.output}: {written.rows} rows{left_out}")
-    return 1 if damaged and not written.rows else 0
+    return 1 if (damaged or written.malformed) and not written.rows else 0

@@ -21,6 +21,7 @@ from ..errors import UsageError
 from ..foreign.model_world import ModelWorld
 from ._canvas import canvas_of
 from .camera import find_camera
+from .headless.backend import adopt_backend
 from .headless.film import Picture
 from .headless.renderer import DEFAULT_SIZE, HeadlessRenderer
 from .interaction import Gesture, click, hover
@@ -264,6 +265,7 @@ def overlay(
     if is_mjcf_object(model):
         model = as_spec(model, Path()).compile()
     _check_model(model)
+    adopt_backend()  # also for a renderer of the user's own
     if data is None:
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
