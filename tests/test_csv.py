@@ -12,6 +12,7 @@ from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sero_mj.cli import main
 from sero_mj.errors import CsvError, UnknownName
 from sero_mj.receive.structure import Structure
 from sero_mj.record.export_csv import Exported, column_names, export_csv
@@ -179,3 +180,30 @@ def test_a_table_goes_where_a_link_leads_and_into_pipes(tmp_path: Path) -> None:
     assert os.read(end, 100) == b"b,2\n"
     os.close(end)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["link.csv", "pipe", "there"]
+
+
+def test_the_command_exports_nan_as_such_and_fails_without_a_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layout = Structure("2F")
+
+    def recorded(name: str, packet: bytes) -> list[str]:
+        path = tmp_path / f"{name}.mcap"
+        with RecordingWriter(path, about={}) as writer:
+            declared = {"port": 1, "structure": "2F"}
+            writer.add_source("arm", kind="udp", declared=declared, events=layout.events, size=16)
+            for i in range(3):
+                writer.write_raw("arm", packet, writer.clock.monotonic_ns / 1e9 + i / 8)
+        return ["export-csv", str(path), str(tmp_path / f"{name}.csv")]
+
+    assert run(recorded("nan", layout.encode({"values0": [0.5, math.nan]}))) == 0
+    lines = (tmp_path / "nan.csv").read_text("utf-8").splitlines()
+    assert [line.partition(",")[2] for line in lines[1:]] == ["0.5,nan"] * 3
+    assert run(recorded("short", b"short")) == 1
+    assert "0 rows, 3 malformed packets left out" in capsys.readouterr().out
+
+
+def run(arguments: list[str]) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    return int(ended.value.code or 0)
