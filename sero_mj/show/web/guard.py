@@ -239,11 +239,7 @@ class GuardedRun:
         """Waits until the server runs with the guard, at most `seconds`.
 
         Raises:
-        <<<<<<< HEAD
-            RenderError: none does, or the server could not be started.
-        =======
             RenderError: it does not within this time, or the server could not be started.
-        >>>>>>> wt-e
         """
         is_guarded = self._is_guarded.wait(seconds)
         if self._error is not None:

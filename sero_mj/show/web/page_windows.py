@@ -212,7 +212,7 @@ class PageWindows(plugin.ViewerPlugin):
                 imgui.TreePop()
 
     def _report(self, source: Source) -> dict[str, Any]:
-        """What came in, a few times a second: what changes in every frame nobody can read."""
+        """Returns the report of a source, updated a few times a second so that it is readable."""
         now = time.monotonic()
         when, found = self._reports.get(source.name, (float("-inf"), {}))
         if now - when >= _READABLE:
