@@ -26,7 +26,10 @@ settings.register_profile("thorough", max_examples=100)
 settings.load_profile("quarter")
 
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
-_MAY_BE_SKIPPED = ("dm-control is not installed", "by hand", "Linux", "no IPv6 groups")
+_MAY_BE_SKIPPED = (
+    "dm-control is not installed", "by hand", "Linux", "no IPv6 groups", "nbformat", "nbclient",
+    "ipykernel",
+)  # fmt: skip
 # Screens, browsers and films take both cores.
 _LIVE = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_docs")
 # These open the ports of shipped scenes, or keep exact times. With several workers all of both run
