@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import http.client
 import logging
 import signal
@@ -10,7 +9,6 @@ import socket
 import subprocess
 import sys
 import threading
-import warnings
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -32,16 +30,6 @@ from sero_mj.show.web.host import WebHost
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
 PATHS = ("/", "/index.html", "/web_client.js", "/model", "/model?total_bytes", "/state", "/ui")
-
-
-@pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Studio keeps its settings there."""
-    monkeypatch.setenv("HOME", str(tmp_path))
-    yield
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)
-        gc.collect()  # here, and not in a later test
 
 
 @pytest.fixture

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import gc
 import socket
 import struct
 import urllib.request
-import warnings
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,17 +19,10 @@ from sero_mj.load import load_scene
 from sero_mj.show.web.host import WebHost
 
 # Studio's server ends without closing the connection of its user interface.
-pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
-
-
-@pytest.fixture(autouse=True)
-def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Studio keeps its settings at home."""
-    monkeypatch.setenv("HOME", str(tmp_path))
-    yield
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)
-        gc.collect()  # here, and not in a later test
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.usefixtures("home"),
+]
 
 
 @pytest.fixture
