@@ -17,7 +17,7 @@ demo: .venv/.run
 	@$(BIN)/sero-mj demo --out out
 
 test: .venv/.test
-	$(BIN)/python -m pytest -q -n auto --dist loadgroup $(PYTEST)
+	$(BIN)/python -m pytest -q -n auto $(PYTEST)
 
 quick: .venv/.test
 	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"

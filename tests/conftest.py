@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
@@ -57,8 +58,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.name.startswith(_LIVE):
             item.add_marker(pytest.mark.live)
-        if item.path.name.startswith(_LIVE + _ALONE):
-            item.add_marker(pytest.mark.xdist_group("alone"))
+
+
+class _OneWorkerForWhatIsAlone(LoadScopeScheduling):
+    # By file: with pytest 9.2 the marks `xdist_group` are ignored (pytest-xdist issue 1386).
+    def _split_scope(self, nodeid: str) -> str:
+        name = nodeid.partition("::")[0].rpartition("/")[2]
+        return "alone" if name.startswith(_LIVE + _ALONE) else nodeid
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadScopeScheduling:
+    return _OneWorkerForWhatIsAlone(config, log)
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -51,6 +51,11 @@ def test_struct_view_reads_what_the_binding_writes_in_every_geom() -> None:
 
 def test_struct_view_leaves_the_scene_as_it_was() -> None:
     scene = a_scene()
+    for i in (0, 49):  # MuJoCo leaves them as the memory was, in which there may be NaN
+        start = np.full(3, 1.0 + i)
+        mujoco.mjv_initGeom(
+            scene.geoms[i], mujoco.mjtGeom.mjGEOM_BOX, start, start, np.eye(3).ravel(), np.ones(4)
+        )
     before = [fields_of(scene.geoms[i]) for i in (0, 49)]
     struct_view(scene)
     assert [fields_of(scene.geoms[i]) for i in (0, 49)] == before
