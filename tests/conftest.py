@@ -33,10 +33,10 @@ _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups", "nbformat", "nbclient",
     "ipykernel",
 )  # fmt: skip
-# Screens, browsers and films take both cores.
-_LIVE = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_docs")
-# These open the ports of shipped scenes, or keep exact times. With several workers all of both run
-# on one of them, so that none runs beside another.
+_BROWSERS = ("test_web",)
+_LIVE = (*_BROWSERS, "test_window", "test_overlay_window", "test_viewer", "test_docs")
+# These and the live ones open the ports of shipped scenes, have a screen, or keep exact times: of
+# several workers one runs them all, but for browsers, which another does.
 _ALONE = (
     "test_ahead", "test_cli", "test_film", "test_fri", "test_mirror", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
@@ -60,16 +60,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.live)
 
 
-class _OneWorkerForWhatIsAlone(LoadScopeScheduling):
-    # By file: with pytest 9.2 the marks `xdist_group` are ignored (pytest-xdist issue 1386).
+class _GroupsByFile(LoadScopeScheduling):
+    # Not marks `xdist_group`: with pytest 9.2 they are ignored (pytest-xdist issue 1386).
     def _split_scope(self, nodeid: str) -> str:
         name = nodeid.partition("::")[0].rpartition("/")[2]
+        if name.startswith(_BROWSERS):
+            return "browsers"
         return "alone" if name.startswith(_LIVE + _ALONE) else nodeid
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadScopeScheduling:
-    return _OneWorkerForWhatIsAlone(config, log)
+    return _GroupsByFile(config, log)
 
 
 @pytest.hookimpl(hookwrapper=True)
