@@ -5,9 +5,9 @@ import logging
 import mujoco
 import numpy as np
 
-from sero_mj.decor import geoms
-from sero_mj.decor.geoms import GEOM, set_geom, struct_view
-from sero_mj.decor.pen import Pen, SceneWriter
+from sero_mj.decor import scene_writer
+from sero_mj.decor.pen import GEOM, Pen
+from sero_mj.decor.scene_writer import SceneWriter, set_geom, struct_view
 
 
 def a_scene(maxgeom: int = 50) -> mujoco.MjvScene:
@@ -69,7 +69,7 @@ def test_struct_view_refuses_memory_that_is_laid_out_otherwise(monkeypatch, capl
     offsets[i], offsets[j] = offsets[j], offsets[i]
     formats = [swapped[name][0] for name in names]
     other = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": 256})
-    monkeypatch.setattr(geoms, "GEOM", other)
+    monkeypatch.setattr(scene_writer, "GEOM", other)
     with caplog.at_level(logging.WARNING):
         assert struct_view(a_scene()) is None
     assert "mjvGeom has an unexpected memory layout; geoms are copied one by one" in caplog.text

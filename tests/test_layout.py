@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.decor.layout import columns, spread
+from sero_mj.decor.cards import columns, spread
 
 heights = st.lists(st.floats(5, 60), min_size=1, max_size=12)
 

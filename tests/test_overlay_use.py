@@ -78,8 +78,7 @@ def test_geoms_are_the_same_where_their_memory_is_not_as_expected(monkeypatch: A
     scenes = []
     for fast in (True, False):
         if not fast:
-            for module in ("pen", "_drawn_doubles"):
-                monkeypatch.setattr(f"sero_mj.decor.{module}.struct_view", lambda scene: None)
+            monkeypatch.setattr("sero_mj.decor.scene_writer.struct_view", lambda scene: None)
         overlay = sero_mj.overlay(*arm(), doubles=[double])
         scene = scene_of(overlay)
         overlay.draw(scene)

@@ -13,8 +13,13 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
-from sero_mj.decor.ribbons import TURNING_SPEED
-from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA, WIDEST, arrow_widths
+from sero_mj.decor.round_arrows import (
+    NEGATIVE_RGBA,
+    POSITIVE_RGBA,
+    TURNING_SPEED,
+    WIDEST,
+    arrow_widths,
+)
 from sero_mj.drive.place import follow
 
 BAND = np.array([0.002])  # the default dead band

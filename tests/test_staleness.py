@@ -14,7 +14,8 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import GREY, Kind, SceneWriter
+from sero_mj.decor.pen import GREY, Kind
+from sero_mj.decor.scene_writer import SceneWriter
 from sero_mj.drive.place import Placer
 from sero_mj.show.headless.renderer import HeadlessRenderer
 

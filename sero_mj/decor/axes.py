@@ -1,7 +1,8 @@
 """Smart axes: coordinate axes at the base, every joint, the flange and named frames.
 
 x is red, y green, z blue. Coinciding frames are nested: each further one has shorter and thicker
-bars, so that all of them can be distinguished and clicked on in any orientation (section 2.5).
+bars, so that all of them can be distinguished and clicked on in any orientation (section 2.5). A
+click shows a frame's name.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
 from .feature import Feature, Frame
+from .panels import Panels, labels_at
 from .pen import GREY, Kind, Pen
+from .picture_view import PictureView
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -22,6 +25,7 @@ Bools = NDArray[np.bool_]
 # Red, green, blue, in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
 _HALF_WIDTH_OF_LENGTH = 0.022
+_SPACED = 1.05  # vertical distance of two labels over their height
 _STALE_SHARE = 0.75  # fraction of grey in the colour of a stale frame
 # Frames closer than the first coincide, farther than the second they do not. In between, sizes
 # change continuously, so that frames that move apart do not flicker.
@@ -136,3 +140,58 @@ def draw_bars(
     grid["size"][..., 2] = length / 2
     grid["rgba"][..., :3] = rgb
     grid["rgba"][..., 3] = alpha[:, None]
+
+
+class FrameNames(Feature):
+    """Shows the names of frames whose name is switched on, by a click for example."""
+
+    order = 60
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds a label below the origin of every frame whose name is shown."""
+        panels = name_panels(self.world, frame.data, frame.shown.frame_names, frame.view)
+        if panels is not None:
+            frame.panels.append(panels)
+
+
+def name_panels(
+    world: WorldView, data: mujoco.MjData, named: Bools, view: PictureView
+) -> Panels | None:
+    """Returns labels below the origins of frames, or None if there are none.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        named: whether a frame's name is shown, (M,) bool.
+        view: of the picture.
+    """
+    shown = named.nonzero()[0]
+    if not len(shown):
+        return None
+    origins, depth = view.project(data.site_xpos[world.frames.site[shown]])
+    inside = view.sees(origins, depth)
+    shown, origins = shown[inside], origins[inside]
+    if not len(shown):
+        return None
+    texts = [world.frames.names[i].encode("ascii", "replace")[:99] for i in shown]
+    lines = [[text] for text in texts]
+    below = origins - [0.0, view.font.height]
+    centres, sizes = labels_at(view, below, lines)
+    move_apart(centres, sizes)
+    return Panels(centres, sizes, lines, kind=Kind.NAME, items=shown)
+
+
+def move_apart(centres: NDArray[np.float64], sizes: NDArray[np.float64]) -> None:
+    """Moves labels below those of earlier frames that they overlap, in place.
+
+    Args:
+        centres: (k, 2), pixels.
+        sizes: (k, 2), pixels.
+    """
+    for k in range(1, len(centres)):
+        beside = np.abs(centres[:k, 0] - centres[k, 0]) < (sizes[:k, 0] + sizes[k, 0]) / 2
+        apart = (sizes[:k, 1] + sizes[k, 1]) / 2 * _SPACED
+        # From the highest down: the label moves below each one that it overlaps.
+        for other in np.argsort(-centres[:k, 1]):
+            if beside[other] and abs(centres[other, 1] - centres[k, 1]) < apart[other]:
+                centres[k, 1] = centres[other, 1] - apart[other]

@@ -22,6 +22,7 @@ from .cards import Cards
 from .panels import Panels
 from .pen import Pen
 from .picture_view import PictureView
+from .staleness import stale_mask
 from .toggles import Shown, Toggles
 
 log = logging.getLogger(__name__)
@@ -69,9 +70,7 @@ class Frame:
 
     def is_stale(self, names: list[str]) -> Bools:
         """Returns which of these names have no fresh data, (k,) bool."""
-        if not self.stale:
-            return np.zeros(len(names), bool)
-        return np.array([name in self.stale for name in names], bool)
+        return stale_mask(names, self.stale)
 
 
 class Feature:

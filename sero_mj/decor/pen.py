@@ -1,4 +1,4 @@
-"""`Pen`: the buffer of decor geoms, and `SceneWriter`, which copies it into a host's scene."""
+"""`Pen`: the buffer of decor geoms that features fill every frame."""
 
 from __future__ import annotations
 
@@ -10,15 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import DrawnDouble
-from ._drawn_doubles import DoublePainter
-from .geoms import GEOM, set_geom, struct_view
 
+# mjvGeom of MuJoCo 4.0 (mjvisualize.h). `struct_view` compares it with the loaded library.
+GEOM = np.dtype(
+    {
+        "names": [
+            "type", "dataid", "objtype", "objid", "category", "matid", "texid", "texuniform",
+            "texcoord", "segid", "size", "pos", "mat", "rgba", "emission", "specular",
+            "shininess", "reflectance", "texrepeat", "castshadow", "label",
+        ],
+        "formats": [
+            *["<i4"] * 10, ("<f4", 3), ("<f4", 3), ("<f4", (3, 3)), ("<f4", 4), "<f4", "<f4",
+            "<f4", "<f4", ("<f4", 2), "u1", "S100",
+        ],
+        "offsets": [*range(0, 40, 4), 40, 52, 64, 100, 116, 120, 124, 128, 132, 140, 141],
+        "itemsize": 256,
+    }
+)  # fmt: skip
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 MAX_GEOMS = 1024  # MuJoCo Studio's web viewer ignores geoms above this number
 CAPACITY = 4 * MAX_GEOMS  # for other hosts
 # Both renderers of MuJoCo 4.0.0 draw an arrow half as long as its size[2] (glScalef by size[2] / 6
 # in render_gl3.c): a third of it shaft, a sixth head; verified by a test in a picture.
 ARROW_SIZE_OF_LENGTH = 2.0
+GREY = (0.50, 0.50, 0.51)
 
 
 class Kind(IntEnum):
@@ -102,74 +117,3 @@ class Pen:
         rows["emission"] = 0.35
         rows["specular"] = 0.1
         return rows
-
-
-GREY = (0.50, 0.50, 0.51)
-GREYNESS = 0.8  # fraction of grey in the colour of a stale robot
-
-
-class SceneWriter:
-    """Adds decor to an `MjvScene` that MuJoCo has filled."""
-
-    def __init__(self, scene: mujoco.MjvScene) -> None:
-        self._scene = scene
-        self._view = struct_view(scene)
-        self._painter: DoublePainter | None = None
-
-    def add(self, pen: Pen) -> int:
-        """Appends the pen's geoms to the scene.
-
-        Returns:
-            number of geoms that exceeded the scene's capacity.
-        """
-        scene = self._scene
-        if pen.hidden is not None:
-            self._hide(pen.hidden)
-        if pen.grey is not None:
-            self._grey(pen.grey, scene.ngeom)
-        dropped = 0
-        if pen.drawn_doubles:
-            if self._painter is None:
-                self._painter = DoublePainter(pen.drawn_doubles[0].model)
-            dropped = sum(
-                self._painter.add(drawn, scene, self._view) for drawn in pen.drawn_doubles
-            )
-        start = scene.ngeom
-        count = min(pen.count, scene.maxgeom - start)
-        if self._view is not None:
-            self._view[start : start + count] = pen.rows[:count]
-        else:
-            for geom, row in zip(scene.geoms[start : start + count], pen.rows, strict=False):
-                set_geom(geom, row)
-        scene.ngeom = start + count
-        return int(pen.count - count) + dropped
-
-    def _hide(self, hidden: NDArray[np.bool_]) -> None:
-        """Removes geoms of the model from the scene."""
-        scene = self._scene
-        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
-        if self._view is not None:
-            rows = self._view[: scene.ngeom]
-            of_model = (rows["objtype"] == kind) & (rows["objid"] >= 0)
-            kept = rows[~(of_model & hidden[np.where(of_model, rows["objid"], 0)])]
-            rows[: len(kept)] = kept
-            scene.ngeom = len(kept)
-            return
-        for geom in scene.geoms[: scene.ngeom]:
-            if geom.objtype == kind and geom.objid >= 0 and hidden[geom.objid]:
-                geom.rgba[3] = 0.0
-
-    def _grey(self, grey: NDArray[np.bool_], count: int) -> None:
-        """Makes the model's geoms grey, among the first `count` of the scene."""
-        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
-        if self._view is not None:
-            rows = self._view[:count]
-            index = ((rows["objtype"] == kind) & (rows["objid"] >= 0)).nonzero()[0]
-            index = index[grey[rows["objid"][index]]]
-            colours = rows["rgba"][index]
-            colours[:, :3] += GREYNESS * (np.array(GREY) - colours[:, :3])
-            rows["rgba"][index] = colours
-            return
-        for geom in self._scene.geoms[:count]:
-            if geom.objtype == kind and geom.objid >= 0 and grey[geom.objid]:
-                geom.rgba[:3] += GREYNESS * (np.array(GREY) - geom.rgba[:3])

@@ -12,15 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
-from ._lines import NO_DATA
+from .billboards import NO_DATA
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
 from .panels import panel_sizes
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
 from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
-from .ribbons import TURNING_SPEED, Ribbons, draw_ribbons
-from .round_arrows import DARKER
+from .round_arrows import DARKER, TURNING_SPEED, Ribbons, draw_ribbons
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

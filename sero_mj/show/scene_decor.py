@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
 from ..decor.draw import Decor
-from ..decor.pen import CAPACITY, Pen, SceneWriter
+from ..decor.pen import CAPACITY, Pen
 from ..decor.picture_view import PictureView
 from ..decor.round_arrows import MAX_SEGMENTS
+from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
 from .picking import Picked, pick, point_at
 

@@ -15,7 +15,8 @@ import numpy as np
 from mujoco.studio.web import state_payload
 from numpy.typing import NDArray
 
-from ...decor.pen import GREY, GREYNESS
+from ...decor.pen import GREY
+from ...decor.scene_writer import GREYNESS
 from .studio import StudioViewer
 
 _FETCHING = 1.0  # time for browsers to fetch a model, and minimum time between two changes, s
