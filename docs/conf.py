@@ -36,10 +36,9 @@ def _declarations() -> str:
     from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
     from sero_mj.assemble.double import Double
     from sero_mj.assemble.dynamics import Dynamics
-    from sero_mj.assemble.looks import Camera, Light, View
-    from sero_mj.assemble.objects import Object
     from sero_mj.assemble.robot import SerialRobot
     from sero_mj.assemble.scene import SceneToggles
+    from sero_mj.assemble.surroundings import Camera, Light, Object, View
     from sero_mj.cli.listing import field_rows, scenario_tables
     from sero_mj.plugins import SOURCES, load_plugin, plugins
 

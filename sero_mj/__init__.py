@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from .assemble.dh import DhTable as DhTable
     from .assemble.double import Double as Double
     from .assemble.dynamics import Dynamics as Dynamics
-    from .assemble.looks import Camera as Camera
-    from .assemble.looks import Light as Light
-    from .assemble.looks import View as View
-    from .assemble.objects import Object as Object
     from .assemble.robot import SerialRobot as SerialRobot
     from .assemble.scene import Scene as Scene
     from .assemble.scene import SceneToggles as SceneToggles
+    from .assemble.surroundings import Camera as Camera
+    from .assemble.surroundings import Light as Light
+    from .assemble.surroundings import Object as Object
+    from .assemble.surroundings import View as View
     from .assemble.world import World as World
     from .drive.mirror import Mirror as Mirror
     from .drive.place import Placer as Placer
@@ -79,12 +79,12 @@ _HOME = {
     "DhTable": "assemble.dh",
     "Double": "assemble.double",
     "Dynamics": "assemble.dynamics",
-    "Object": "assemble.objects",
+    "Object": "assemble.surroundings",
     "SerialRobot": "assemble.robot",
-    "Camera": "assemble.looks",
-    "Light": "assemble.looks",
+    "Camera": "assemble.surroundings",
+    "Light": "assemble.surroundings",
     "Scene": "assemble.scene",
-    "View": "assemble.looks",
+    "View": "assemble.surroundings",
     "SceneToggles": "assemble.scene",
     "World": "assemble.world",
     "Mirror": "drive.mirror",

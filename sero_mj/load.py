@@ -13,7 +13,7 @@ from . import paths
 from .assemble.robot import SerialRobot
 from .assemble.scene import Scene
 from .assemble.scene_file import read_scene_file
-from .drive.route import wire
+from .drive.wiring import wire
 from .errors import DeclarationError, UnknownName, UsageError, did_you_mean
 from .simulate.sections import is_scenario
 

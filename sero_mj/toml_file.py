@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import DeclarationError, Problem
-from .files import read_file
+from .paths import read_file
 
 _MCAP = b"\x89MCAP"
 _XML = re.compile(rb"\s*+(?:<[?!](?:--.*?--|[^>]*+)>\s*+)*+<([A-Za-z_][\w.-]{0,40})", re.DOTALL)

@@ -9,7 +9,7 @@ from sero_mj.assemble.cartesian import SmartArrow
 from sero_mj.assemble.double import Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
-from sero_mj.drive.route import wire
+from sero_mj.drive.wiring import wire
 
 TWO = {
     "udp": {"kind": "udp", "structure": "2F2F3F2M"},

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sero_mj.assemble.cartesian import ReceivedFrame
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 from sero_mj.decor.axes import AXIS_RGB, ranks
 from sero_mj.decor.draw import Decor

@@ -13,9 +13,8 @@ from sero_mj.assemble.double import Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.drive._router import Router
-from sero_mj.drive.place import Placer
-from sero_mj.drive.route import wire
+from sero_mj.drive.place import Placer, Router
+from sero_mj.drive.wiring import wire
 from sero_mj.errors import UsageError
 from sero_mj.receive._checks import are_frames
 from sero_mj.send._motion import InverseDynamics, SineMotion

@@ -18,10 +18,9 @@ from sero_mj.assemble.double import Double
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.staleness import NO_DATA_YET, Staleness
-from sero_mj.drive._router import Router
 from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.place import Placer
-from sero_mj.drive.route import wire
+from sero_mj.drive.place import Placer, Router
+from sero_mj.drive.wiring import wire
 from sero_mj.frames import frame_from
 from sero_mj.receive.udp import UdpReceiver
 

@@ -14,8 +14,7 @@ from decor_tools import (
     view_at,
 )
 
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.mjcf_double import DOUBLE_GROUP
+from sero_mj.assemble.double import DOUBLE_GROUP, Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World

@@ -8,8 +8,7 @@ import pytest
 from decor_tools import toggles_of, view_at
 from polling import until
 
-from sero_mj.assemble.double import COMMANDED_RGBA, Double
-from sero_mj.assemble.mjcf_double import DOUBLE_GROUP
+from sero_mj.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World

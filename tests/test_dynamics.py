@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from newton_euler import inverse_dynamics
 
 from sero_mj import paths
-from sero_mj.assemble.dynamics import Dynamics
-from sero_mj.assemble.inertia import inertia_problem
+from sero_mj.assemble.dynamics import Dynamics, inertia_problem
 from sero_mj.assemble.robot import SerialRobot, build_robot
 from sero_mj.assemble.robot_dynamics import robot_dynamics
 from sero_mj.assemble.scene import Scene

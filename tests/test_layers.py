@@ -36,7 +36,7 @@ ORDER = (
     "__main__",
 )
 ROOMS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
-ABOVE_ALL = ("errors", "files", "paths", "plugins", "declaration", "frames", "toml_file", "kinds")
+ABOVE_ALL = ("errors", "paths", "plugins", "declaration", "frames", "toml_file")
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = ("assemble.dh", "frames", "assemble.shapes", "receive", "record.replay")
 MUJOCO = ("mujoco", "dm_control")
@@ -176,11 +176,11 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("assemble.dh", "from ..receive import source", "imports receive.source"),
         ("assemble.dh", "from .. import receive", "imports receive"),
         ("assemble.dh", "import sero_mj.receive.udp", "imports receive.udp"),
-        ("assemble.dh", "from sero_mj.drive.route import wire", "imports drive.route"),
+        ("assemble.dh", "from sero_mj.drive.wiring import wire", "imports drive.wiring"),
         ("assemble.dh", "from sero_mj import Mirror", "imports drive.mirror"),
         ("assemble.dh", "from .. import HeadlessRenderer", "imports show.headless"),
         ("receive.source", "from ..drive.place import follow", "imports drive.place"),
-        ("send.play", "from ..drive._router import Router", "imports drive._router"),
+        ("send.play", "from ..drive._units import UNITS", "imports drive._units"),
         ("drive.place", "from ..decor.pen import Pen", "imports decor.pen"),
         ("drive.place", "if TYPE_CHECKING:\n    from ..decor.pen import Pen", "decor.pen"),
         ("drive.place", "def f():\n    from ..show import camera", "imports show.camera"),

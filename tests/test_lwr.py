@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from sero_mj import paths
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.scene_file import read_scene_file
+from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 
 HALF_PI = math.pi / 2

@@ -8,8 +8,7 @@ import pytest
 from foreign_models import arm, compiled, jaco
 
 import sero_mj
-from sero_mj.foreign.model_sizes import measure
-from sero_mj.foreign.model_trees import Tree, find_trees, torque_limits, without_scope
+from sero_mj.foreign._model_trees import Tree, find_trees, measure, torque_limits, without_scope
 
 
 def body(name: str, inside: str = "<joint/>") -> str:

@@ -13,7 +13,7 @@ from foreign_models import arm
 from window_tools import MISSING, screen
 
 import sero_mj
-from sero_mj.drive.watch import Watch
+from sero_mj.drive.mirror import Watch
 from sero_mj.show.clock import Clock
 
 SCRIPT = """

@@ -12,10 +12,9 @@ from polling import until
 
 from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
 from sero_mj.assemble.double import Double
-from sero_mj.assemble.looks import Camera
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.surroundings import Camera, Object
 from sero_mj.assemble.world import World
 from sero_mj.decor.flange_check import flange_difference
 from sero_mj.drive.mirror import Mirror

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from newton_euler import inverse_dynamics
 
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_dynamics import RobotDynamics
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 from sero_mj.errors import SimulationError, UnknownName
 from sero_mj.simulate.plant import Plant

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sero_mj.assemble.dh import COLUMNS
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.surroundings import Object
 from sero_mj.errors import DeclarationError
 
 TWO_JOINTS = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]

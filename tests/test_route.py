@@ -16,9 +16,9 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.drive._router import Router
 from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.route import wire
+from sero_mj.drive.place import Router
+from sero_mj.drive.wiring import wire
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
 from sero_mj.plugins import SOURCES, plugins

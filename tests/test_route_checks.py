@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from route_scenes import messages, scene_of
 
 from sero_mj.assemble.inputs import list_inputs
-from sero_mj.drive.route import wire
+from sero_mj.drive.wiring import wire
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from sero_mj import paths
 from sero_mj.assemble.dh import DhTable
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.assemble.shapes import generate_shapes
+from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 from sero_mj.errors import DeclarationError
 

@@ -13,8 +13,7 @@ from mcap.reader import make_reader
 
 from sero_mj import Scene, SerialRobot, SmartArrow, UdpReceiver
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import record_sources
-from sero_mj.drive.signal_names import joint_names
+from sero_mj.drive.record_sources import joint_names, record_sources
 from sero_mj.record.recording import Recording
 
 STRUCTURE = "2F2F1V1F"

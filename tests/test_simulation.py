@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_scenarios import HOME, lwr, ran, scenario
 
-from sero_mj.assemble.objects import Object
+from sero_mj.assemble.surroundings import Object
 from sero_mj.errors import SimulationError
 from sero_mj.runs.run_log import MEASURED, event_of
 from sero_mj.simulate.faults import DeadSensor

@@ -8,9 +8,9 @@ from source_slots import set_source
 
 from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
 from sero_mj.assemble.double import Double
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sero_mj import Scene, SerialRobot, View, World
-from sero_mj.assemble.looks import Camera as SceneCamera
+from sero_mj.assemble.surroundings import Camera as SceneCamera
 from sero_mj.decor.picture_view import PictureView
 from sero_mj.errors import UnknownName
 from sero_mj.show.window.navigator import Navigator, axes

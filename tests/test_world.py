@@ -11,9 +11,9 @@ import PIL.Image
 import pytest
 
 from sero_mj import frames
-from sero_mj.assemble.objects import Object
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Camera, Light, Scene
+from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 from sero_mj.decor.quantities import joint_values
 from sero_mj.errors import DeclarationError, UnknownName

@@ -15,28 +15,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import frames
 from ..errors import DeclarationError, Problem
-from ._mjcf_geoms import (
-    MESH,
-    SITE_GROUP,
-    geom_type,
-    joint_axis_frame,
-    joint_centre,
-    mesh_asset,
-    pose,
-    shape_geom,
-)
+from .double import DOUBLE_GROUP, PATH_FADE, Double
 from .inputs import moving
-from .looks import PALETTES, Palette
-from .mjcf_double import add_double
 from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
-from .mjcf_piece import as_spec
-from .objects import Object
+from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, mesh_asset, pose, shape_geom
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .robot_parts import LinkMesh
 from .scene import Scene
 from .shapes import SHELL, generate_shapes
+from .surroundings import PALETTES, Object, Palette
 
 Array = NDArray[np.float64]
 
@@ -155,7 +145,7 @@ def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
     at_zero = table.link_transforms(np.zeros(robot.n))
     for i in range(robot.n):
         body = body.add_body(name=f"link{i + 1}", **pose(at_zero[i]))
-        axis_frame = joint_axis_frame(robot, i)
+        axis_frame = _joint_axis_frame(robot, i)
         joint: dict[str, Any] = {"axis": axis_frame[:3, 2], "pos": axis_frame[:3, 3]}
         if robot.position_limits is not None:
             joint |= {"range": robot.position_limits[i], "limited": True}
@@ -164,7 +154,7 @@ def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
         geometry.add_link(body, i + 1)
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
         # Site of arrows and billboards; its z is the joint's axis in both conventions.
-        body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(joint_centre(robot, i)))
+        body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(_joint_centre(robot, i)))
     flange = body.add_body(name="flange", **pose(robot.flange_frame))
     flange.add_site(name="flange_frame", group=SITE_GROUP)
     problems: list[Problem] = []
@@ -177,6 +167,18 @@ def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
     if problems:
         raise DeclarationError(problems)
     return root
+
+
+def _joint_axis_frame(robot: SerialRobot, i: int) -> Array:
+    """Returns the frame (4, 4) in body i + 1 whose z is the axis of joint i."""
+    if robot.dh_convention == "craig":
+        return np.eye(4)
+    return frames.inverse(robot.dh.link_transforms(np.zeros(robot.n))[i])
+
+
+def _joint_centre(robot: SerialRobot, i: int) -> Array:
+    """Returns the frame (4, 4) in body i + 1 of the arrow and billboard of joint i."""
+    return _joint_axis_frame(robot, i) @ frames.frame(position=robot.offsets[i])
 
 
 class _Geometry:
@@ -300,3 +302,70 @@ def _add_object(root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Arra
         assert item.size is not None and item.shape is not None  # checked by Object
         kind = {"type": geom_type(item.shape), "size": item.size * _HALF.get(item.shape, 1.0)}
     body.add_geom(name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind, **pose(T))
+
+
+# A double is slightly smaller than its robot, so that its surface is inside the robot's where
+# they nearly coincide: no flicker (z-fighting).
+_SHRINK = 0.985
+
+
+def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
+    """Returns the names of the bodies of every double of a declaration, base to last link."""
+    rows = 1 if double.path is None else double.path_length
+    return [
+        [f"double-{double.name}-{row}-link{i}" for i in range(robot.n + 1)] for row in range(rows)
+    ]
+
+
+def frame_names(double: Double, robot: SerialRobot) -> list[str]:
+    """Returns the names of the bodies with the frames of a double's joints; empty for a path."""
+    if double.path is not None:
+        return []
+    return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
+
+
+def add_double(root: mujoco.MjSpec, double: Double, robot: SerialRobot) -> None:
+    """Adds the bodies of a double, at zero joint angles.
+
+    The world hides them after compilation. Compiled out of sight they would make MuJoCo scale
+    near plane, far plane and shadows for a scene of a kilometre.
+
+    Args:
+        root: the scene, changed in place.
+        double: the declaration.
+        robot: the robot it copies.
+    """
+    rows = body_names(double, robot)
+    fade = np.linspace(*PATH_FADE, len(rows)) if len(rows) > 1 else np.ones(1)
+    shapes = [] if robot.filenames else generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
+    at_zero = robot.dh.frames(np.zeros(robot.n), robot.base_frame)
+    for names, share in zip(rows, fade, strict=True):
+        look = {"rgba": double.rgba * [1, 1, 1, share], "group": DOUBLE_GROUP}
+        for i, name in enumerate(names):
+            body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
+            geoms = (
+                [shape_geom(s, _SHRINK) for s in shapes[i]] if shapes else _meshes(root, robot, i)
+            )
+            for geom in geoms:
+                body.add_geom(**look, contype=0, conaffinity=0, mass=0, **geom)
+    # Bodies of their own, since a link that coincides with the robot's is moved out of sight.
+    for i, name in enumerate(frame_names(double, robot)):
+        body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i + 1]))
+        body.add_site(name=name, group=SITE_GROUP)
+        centre = f"double-{double.name}-centre{i + 1}"
+        body.add_site(name=centre, group=SITE_GROUP, **pose(_joint_centre(robot, i)))
+        if i == robot.n - 1:
+            flange = f"double-{double.name}-flange"
+            body.add_site(name=flange, group=SITE_GROUP, **pose(robot.flange_frame))
+
+
+def _meshes(root: mujoco.MjSpec, robot: SerialRobot, i: int) -> list[dict[str, Any]]:
+    """Returns the geoms of a link's meshes, slightly smaller; doubles of a robot share assets."""
+    geoms = []
+    for k, mesh in enumerate(robot.filenames[i]):
+        name = f"double-{robot.name}-link{i}-{k}"
+        if root.mesh(name) is None:
+            path = Path(robot.directory) / mesh.file
+            mesh_asset(root, name, path, _SHRINK * robot.mesh_scale)
+        geoms.append({"type": MESH, "meshname": name})
+    return geoms

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ._mjcf_geoms import MESH, hull_asset
-from .inertia import principal_moments
+from .dynamics import principal_moments
+from .mjcf_elements import MESH, hull_asset
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .shapes import housing_radii

@@ -22,7 +22,6 @@ from ..errors import DeclarationError
 from ..toml_file import key_lines, located, read_toml
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, is_overridden, merge_tables
-from .objects import set_directory
 from .robot_parts import (
     IN_DEGREES,
     PER_JOINT,
@@ -42,6 +41,7 @@ from .robot_parts import (
     dh_rows,
 )
 from .shapes import housing_radii
+from .surroundings import set_directory
 
 _CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
 

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, field_validator
 from ..declaration import Array, Declaration, Name, of_shape
 from ..errors import DeclarationError, Problem, did_you_mean, nearest
 from .dh import COLUMNS, Column
-from .objects import Object, check_mesh_file
+from .surroundings import Object, check_mesh_file
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)

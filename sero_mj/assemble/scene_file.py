@@ -13,11 +13,9 @@ from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, neare
 from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
-from .looks import Camera, Light, View
-from .objects import Object, set_directory
 from .robot import SerialRobot, build_robot
-from .route_text import origin_text
-from .scene import Scene, SceneToggles
+from .scene import Scene, SceneToggles, origin_text
+from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")
 

@@ -23,14 +23,20 @@ from numpy.typing import NDArray
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem
 from ..frames import frame_from
-from ._mesh_check import mesh_problems
-from .frame_table import arrow_table, frame_table
+from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, userdata_slots
-from .joint_table import joint_table, site_ids
-from .mjcf import build_spec, moved_body
-from .mjcf_double import DOUBLE_GROUP, OUT_OF_SIGHT, body_names, frame_names
+from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults
-from .parts import DoublePart, DrawnDouble, RobotPart
+from .parts import (
+    DoublePart,
+    DrawnDouble,
+    RobotPart,
+    arrow_table,
+    frame_table,
+    joint_table,
+    site_ids,
+)
+from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
@@ -322,3 +328,45 @@ def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
     if not problems:
         problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
     return DeclarationError(scene.located(problems))
+
+
+def mesh_problems(scene: Scene) -> list[Problem]:
+    """Compiles every mesh of a scene by itself and returns the problems, by robot and file."""
+    problems = []
+    for name, robot in scene.robots.items():
+        for i, meshes in enumerate(robot.filenames):
+            for mesh in meshes:
+                path = Path(robot.directory) / mesh.file
+                problems += _problem(f"robots.{name}.filenames.{i}", path)
+        problems += _object_problems(f"robots.{name}.children", robot)
+    problems += _object_problems("objects", scene)
+    return problems
+
+
+def _object_problems(key: str, owner: SerialRobot | Scene) -> list[Problem]:
+    problems = []
+    named = (
+        [(str(k), child) for k, child in enumerate(owner.children)]
+        if isinstance(owner, SerialRobot)
+        else [(item.name, item) for item in owner.objects]
+    )
+    for name, item in named:
+        if item.mesh is not None:
+            problems += _problem(f"{key}.{name}.mesh", Path(item.directory) / item.mesh)
+    return problems
+
+
+def _problem(key: str, path: Path) -> list[Problem]:
+    file = f"mesh{path.suffix.lower()}"
+    xml = (
+        f'<mujoco><asset><mesh name="mesh" file="{file}" inertia="convex"/></asset>'
+        '<worldbody><geom type="mesh" mesh="mesh"/></worldbody></mujoco>'
+    )
+    try:
+        mujoco.MjModel.from_xml_string(xml, {file: path.read_bytes()})
+    except (ValueError, OSError) as error:
+        reason = str(error).splitlines()[0].removeprefix("Error: ").replace(file, path.name)
+        if path.suffix.lower() == ".stl" and b"facet normal" in path.read_bytes()[:1000]:
+            reason = "it is an ASCII STL; save it as a binary one"
+        return [Problem(key, f"{path} is not a mesh that MuJoCo reads: {reason}")]
+    return []

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from ..errors import UnknownName
 from ..frames import inverse
-from .frame_table import ArrowTable, FrameTable
 from .inputs import Input
-from .joint_table import JointTable
-from .parts import DoublePart, DrawnDouble, Owner, RobotPart
+from .parts import ArrowTable, DoublePart, DrawnDouble, FrameTable, JointTable, Owner, RobotPart
 from .scene import Scene
 
 Array = NDArray[np.float64]

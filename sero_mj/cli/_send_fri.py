@@ -49,7 +49,7 @@ def source_of(scene: Scene, name: str | None) -> FriReceiver | None:
     Raises:
         DeclarationError: the scene's sources or routes are wrong.
     """
-    from ..drive.route import wire
+    from ..drive.wiring import wire
     from ..receive.fri import FriReceiver
 
     wiring = wire(scene).check(scene)

@@ -64,7 +64,7 @@ def send_file(
     Raises:
         UsageError: the options do not suit the file.
     """
-    from ..drive.route import wire
+    from ..drive.wiring import wire
     from ..send.play import choose_source, structure_for
     from ..send.playback import timed
     from ..send.sender import send

@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
     from ..assemble.robot_dynamics import robot_dynamics
     from ..assemble.world import World
-    from ..drive.route import wire
+    from ..drive.wiring import wire
     from ..show.camera import list_cameras
 
     scene = read_scene(options.scene)

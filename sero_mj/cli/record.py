@@ -52,7 +52,7 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Records; returns 0, or 1 when nothing came."""
     from ..drive.record_sources import record_sources
-    from ..drive.route import wire
+    from ..drive.wiring import wire
 
     if options.output.suffix.lower() != ".mcap":
         raise UsageError(f"{options.output}: expected a name that ends in .mcap")

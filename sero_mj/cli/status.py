@@ -43,7 +43,7 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Watches; returns 0 when every source has received something good, else 1."""
-    from ..drive.route import wire
+    from ..drive.wiring import wire
     from ..receive.report import report
 
     scene = read_scene(options.scene)

@@ -116,7 +116,7 @@ def _read(options: argparse.Namespace) -> Structure:
 
 
 def _print_scene(options: argparse.Namespace) -> int:
-    from ..drive.route import wire
+    from ..drive.wiring import wire
 
     scene = read_scene(options.scene)
     layouts = {name: source.layout for name, source in wire(scene).sources.items()}

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..declaration import Declaration, Frame
+from ..declaration import Declaration, Frame, by_kind
 from ..errors import DeclarationError, Problem
-from ..kinds import by_kind
 from .laws import Arrivals
 from .time_laws import TimeLaw, along, schedule
 

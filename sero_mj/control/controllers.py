@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..declaration import by_kind
 from ..errors import DeclarationError, Problem, SimulationError
-from ..kinds import by_kind
 from .cartesian_control import CartesianImpedance
 from .controller import Controller, ControllerDeclaration
 from .joint_control import GravityCompensation, JointImpedance, JointPosition, Torque

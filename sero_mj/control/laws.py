@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from ..assemble.robot import SerialRobot
-from ..declaration import Declaration, Vector, of_shape
+from ..declaration import Declaration, Vector, by_kind, of_shape
 from ..errors import DeclarationError, Problem
-from ..kinds import by_kind
 from .controller import MaybePerJoint, PerJoint, within
 from .time_laws import TimeLaw, along, quintic, schedule, trapezoid_blend
 

@@ -2,6 +2,6 @@
 
 In: packets of sources and the scene's routes. Out: joint angles, frames and `userdata`, with every
 follower and double in its place.
-Open first: `mirror.py`; `route.py` says what a route means, `_router.py` applies them, `place.py`
-moves what depends on them.
+Open first: `mirror.py`; `wiring.py` says what a route means, `place.py` applies routes and moves
+what depends on them.
 """

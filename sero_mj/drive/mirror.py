@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..assemble.world_view import WorldView
-from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
-from ._router import Router
-from ._source_states import SourceStates
-from .place import Placer, follow
-from .route import wire
-from .wiring import Route
+from ..foreign.model_world import ModelWorld
+from ..receive.source import QUIET_AFTER, Counters, Packet, Packets, Source, age
+from .place import Placer, Router, follow
+from .route import Route
+from .wiring import wire
 
 Array = NDArray[np.float64]
 Listener = Callable[[str, Packets], None]
@@ -231,3 +230,122 @@ def restore(world: World, data: mujoco.MjData, state: NDArray[np.float64]) -> No
     """
     mujoco.mj_setState(world.model, data, state, _STATE)
     follow(world.model, data)
+
+
+class SourceStates:
+    """Writes the slots `sources.<name>` of a world's user data; `SOURCE_FIELDS` says what is there.
+
+    Args:
+        world: whose slots.
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        self._slots = world.slots
+        self._link: dict[str, tuple[tuple[int, ...], float]] = {}
+        self._foreign: dict[str, tuple[int, float]] = {}
+
+    def forget(self) -> None:
+        """Resets, as the sources do when they are opened."""
+        self._link.clear()
+        self._foreign.clear()
+
+    def write(
+        self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
+    ) -> None:
+        """Writes what every source has counted until now.
+
+        Args:
+            data: the world's state.
+            sources: by name.
+            latest: the newest packet of each source that has one.
+        """
+        for name, source in sources.items():
+            packet, counters, now = latest.get(name), source.counters, source.now()
+            data.userdata[self._slots[f"sources.{name}"]] = (
+                counters.received,
+                counters.malformed,
+                age(packet, now) if packet is not None else -1.0,
+                counters.wrong_size,
+                counters.last_size,
+                source.size,
+                max(now - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
+                counters.not_frames,
+                counters.wrong_constant,
+                *((-1.0, -1.0) if packet is None else source.link_state(packet.values)),
+                counters.lost,
+                counters.late,
+                counters.duplicates,
+                counters.restarts,
+                _dropped(source),
+                # One is as it should be, and a recording knows of none.
+                counters.senders if counters.senders > 1 else 0,
+                self._link_age(name, counters, _dropped(source), now),
+                counters.foreign,
+                self._foreign_age(name, counters.foreign, now),
+            )
+
+    def _link_age(self, name: str, counters: Counters, dropped: int, now: float) -> float:
+        """How long ago (s) the link last lost or mixed up something; -1 when it never has."""
+        counts = (counters.lost, counters.late, counters.duplicates, counters.restarts, dropped)
+        before, since = self._link.get(name, ((0,) * len(counts), -1.0))
+        if counts != before:
+            # Less than before after a restart: the numbers that were missed have come after all.
+            since = now if any(map(int.__gt__, counts, before)) else since
+            self._link[name] = counts, since
+        return max(now - since, 0.0) if since >= 0 else -1.0
+
+    def _foreign_age(self, name: str, foreign: int, now: float) -> float:
+        """How long ago (s) a packet of a foreign sender came; -1 when none has."""
+        before, since = self._foreign.get(name, (0, -1.0))
+        if foreign != before:
+            self._foreign[name] = foreign, now
+            return 0.0
+        return max(now - since, 0.0) if since >= 0 else -1.0
+
+
+def _dropped(source: Source) -> int:
+    """What the kernel threw away, where that harms anything: the newest packet always comes."""
+    return 0 if source.only_latest_packet else source.counters.dropped
+
+
+class Watch:
+    """Follows the data of an overlay, as a mirror follows its sources.
+
+    It shows a copy, so that a window that is paused stands still while the user's loop goes on.
+
+    Args:
+        world: of the overlay.
+    """
+
+    def __init__(self, world: ModelWorld) -> None:
+        self.world = world
+        self.data = world.make_data()
+        self._theirs: mujoco.MjData = world.data
+        self.routes: list[Route] = []
+        self.sources: dict[str, Source] = {}
+
+    @property
+    def is_live(self) -> bool:
+        """True: its time is the user's."""
+        return True
+
+    def open(self) -> None:
+        """Does nothing: there are no sources."""
+
+    def close(self) -> None:
+        """Does nothing: there are no sources."""
+
+    def wait(self, timeout: float) -> list[str]:
+        """Returns at once: no source is silent."""
+        return []
+
+    def listen(self, listener: Listener) -> None:
+        """Does nothing: no packets come."""
+
+    def reset(self) -> None:
+        """Does nothing: the data is the user's."""
+
+    def advance(self, now: float | None = None) -> bool:
+        """Takes over the user's data as it is now; `now` has no meaning here."""
+        mujoco.mj_copyData(self.data, self.world.model, self._theirs)
+        return True

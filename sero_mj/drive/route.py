@@ -1,208 +1,168 @@
-"""Routes: what of which source, robot or frame goes to which input.
+"""Checked routes: what leads from where to where, as a few numpy operations.
 
-route  = target "=" origin
-target = name "." input          lwr.joint_angles, contact.vector, toggles.legend
-origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
-                                 `not` negates a toggle
-       | frame                   lwr/flange: its pose in the world
-       | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
-
-`_syntax` has the grammar of expressions, `_expression` their meaning.
+Everything that a route can compute is affine: each number of the input is a constant plus
+multiples of numbers that were received. That is why a route can also be followed backwards, to
+make the packet that gives wanted numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
-from ..assemble.inputs import ROBOT_INPUTS, SCENE, Input, list_inputs
-from ..assemble.named_frames import WORLD
-from ..assemble.route_text import NOT, names_in
-from ..assemble.scene import Scene
-from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
-from ..receive.source import Source, make_source
-from ._expression import Value, evaluate
-from ._names import Names
-from ._syntax import Expression, parse
-from ._units import Exponents, describe, dimension_of
-from .wiring import FrameRoute, Route, Wiring, allow_blanks, levels_of_frames, routes_in_order
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.inputs import Input
+from ..receive.source import SIGNALS
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 
-def wire(scene: Scene) -> Wiring:
-    """Builds the scene's sources and checks its routes, without opening anything.
+class Origin(NamedTuple):
+    """Where numbers come from.
 
-    Routes to robots and sources that are themselves declared wrongly are left unchecked: one
-    report of one mistake is enough.
+    Attributes:
+        name: of a source, or of a robot, a double or an arrow.
+        key: the source's event, or the output.
+        is_event: which of the two.
     """
-    wiring = Wiring()
-    for name, declared in scene.sources.items():
-        try:
-            wiring.sources[name] = make_source(name, declared)
-        except DeclarationError as error:
-            wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
-    wiring.problems += _shared_places(wiring.sources)
-    inputs = list_inputs(scene)
-    names = Names(scene, wiring.sources, inputs)
-    for target, origin in scene.routes.items():
-        try:
-            item = _input(scene, inputs, target)
-            route = _route(scene, names, item, target, origin)
-        except DeclarationError as error:
-            wiring.problems += [p.inside(f"routes.{target}") for p in error.problems]
-            continue
-        if isinstance(route, Route):
-            wiring.routes.append(route)
-        elif route is not None:
-            wiring.frame_routes.append(route)
-    allow_blanks(wiring)
-    try:
-        wiring.later = routes_in_order(wiring.routes)
-    except DeclarationError as error:
-        wiring.problems += error.problems
-    try:
-        wiring.levels = levels_of_frames(scene, wiring.frame_routes)
-    except DeclarationError as error:
-        wiring.problems += error.problems
-    return wiring
+
+    name: str
+    key: str
+    is_event: bool
+
+    def __str__(self) -> str:
+        return f"{self.name}.{self.key}"
 
 
-def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
-    """Ports that two sources of one scene would listen on."""
-    problems = []
-    taken: dict[tuple[str, int], str] = {}
-    for name, source in sources.items():
-        place = getattr(source, "place", None)
-        if place is None or place[1] == 0:  # no port, or one that the system chooses
-            continue
-        if place in taken:
-            message = f"{place[1]} on {place[0]} is the port of source '{taken[place]}' already"
-            problems.append(Problem(f"sources.{name}.port", message))
-        taken.setdefault(place, name)
-    return problems
+class Term(NamedTuple):
+    """Multiples of the numbers of one origin.
+
+    Attributes:
+        origin: where they come from.
+        at: which numbers of the result they are added to, (k,).
+        take: which number of the origin, counted through all of its rows, goes there, (k,).
+        times: what it is multiplied by, (k,).
+    """
+
+    origin: Origin
+    at: Ints
+    take: Ints
+    times: Array
 
 
-def _input(scene: Scene, inputs: Mapping[str, Input], target: str) -> Input | Problem | None:
-    """The input that a route leads to, what is wrong with it, or None where that is known."""
-    if target in inputs:
-        return inputs[target]
-    name, _, key = target.partition(".")
-    keys = [item.key for item in inputs.values() if item.name == name]
-    if scene.is_broken(name):
-        near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
-        mistyped = near is not None and f"robots.{name}" in scene.broken and key not in ROBOT_INPUTS
-        return (
-            Problem("", f"no input '{key}' of {name}; did you mean '{near}'?") if mistyped else None
-        )
-    double = scene.doubles.get(name)
-    if double is not None and double.path is not None and key != "visible":
-        return Problem("", f"'{name}' shows a path; nothing can be routed to it")
-    if keys and (double is None or double.of in scene.robots):
-        return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
-    if double is not None:
-        return None
-    names = [item.name for item in inputs.values() if item.name != SCENE]
-    near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
-    return Problem("", f"no robot '{name}'{near}")
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """A constant plus multiples of received numbers; `make_affine` makes it.
+
+    Attributes:
+        offset: the constant, (n,).
+        terms: what is added to it, in this order.
+        whole: the origin, where the result is all of its numbers, unchanged.
+        only: where the result is nothing but numbers of one origin: which and from where.
+    """
+
+    offset: Array
+    terms: tuple[Term, ...]
+    whole: Origin | None
+    only: tuple[Origin, Ints] | None
+
+    @cached_property
+    def origins(self) -> tuple[Origin, ...]:
+        """All origins, each once."""
+        return tuple(dict.fromkeys(term.origin for term in self.terms))
+
+    def evaluate(self, numbers_of: Callable[[Origin], Array]) -> Array:
+        """Returns the numbers (n,), or over time (T, n), a new array.
+
+        NaN stays NaN. Numbers may overflow: call it under `np.errstate`.
+
+        Args:
+            numbers_of: gives the numbers of an origin, flat: (k,), or over time (T, k).
+        """
+        if self.only is not None:
+            origin, take = self.only
+            return numbers_of(origin)[..., take]
+        result = self.offset.copy()
+        for term in self.terms:
+            numbers = numbers_of(term.origin)[..., term.take]
+            if numbers.ndim > result.ndim:
+                result = np.tile(result, (len(numbers), 1))
+            result[..., term.at] += numbers * term.times
+        return result
 
 
-def _route(
-    scene: Scene, names: Names, item: Input | Problem | None, target: str, origin: str
-) -> Route | FrameRoute | None:
-    """A checked route, or None where what is wrong with it is known already."""
-    problems = [item] if isinstance(item, Problem) else []
-    try:
-        expression = parse(origin)
-    except RouteError as error:
-        raise DeclarationError([*problems, Problem("", str(error))]) from None
-    if isinstance(item, Input) and expression.negated and item.kind != "toggle":
-        problems.append(Problem("", f"'{NOT}' is for switches; {target} takes {item.meaning}"))
-    name = expression.name
-    if name is not None and (names.is_frame(name) or names.is_fwd_kin(name)):
-        route = _frame_route(scene, names, problems, item, name)
-        if problems:
-            raise DeclarationError(problems)
-        return route
-    found = {name: names.find(name) for name in names_in(origin)}
-    problems += [value for value in found.values() if isinstance(value, Problem)]
-    if problems:
-        raise DeclarationError(problems)
-    known = {name: value for name, value in found.items() if isinstance(value, Value)}
-    if len(known) < len(found) or not isinstance(item, Input):
-        return None  # its own declaration is wrong and already reported
-    return _number_route(scene, item, expression, known)
-
-
-def _number_route(
-    scene: Scene, item: Input, expression: Expression, names: Mapping[str, Value]
-) -> Route:
-    text = expression.text.strip()
-    text = text.removeprefix(NOT).lstrip() if expression.negated else text
-    try:
-        value = evaluate(expression, names)
-    except RouteError as error:
-        raise DeclarationError([Problem("", str(error))]) from None
-    message = _misfit(value, text, item, dimension_of(scene, item))
-    if message:
-        raise DeclarationError([Problem("", message)])
-    return Route(item, text, value.compile(item.count), expression.negated)
-
-
-def _misfit(value: Value, text: str, item: Input, taken: Exponents) -> str:
-    """Says why a value does not fit an input; empty when it does.
+def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int]) -> Affine:
+    """Builds an `Affine`.
 
     Args:
-        value: what the route computes.
-        text: its expression.
-        item: the input.
-        taken: the exponents of the input's units, (count, 4); zero takes any.
+        offset: the constant, (n,).
+        terms: what is added to it, in this order.
+        sizes: how many numbers each origin has.
     """
-    return _wrong_shape(value, text, item) or _wrong_unit(value, text, item, taken)
+    only = whole = None
+    if len(terms) == 1 and len(terms[0].at) == len(offset) and not offset.any():
+        origin, _, take, times = terms[0]
+        if (times == 1.0).all():
+            only = (origin, take)
+            whole = origin if np.array_equal(take, np.arange(sizes[origin])) else None
+    covered = np.zeros(len(offset), bool)
+    for term in terms:
+        covered[term.at] = True
+    # -0.0 is what leaves every number as it is that is added to it: 0.0 takes the sign off -0.0.
+    offset = np.where(covered & (offset == 0.0), -0.0, offset)
+    return Affine(offset, tuple(terms), whole, only)
 
 
-def _wrong_shape(value: Value, text: str, item: Input) -> str:
-    count, shape = value.offset.size, value.shape
-    many = "1 value" if count == 1 else f"{count} values"
-    if item.shape == (4, 4):
-        if value.is_frames and count == 16:
-            return ""
-        found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
-        return f"{text} {found}; {item.target} takes {item.meaning}: 1M in the structure"
-    if value.is_constant and not shape:
-        return ""  # one number for all
-    if count != item.count:
-        return f"{text} has {many}; {item.target} takes {item.meaning}"
-    if value.is_frames:
-        return f"{text} is a 4 x 4 frame; {item.target} takes {item.meaning}"
-    return ""
+@dataclass(frozen=True, eq=False)
+class Route:
+    """One checked route of numbers.
+
+    Attributes:
+        to: the input it leads to.
+        text: where it leads from, as declared.
+        value: how the input's numbers are computed.
+        negated: whether a toggle is negated.
+    """
+
+    to: Input
+    text: str
+    value: Affine
+    negated: bool = False
+
+    @property
+    def sources(self) -> list[str]:
+        """Names of the sources whose packets it takes numbers from."""
+        return list(dict.fromkeys(o.name for o in self.value.origins if o.is_event))
+
+    @property
+    def outputs(self) -> list[str]:
+        """What it reads of robots, doubles and arrows, `name.key`."""
+        return [str(origin) for origin in self.value.origins if not origin.is_event]
+
+    @property
+    def direct(self) -> str | None:
+        """The source, where a packet of it is all that it takes; else None."""
+        sources = self.sources
+        if any(o.is_event and o.key in SIGNALS for o in self.value.origins):
+            return None  # changes without a packet
+        return sources[0] if len(sources) == 1 and not self.outputs else None
 
 
-def _wrong_unit(value: Value, text: str, item: Input, taken: Exponents) -> str:
-    found = value.dimensions.reshape(-1, 4)
-    for i, want in enumerate(taken):
-        have = found[i if len(found) > 1 else 0]
-        if have.any() and want.any() and (have != want).any():
-            where = ""
-            if (found != found[0]).any() or (taken != taken[0]).any():
-                where = f" at number {i}, counted from 0"
-            return f"{text} is {describe(have)}; {item.target} takes {describe(want)}{where}"
-    return ""
+@dataclass(frozen=True)
+class FrameRoute:
+    """One checked route from a frame.
 
+    Attributes:
+        to: the input it leads to.
+        frame: name of the frame, or of the robot whose `fwd_kin_base_to_flange` it is.
+        is_fwd_kin: which of the two.
+    """
 
-def _frame_route(
-    scene: Scene, names: Names, problems: list[Problem], item: Input | Problem | None, text: str
-) -> FrameRoute | None:
-    is_fwd_kin = names.is_fwd_kin(text)
-    if not is_fwd_kin and text not in scene.named_frames():
-        if scene.is_broken(text.partition("/")[0]):
-            return None
-        problems.append(Problem("", f"no frame '{text}'{names.frame_hint(text)}"))
-        return None
-    if not isinstance(item, Input):
-        return None
-    received = scene.frames.get(item.name)
-    if received is not None and received.relative_to != WORLD and not is_fwd_kin:
-        message = f"{text} is a pose in the world; set relative_to of {received.name} to 'world'"
-        problems.append(Problem("", message))
-    if item.shape != (4, 4):
-        message = f"{text} is a 4 x 4 frame; {item.target} takes {item.meaning}"
-        problems.append(Problem("", message))
-    return FrameRoute(item, text.partition(".")[0] if is_fwd_kin else text, is_fwd_kin)
+    to: Input
+    frame: str
+    is_fwd_kin: bool = False

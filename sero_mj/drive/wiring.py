@@ -1,67 +1,30 @@
-"""Checked routes: what leads from where to where, and in which order they are applied."""
+"""Routes: what of which source, robot or frame goes to which input.
+
+route  = target "=" origin
+target = name "." input          lwr.joint_angles, contact.vector, toggles.legend
+origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
+                                 `not` negates a toggle
+       | frame                   lwr/flange: its pose in the world
+       | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
+
+`_expression` has the grammar of expressions and their meaning.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from typing import Self
 
-from ..assemble.inputs import BLANKABLE, Input
-from ..assemble.scene import Scene
-from ..errors import DeclarationError, Problem
-from ..receive.source import SIGNALS, Source
-from .affine import Affine
-
-
-@dataclass(frozen=True, eq=False)
-class Route:
-    """One checked route of numbers.
-
-    Attributes:
-        to: the input it leads to.
-        text: where it leads from, as declared.
-        value: how the input's numbers are computed.
-        negated: whether a toggle is negated.
-    """
-
-    to: Input
-    text: str
-    value: Affine
-    negated: bool = False
-
-    @property
-    def sources(self) -> list[str]:
-        """Names of the sources whose packets it takes numbers from."""
-        return list(dict.fromkeys(o.name for o in self.value.origins if o.is_event))
-
-    @property
-    def outputs(self) -> list[str]:
-        """What it reads of robots, doubles and arrows, `name.key`."""
-        return [str(origin) for origin in self.value.origins if not origin.is_event]
-
-    @property
-    def direct(self) -> str | None:
-        """The source, where a packet of it is all that it takes; else None."""
-        sources = self.sources
-        if any(o.is_event and o.key in SIGNALS for o in self.value.origins):
-            return None  # changes without a packet
-        return sources[0] if len(sources) == 1 and not self.outputs else None
-
-
-@dataclass(frozen=True)
-class FrameRoute:
-    """One checked route from a frame.
-
-    Attributes:
-        to: the input it leads to.
-        frame: name of the frame, or of the robot whose `fwd_kin_base_to_flange` it is.
-        is_fwd_kin: which of the two.
-    """
-
-    to: Input
-    frame: str
-    is_fwd_kin: bool = False
+from ..assemble.cartesian import WORLD
+from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
+from ..assemble.scene import NOT, Scene, names_in
+from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
+from ..receive.source import SIGNALS, Source, make_source
+from ._expression import Expression, Value, constant, evaluate, numbers_of, parse
+from ._units import UNITS, Exponents, describe, dimension_of
+from .route import FrameRoute, Origin, Route
 
 
 @dataclass
@@ -89,6 +52,187 @@ class Wiring:
         if self.problems:
             raise DeclarationError(scene.located(self.problems))
         return self
+
+
+def wire(scene: Scene) -> Wiring:
+    """Builds the scene's sources and checks its routes, without opening anything.
+
+    Routes to robots and sources that are themselves declared wrongly are left unchecked: one
+    report of one mistake is enough.
+    """
+    wiring = Wiring()
+    for name, declared in scene.sources.items():
+        try:
+            wiring.sources[name] = make_source(name, declared)
+        except DeclarationError as error:
+            wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
+    wiring.problems += _shared_places(wiring.sources)
+    inputs = list_inputs(scene)
+    names = Names(scene, wiring.sources, inputs)
+    for target, origin in scene.routes.items():
+        try:
+            item = _input(scene, inputs, target)
+            route = _route(scene, names, item, target, origin)
+        except DeclarationError as error:
+            wiring.problems += [p.inside(f"routes.{target}") for p in error.problems]
+            continue
+        if isinstance(route, Route):
+            wiring.routes.append(route)
+        elif route is not None:
+            wiring.frame_routes.append(route)
+    allow_blanks(wiring)
+    try:
+        wiring.later = routes_in_order(wiring.routes)
+    except DeclarationError as error:
+        wiring.problems += error.problems
+    try:
+        wiring.levels = levels_of_frames(scene, wiring.frame_routes)
+    except DeclarationError as error:
+        wiring.problems += error.problems
+    return wiring
+
+
+def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
+    """Ports that two sources of one scene would listen on."""
+    problems = []
+    taken: dict[tuple[str, int], str] = {}
+    for name, source in sources.items():
+        place = getattr(source, "place", None)
+        if place is None or place[1] == 0:  # no port, or one that the system chooses
+            continue
+        if place in taken:
+            message = f"{place[1]} on {place[0]} is the port of source '{taken[place]}' already"
+            problems.append(Problem(f"sources.{name}.port", message))
+        taken.setdefault(place, name)
+    return problems
+
+
+def _input(scene: Scene, inputs: Mapping[str, Input], target: str) -> Input | Problem | None:
+    """The input that a route leads to, what is wrong with it, or None where that is known."""
+    if target in inputs:
+        return inputs[target]
+    name, _, key = target.partition(".")
+    keys = [item.key for item in inputs.values() if item.name == name]
+    if scene.is_broken(name):
+        near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
+        mistyped = near is not None and f"robots.{name}" in scene.broken and key not in ROBOT_INPUTS
+        return (
+            Problem("", f"no input '{key}' of {name}; did you mean '{near}'?") if mistyped else None
+        )
+    double = scene.doubles.get(name)
+    if double is not None and double.path is not None and key != "visible":
+        return Problem("", f"'{name}' shows a path; nothing can be routed to it")
+    if keys and (double is None or double.of in scene.robots):
+        return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
+    if double is not None:
+        return None
+    names = [item.name for item in inputs.values() if item.name != SCENE]
+    near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
+    return Problem("", f"no robot '{name}'{near}")
+
+
+def _route(
+    scene: Scene, names: Names, item: Input | Problem | None, target: str, origin: str
+) -> Route | FrameRoute | None:
+    """A checked route, or None where what is wrong with it is known already."""
+    problems = [item] if isinstance(item, Problem) else []
+    try:
+        expression = parse(origin)
+    except RouteError as error:
+        raise DeclarationError([*problems, Problem("", str(error))]) from None
+    if isinstance(item, Input) and expression.negated and item.kind != "toggle":
+        problems.append(Problem("", f"'{NOT}' is for switches; {target} takes {item.meaning}"))
+    name = expression.name
+    if name is not None and (names.is_frame(name) or names.is_fwd_kin(name)):
+        route = _frame_route(scene, names, problems, item, name)
+        if problems:
+            raise DeclarationError(problems)
+        return route
+    found = {name: names.find(name) for name in names_in(origin)}
+    problems += [value for value in found.values() if isinstance(value, Problem)]
+    if problems:
+        raise DeclarationError(problems)
+    known = {name: value for name, value in found.items() if isinstance(value, Value)}
+    if len(known) < len(found) or not isinstance(item, Input):
+        return None  # its own declaration is wrong and already reported
+    return _number_route(scene, item, expression, known)
+
+
+def _number_route(
+    scene: Scene, item: Input, expression: Expression, names: Mapping[str, Value]
+) -> Route:
+    text = expression.text.strip()
+    text = text.removeprefix(NOT).lstrip() if expression.negated else text
+    try:
+        value = evaluate(expression, names)
+    except RouteError as error:
+        raise DeclarationError([Problem("", str(error))]) from None
+    message = _misfit(value, text, item, dimension_of(scene, item))
+    if message:
+        raise DeclarationError([Problem("", message)])
+    return Route(item, text, value.compile(item.count), expression.negated)
+
+
+def _misfit(value: Value, text: str, item: Input, taken: Exponents) -> str:
+    """Says why a value does not fit an input; empty when it does.
+
+    Args:
+        value: what the route computes.
+        text: its expression.
+        item: the input.
+        taken: the exponents of the input's units, (count, 4); zero takes any.
+    """
+    return _wrong_shape(value, text, item) or _wrong_unit(value, text, item, taken)
+
+
+def _wrong_shape(value: Value, text: str, item: Input) -> str:
+    count, shape = value.offset.size, value.shape
+    many = "1 value" if count == 1 else f"{count} values"
+    if item.shape == (4, 4):
+        if value.is_frames and count == 16:
+            return ""
+        found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
+        return f"{text} {found}; {item.target} takes {item.meaning}: 1M in the structure"
+    if value.is_constant and not shape:
+        return ""  # one number for all
+    if count != item.count:
+        return f"{text} has {many}; {item.target} takes {item.meaning}"
+    if value.is_frames:
+        return f"{text} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+    return ""
+
+
+def _wrong_unit(value: Value, text: str, item: Input, taken: Exponents) -> str:
+    found = value.dimensions.reshape(-1, 4)
+    for i, want in enumerate(taken):
+        have = found[i if len(found) > 1 else 0]
+        if have.any() and want.any() and (have != want).any():
+            where = ""
+            if (found != found[0]).any() or (taken != taken[0]).any():
+                where = f" at number {i}, counted from 0"
+            return f"{text} is {describe(have)}; {item.target} takes {describe(want)}{where}"
+    return ""
+
+
+def _frame_route(
+    scene: Scene, names: Names, problems: list[Problem], item: Input | Problem | None, text: str
+) -> FrameRoute | None:
+    is_fwd_kin = names.is_fwd_kin(text)
+    if not is_fwd_kin and text not in scene.named_frames():
+        if scene.is_broken(text.partition("/")[0]):
+            return None
+        problems.append(Problem("", f"no frame '{text}'{names.frame_hint(text)}"))
+        return None
+    if not isinstance(item, Input):
+        return None
+    received = scene.frames.get(item.name)
+    if received is not None and received.relative_to != WORLD and not is_fwd_kin:
+        message = f"{text} is a pose in the world; set relative_to of {received.name} to 'world'"
+        problems.append(Problem("", message))
+    if item.shape != (4, 4):
+        message = f"{text} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+        problems.append(Problem("", message))
+    return FrameRoute(item, text.partition(".")[0] if is_fwd_kin else text, is_fwd_kin)
 
 
 def routes_in_order(routes: Sequence[Route]) -> list[Route]:
@@ -175,3 +319,112 @@ def allow_blanks(wiring: Wiring) -> None:
         blank = {e for e, blanks in good.items() if blanks and e in source.events}
         # What nobody looks at harms nobody, and its sender may send much that is not routed.
         source.allow_nan(blank | (source.events.keys() - good.keys()))
+
+
+FWD_KIN = "fwd_kin_base_to_flange"
+# What can be read of robots, doubles and arrows: what can be set, but for switches and poses.
+_READABLE = ("angles", "values", "vector")
+
+
+class Names:
+    """Everything that an origin can name.
+
+    Args:
+        scene: robots and routes.
+        sources: those of the scene's that are right.
+        inputs: all of the scene's, by `name.key`.
+    """
+
+    def __init__(
+        self, scene: Scene, sources: Mapping[str, Source], inputs: Mapping[str, Input]
+    ) -> None:
+        self._scene = scene
+        self._sources = sources
+        self._frames = scene.named_frames()
+        self._outputs = {target: item for target, item in inputs.items() if item.kind in _READABLE}
+        self._owners = {item.name for item in self._outputs.values()}
+
+    def is_frame(self, text: str) -> bool:
+        """Whether a name is that of a frame, and not of numbers."""
+        return "/" in text or text in self._frames
+
+    def is_fwd_kin(self, text: str) -> bool:
+        """Whether a name is that of a robot's forward kinematics."""
+        name, _, key = text.partition(".")
+        return key == FWD_KIN and name in self._scene.robots and name not in self._scene.sources
+
+    def frame_hint(self, text: str) -> str:
+        """A hint at what was meant by an unknown name of a frame."""
+        events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
+        spaces = _missing_spaces(text, [*UNITS, *self._outputs, *events])
+        return spaces or did_you_mean(text, self._frames)
+
+    def find(self, name: str) -> Value | Problem | None:
+        """What a name in an expression stands for.
+
+        Returns:
+            its numbers, what is wrong with it, or None where that is reported elsewhere.
+        """
+        if name in UNITS:
+            return constant(*UNITS[name])
+        if self.is_frame(name) or self.is_fwd_kin(name):
+            return self._frame(name)
+        owner, _, key = name.partition(".")
+        if self._scene.declares("sources", owner):
+            return self._event(owner, key)
+        if owner in self._owners or owner in self._scene.robots:
+            return self._output(owner, key)
+        sections = ("robots", "doubles", "arrows")
+        if {*sections, *(f"{section}.{owner}" for section in sections)} & self._scene.broken:
+            return None
+        return Problem("", f"no {self._unknown(owner, is_bare=not key)}")
+
+    def _frame(self, name: str) -> Problem | None:
+        if name in self._frames or self.is_fwd_kin(name):
+            return Problem("", f"{name} is a 4 x 4 frame, which cannot be indexed or combined")
+        if self._scene.is_broken(name.partition("/")[0]):
+            return None
+        return Problem("", f"no frame '{name}'{self.frame_hint(name)}")
+
+    def _event(self, name: str, event: str) -> Value | Problem | None:
+        if name not in self._sources:
+            return None
+        events = {**self._sources[name].events, **SIGNALS}
+        if event in events:
+            return numbers_of(Origin(name, event, True), tuple(events[event]), None)
+        spaces = _missing_spaces(event, events)
+        return Problem("", f"no event '{event}' of {name}{spaces or did_you_mean(event, events)}")
+
+    def _output(self, name: str, key: str) -> Value | Problem:
+        target = f"{name}.{key}"
+        if target in self._outputs:
+            item = self._outputs[target]
+            origin = Origin(name, key, False)
+            return numbers_of(origin, item.shape, dimension_of(self._scene, item))
+        keys = [item.key for item in self._outputs.values() if item.name == name]
+        hint = _missing_spaces(key, keys)
+        if not hint and name in self._scene.robots:
+            hint = did_you_mean(key, [*keys, FWD_KIN])
+            if nearest(key, [*keys, FWD_KIN]) is None:
+                hint += f"; its frames are {name}/flange and so on"
+        return Problem("", f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}")
+
+    def _unknown(self, owner: str, *, is_bare: bool) -> str:
+        """A message about an unknown name, with the nearest known one."""
+        sources = self._scene.declared("sources")
+        if nearest(owner, sources) is None:
+            near = nearest(owner, self._owners)
+            if near is not None:
+                return f"source or robot '{owner}'; did you mean '{near}'?"
+            near = nearest(owner, UNITS) if is_bare else None
+            if near is not None:
+                return f"unit '{owner}'; did you mean '{near}'?"
+        return f"source '{owner}'{did_you_mean(owner, sources)}"
+
+
+def _missing_spaces(name: str, known: Iterable[str]) -> str:
+    """Advice where a known name runs into an operator that can also stand in names."""
+    for i, sign in enumerate(name):
+        if sign in "-/" and name[:i] in known:
+            return f"; put spaces about '{sign}'"
+    return ""

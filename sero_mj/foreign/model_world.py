@@ -15,26 +15,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.cartesian import SmartArrow
+from ..assemble.cartesian import NamedFrame, SmartArrow
 from ..assemble.double import Double
-from ..assemble.frame_table import arrow_table, frame_table
 from ..assemble.inputs import BLANKABLE, list_inputs, userdata_slots
-from ..assemble.joint_table import joint_table
-from ..assemble.looks import View
-from ..assemble.named_frames import NamedFrame
-from ..assemble.parts import DoublePart, DrawnDouble
+from ..assemble.parts import DoublePart, DrawnDouble, arrow_table, frame_table, joint_table
 from ..assemble.scene import Scene, SceneToggles
+from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName
 from ..frames import frame_from
-from ._found_frames import body_labels, list_found_frames
-from ._found_robot import FoundPart, found_robot
-from ._joint_poses import JointPoses
-from ._model_doubles import ModelDoubles
-from ._model_state import ModelState, Sites
-from .model_sizes import measure
-from .model_trees import Tree, find_trees, torque_limits
+from ._found_robot import FoundPart, body_labels, found_robot, list_found_frames
+from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
+from ._model_trees import Tree, find_trees, measure, torque_limits
 
 log = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..declaration import kind_of
 from ..errors import DeclarationError, PluginError, Problem
-from ..kinds import kind_of
 from ..plugins import SOURCES, load_plugin, plugins
 from ._timing import Timing
 from .structure import Structure

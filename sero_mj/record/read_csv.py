@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CsvError
-from ..files import open_file
+from ..paths import open_file
 from .export_csv import TIME
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from mcap.records import Attachment
 from mcap.writer import MCAP0_MAGIC
 
 from ..errors import RecordingError, UnknownName, UsageError, did_you_mean
-from ..files import open_file
+from ..paths import open_file
 from ._mcap_reader import (
     BROKEN,
     ChunkPlace,

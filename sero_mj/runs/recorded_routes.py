@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from ..assemble.double import Double
 from ..assemble.robot import SerialRobot
-from ..assemble.route_text import names_in, origin_text
-from ..assemble.scene import Scene
-from ..drive.affine import Origin
-from ..drive.route import wire
-from ..drive.wiring import Wiring
+from ..assemble.scene import Scene, names_in, origin_text
+from ..drive.route import Origin
+from ..drive.wiring import Wiring, wire
 from ..errors import RecordingError
 from ..receive.receiver import Receiver
 from ..receive.source import SIGNALS

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from ..drive.affine import Array, Origin
-from ..drive.wiring import Route
+from ..drive.route import Array, Origin, Route
 
 _DEPENDENT = 1e-9  # share of a row that is new, below which it says nothing new
 

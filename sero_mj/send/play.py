@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ..assemble.inputs import Input, list_inputs
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
-from ..drive.route import wire
-from ..drive.wiring import Route, Wiring
+from ..drive.route import Route
+from ..drive.wiring import Wiring, wire
 from ..errors import UsageError, did_you_mean
 from ..frames import frame, rotation_about
 from ..receive.source import Source

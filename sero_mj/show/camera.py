@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.mjcf_double import OUT_OF_SIGHT
+from ..assemble.double import OUT_OF_SIGHT
 from ..assemble.world_view import WorldView
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError

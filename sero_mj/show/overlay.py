@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
-from ..assemble.mjcf_piece import as_spec, is_mjcf_object
+from ..assemble.mjcf_elements import as_spec, is_mjcf_object
 from ..assemble.scene import SceneToggles
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles

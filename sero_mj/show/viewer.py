@@ -10,12 +10,11 @@ from typing import Any, get_args
 
 import mujoco
 
-from ..assemble.looks import Look
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
+from ..assemble.surroundings import Look
 from ..assemble.world_view import WorldView
-from ..drive.mirror import LiveWorld, Mirror
-from ..drive.watch import Watch
+from ..drive.mirror import LiveWorld, Mirror, Watch
 from ..errors import UsageError, did_you_mean
 from ..load import load_scene
 from .headless.backend import has_display

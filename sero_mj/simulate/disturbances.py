@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from ..assemble.inertia import inertia_problem, tensors_from
-from ..declaration import Declaration, Frame, Name, Point, Vector
-from ..kinds import by_kind
+from ..assemble.dynamics import inertia_problem, tensors_from
+from ..declaration import Declaration, Frame, Name, Point, Vector, by_kind
 
 
 class Timed(Declaration):

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..assemble.inertia import inertia_problem, principal_moments, tensors_from
+from ..assemble.dynamics import inertia_problem, principal_moments, tensors_from
 from ..assemble.mjcf_dynamics import PAYLOAD
 from ..assemble.world import World
 from ..declaration import numbers

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..assemble.robot import SerialRobot
-from ..declaration import Name
+from ..declaration import Name, by_kind
 from ..errors import DeclarationError, Problem, did_you_mean
-from ..kinds import by_kind
 from .disturbances import Timed
 from .plant import Plant
 from .sensors import Signal

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from .. import __version__
-from ..drive.signal_names import joint_names
+from ..drive.record_sources import joint_names
 from ..record.recording_writer import RecordingWriter
 from ..record.signals_json import Signals
 from ..runs.run_log import PER_JOINT, event_of

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..assemble.objects import Object
 from ..assemble.scene import Scene
+from ..assemble.surroundings import Object
 from ..control.cartesian_laws import CARTESIAN_LAWS, CartesianLaw
 from ..control.controller import Controller, ControllerDeclaration
 from ..control.controllers import controller_from
 from ..control.joint_control import GravityCompensation, Torque
 from ..control.laws import LAWS, Law
-from ..declaration import Declaration
+from ..declaration import Declaration, by_kind
 from ..errors import DeclarationError, Problem, did_you_mean
-from ..kinds import by_kind
 from ..runs.monitor import Monitor
 from .disturbances import Disturbance, Force, Payload, disturbance_from
 from .expect import Expect

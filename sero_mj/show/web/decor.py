@@ -9,7 +9,7 @@ import numpy as np
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
-from ...assemble.mjcf_double import OUT_OF_SIGHT
+from ...assemble.double import OUT_OF_SIGHT
 from ...assemble.world_view import WorldView
 from ...decor.font import Font
 from ...decor.pen import MAX_GEOMS
