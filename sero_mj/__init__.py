@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from .receive.udp import UdpReceiver as UdpReceiver
     from .record.recording import Recording as Recording
     from .record.replay import Replay as Replay
+    from .show.headless.render import HeadlessRenderer as HeadlessRenderer
     from .show.headless.render import render_film as render_film
     from .show.headless.render import render_picture as render_picture
-    from .show.headless.renderer import HeadlessRenderer as HeadlessRenderer
     from .show.overlay import Overlay as Overlay
     from .show.overlay import overlay as overlay
     from .show.viewer import Viewer as Viewer
@@ -109,7 +109,7 @@ _HOME = {
     "Sensors": "simulate.sensors",
     "render_film": "show.headless.render",
     "render_picture": "show.headless.render",
-    "HeadlessRenderer": "show.headless.renderer",
+    "HeadlessRenderer": "show.headless.render",
     "Overlay": "show.overlay",
     "overlay": "show.overlay",
     "Viewer": "show.viewer",

@@ -11,7 +11,7 @@ from sero_mj.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, nearest_font_sc
 from sero_mj.decor.pen import ARROW_SIZE_OF_LENGTH
 from sero_mj.errors import RenderError, UnknownName, UsageError
 from sero_mj.show.camera import bounding_sphere, find_camera
-from sero_mj.show.headless.renderer import HeadlessRenderer
+from sero_mj.show.headless.render import HeadlessRenderer
 
 pytestmark = pytest.mark.gl
 

@@ -16,7 +16,7 @@ from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
 from sero_mj.drive.place import Placer
-from sero_mj.show.headless.renderer import HeadlessRenderer
+from sero_mj.show.headless.render import HeadlessRenderer
 from sero_mj.show.interaction import KEYS, click
 from sero_mj.show.picking import Picked, pick, ray_boxes
 

@@ -21,7 +21,7 @@ from PIL import Image
 from sero_mj.assemble.world import World
 from sero_mj.decor.pen import Kind
 from sero_mj.drive.place import follow
-from sero_mj.show.headless.renderer import HeadlessRenderer
+from sero_mj.show.headless.render import HeadlessRenderer
 
 POSES = 22  # and as many cameras
 MOST_WRONG = 0.02  # of all numbers

@@ -17,7 +17,7 @@ import sero_mj
 from sero_mj.assemble.world import World
 from sero_mj.errors import RenderError
 from sero_mj.show.headless.film import Picture
-from sero_mj.show.headless.renderer import HeadlessRenderer
+from sero_mj.show.headless.render import HeadlessRenderer
 
 pytestmark = pytest.mark.gl
 

@@ -17,7 +17,7 @@ from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import GREY, Kind
 from sero_mj.decor.scene_writer import SceneWriter
 from sero_mj.drive.place import Placer
-from sero_mj.show.headless.renderer import HeadlessRenderer
+from sero_mj.show.headless.render import HeadlessRenderer
 
 GEOM = mujoco.mjtGeom
 

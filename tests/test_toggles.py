@@ -18,7 +18,7 @@ from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.place import Placer
-from sero_mj.show.headless.renderer import HeadlessRenderer
+from sero_mj.show.headless.render import HeadlessRenderer
 from sero_mj.show.interaction import (
     CLICKS,
     DOUBLE_CLICK_TIME,

@@ -19,7 +19,7 @@ from ..drive.mirror import Mirror
 from ..errors import SimulationError, UnknownName
 from ..runs.run_log import event_of
 from ..runs.run_source import RunSource
-from ..show.headless.renderer import HeadlessRenderer
+from ..show.headless.render import HeadlessRenderer
 from ..simulate.plant import Plant
 from ..simulate.scenario import Scenario
 from ..simulate.simulated_scene import with_routes

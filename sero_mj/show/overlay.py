@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,21 +14,22 @@ from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
 from ..assemble.mjcf_elements import as_spec, is_mjcf_object
 from ..assemble.scene import SceneToggles
+from ..decor.font import DEFAULT_FONT, Font
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..errors import UsageError
 from ..foreign.model_world import ModelWorld
-from ._canvas import canvas_of
 from .camera import find_camera
 from .headless.backend import adopt_backend
 from .headless.film import Picture
-from .headless.renderer import DEFAULT_SIZE, HeadlessRenderer
-from .interaction import Gesture, click, hover
+from .headless.render import DEFAULT_SIZE, HeadlessRenderer
+from .interaction import Gesture
 from .picking import Picked
 from .robot_inputs import RobotInputs
 from .scene_decor import SceneDecor
 
-log = logging.getLogger(__name__)
+_NOTEBOOK_SIZE = (960, 600)
+_SCENE_SIZE = (640, 480)  # of the picture of a scene that has none
 
 
 class Overlay:
@@ -123,17 +123,21 @@ class Overlay:
         Raises:
             UsageError: the target is none of these, or its camera is unknown.
         """
-        canvas = canvas_of(target, camera, size)
-        scene = canvas.scene
-        if canvas.camera is not None:
-            look = canvas.camera
-            if isinstance(look, str):
-                look = find_camera(self.world, look)
+        scene, font, own_camera, own_size = _canvas_of(target)
+        camera = own_camera if camera is None else camera
+        width, height = size or own_size
+        if not (width > 0 and height > 0):
+            raise UsageError(f"size: found {width} x {height}; expected pixels above 0")
+        if camera is not None:
+            look = find_camera(self.world, camera) if isinstance(camera, str) else camera
             mujoco.mjv_updateCamera(self.model, self.data, look, scene)
+        elif not scene.camera[0].frustum_near > 0:
+            raise UsageError(
+                "the scene has no camera yet: call update_scene before draw, or give draw a camera"
+            )
         self._drawn = self._decor
-        return self._decor.draw(
-            self.data, PictureView.of_scene(scene, *canvas.size, canvas.font), scene
-        )
+        view = PictureView.of_scene(scene, width, height, font)
+        return self._decor.draw(self.data, view, scene)
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
         """Returns the item at a pixel of the last frame, counted from the upper left corner.
@@ -149,7 +153,7 @@ class Overlay:
         Raises:
             UsageError: nothing was drawn yet.
         """
-        return self._drawn.pick(self.data, self._from_below(x, y), tolerance)
+        return self._drawn.pick(self.data, self._from_above(x, y), tolerance)
 
     def click(
         self, x: float, y: float, gesture: Gesture = "click", tolerance: float = 0.0
@@ -162,20 +166,16 @@ class Overlay:
             gesture: `click`, `shift` or `double`.
             tolerance: see `pick`.
         """
-        picked = self.pick(x, y, tolerance)
-        click(self.world, self.toggles, picked, gesture)
-        return picked
+        return self._drawn.click(self.data, self._from_above(x, y), gesture, tolerance)
 
     def hover(self, x: float, y: float) -> Picked | None:
         """Moves the pointer to a pixel: the next frames show the name of the item there."""
-        picked = self.pick(x, y)
-        hover(self.toggles, picked, self._from_below(x, y))
-        return picked
+        return self._drawn.hover(self.data, self._from_above(x, y))
 
-    def _from_below(self, x: float, y: float) -> tuple[float, float]:
+    def _from_above(self, x: float, y: float) -> tuple[float, float]:
         if self.view is None:
             raise UsageError("nothing was drawn yet: call draw or image before")
-        return x + 0.5, self.view.height - y - 0.5
+        return self._drawn.from_above(x, y)
 
     def image(
         self,
@@ -223,7 +223,23 @@ class Overlay:
         self.close()
 
 
-_NOTEBOOK_SIZE = (960, 600)
+def _canvas_of(target: Any) -> tuple[mujoco.MjvScene, Font, Any, tuple[int, int]]:
+    """Returns the scene of an object to draw on, the font, and its own camera and size, pixels."""
+    if isinstance(target, mujoco.MjvScene):
+        return target, DEFAULT_FONT, None, _SCENE_SIZE
+    if isinstance(target, mujoco.Renderer):
+        context = getattr(target, "_mjr_context", None)
+        font = DEFAULT_FONT if context is None else Font.of_context(context)
+        return target.scene, font, None, (target.width, target.height)
+    if getattr(target, "user_scn", None) is not None and hasattr(target, "cam"):
+        view = target.viewport
+        size = _SCENE_SIZE if view is None else (int(view.width), int(view.height))
+        target.user_scn.ngeom = 0  # clears the geoms of the last frame; MuJoCo does not
+        return target.user_scn, DEFAULT_FONT, target.cam, size
+    raise UsageError(
+        f"found {type(target).__name__}; expected a mujoco.Renderer, a viewer of "
+        "mujoco.viewer.launch_passive, or a mujoco.MjvScene"
+    )
 
 
 def overlay(

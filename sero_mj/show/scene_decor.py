@@ -1,4 +1,4 @@
-"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and picks from it, for all hosts."""
+"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and takes clicks on it, for all hosts."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ..decor.picture_view import PictureView
 from ..decor.round_arrows import MAX_SEGMENTS
 from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
+from .interaction import Gesture, click, hover
 from .picking import Picked, pick, point_at
 
 log = logging.getLogger(__name__)
@@ -59,12 +60,7 @@ class SceneDecor:
         return self._decor.pen
 
     def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
-        """Lays out one frame.
-
-        Args:
-            data: the world's state, with frames up to date.
-            view: camera and picture size.
-        """
+        """Lays out one frame, see `draw`."""
         self.view = view
         self._decor.draw(data, self.toggles, view)
 
@@ -92,13 +88,18 @@ class SceneDecor:
             )
         return self.dropped
 
+    def from_above(self, x: float, y: float) -> Pixel:
+        """Returns the centre of a pixel, y up, of a pixel counted from the upper left corner."""
+        assert self.view is not None
+        return x + 0.5, self.view.height - y - 0.5
+
     def pick(self, data: mujoco.MjData, pixel: Pixel, tolerance: float = 0.0) -> Picked | None:
-        """Returns the item at a pixel of the last frame, see `picking.pick`.
+        """Returns the item at a pixel of the last frame; None for no item.
 
         Args:
             data: the world's state, with frames up to date.
             pixel: x to the right and y up from the lower left corner.
-            tolerance: pixels.
+            tolerance: see `picking.pick`.
         """
         if self.view is None:
             return None
@@ -109,3 +110,21 @@ class SceneDecor:
         if self.view is None:
             return None
         return point_at(self.world, data, self.pen, self.view, pixel)
+
+    def click(
+        self,
+        data: mujoco.MjData,
+        pixel: Pixel,
+        gesture: Gesture = "click",
+        tolerance: float = 0.0,
+    ) -> Picked | None:
+        """Clicks on a pixel of the last frame, see `pick`, and returns the item there."""
+        picked = self.pick(data, pixel, tolerance)
+        click(self.world, self.toggles, picked, gesture)
+        return picked
+
+    def hover(self, data: mujoco.MjData, pixel: Pixel) -> Picked | None:
+        """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
+        picked = self.pick(data, pixel)
+        hover(self.toggles, picked, pixel)
+        return picked

@@ -19,7 +19,7 @@ from ..errors import UsageError, did_you_mean
 from ..load import load_scene
 from .headless.backend import has_display
 from .headless.film import Picture
-from .headless.renderer import DEFAULT_SIZE
+from .headless.render import DEFAULT_SIZE
 from .interaction import OnClick
 from .live import LiveHost, open_page, open_window
 from .overlay import Overlay

@@ -1,4 +1,4 @@
-"""Renders a picture or a film of a scene, including live sources.
+"""Renders pictures and films without a window, of a world or of a scene with its live sources.
 
 A film of a live robot must show real time, but software rendering may be slower than that. So a
 thread samples the state at exactly the film's rate, and frames are rendered from these samples at
@@ -12,20 +12,201 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assemble.scene import Scene
+from ...assemble.world_view import WorldView
+from ...decor.font import Font, font_scale
+from ...decor.picture_view import PictureView
+from ...decor.toggles import Toggles
 from ...drive.mirror import Mirror, restore
 from ...errors import RenderError
-from ..picking import TOUCH_TOLERANCE
-from .film import FilmWriter, check_writable, default_fps, save_picture
-from .renderer import DEFAULT_SIZE, HeadlessRenderer
+from ..camera import find_camera
+from ..interaction import Gesture
+from ..picking import TOUCH_TOLERANCE, Picked
+from ..scene_decor import SceneDecor
+from .backend import adopt_backend
+from .film import FilmWriter, Picture, check_writable, default_fps, save_picture
 
 log = logging.getLogger(__name__)
+
+MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
+
+
+def check_size(what: str, width: int, height: int) -> None:
+    """Checks the size of a picture or window.
+
+    Args:
+        what: of what it is the size, for messages.
+        width: pixels.
+        height: pixels.
+
+    Raises:
+        RenderError: the size is out of range.
+    """
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise RenderError(f"{what} size {width}x{height}: expected 1 to {MAX_SIDE} a side")
+
+
+@contextmanager
+def offscreen_size(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
+    """Sets the offscreen buffer size of the OpenGL contexts that are created in this context.
+
+    MuJoCo reads the size from the model. The model is restored afterwards, since it may be the
+    user's.
+
+    Args:
+        model: changed temporarily.
+        width: pixels.
+        height: pixels.
+    """
+    size = model.vis.global_
+    before = size.offwidth, size.offheight
+    size.offwidth, size.offheight = width, height
+    try:
+        yield
+    finally:
+        size.offwidth, size.offheight = before
+
+
+DEFAULT_SIZE = (1280, 800)
+
+
+class HeadlessRenderer:
+    """Renders a world into arrays.
+
+    Args:
+        world: what to render.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        camera: see `find_camera`.
+
+    Attributes:
+        world: the world.
+        decor: of the last frame.
+        camera: can be changed between frames.
+        size: width and height, pixels.
+
+    Raises:
+        RenderError: no OpenGL, or the size is out of range.
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(
+        self,
+        world: WorldView,
+        width: int = DEFAULT_SIZE[0],
+        height: int = DEFAULT_SIZE[1],
+        camera: str | None = None,
+    ) -> None:
+        check_size("picture", width, height)
+        self.world = world
+        self.camera = find_camera(world, camera)
+        self.size = (width, height)
+        self.decor = SceneDecor(world)
+        self._renderer = _make_renderer(world, width, height)
+        self._font = Font.of_context(self._renderer._mjr_context)
+
+    @property
+    def toggles(self) -> Toggles:
+        """What is shown; can be set to the toggles of another host."""
+        return self.decor.toggles
+
+    @toggles.setter
+    def toggles(self, toggles: Toggles) -> None:
+        self.decor.toggles = toggles
+
+    def render(
+        self, data: mujoco.MjData, out: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
+        """Renders one frame.
+
+        Args:
+            data: the world's state, with frames up to date (`drive.place.follow`).
+            out: output array, (height, width, 3), uint8; None for a new one.
+
+        Returns:
+            picture (height, width, 3), uint8; a notebook displays it.
+        """
+        self.decor.draw(data, self._look(data), self._renderer.scene)
+        pixels: NDArray[np.uint8] = self._renderer.render(out=out)
+        return pixels if out is not None else pixels.view(Picture)
+
+    def _look(self, data: mujoco.MjData) -> PictureView:
+        renderer = self._renderer
+        renderer.update_scene(data, self.camera)
+        return PictureView.of_scene(renderer.scene, *self.size, self._font)
+
+    def pick(
+        self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
+    ) -> Picked | None:
+        """Returns the item at a pixel, counted from the upper left corner; None for no item.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, 0 to width.
+            y: down, 0 to height.
+            tolerance: see `picking.pick`.
+        """
+        return self._lay_out(data).pick(data, self.decor.from_above(x, y), tolerance)
+
+    def click(
+        self,
+        data: mujoco.MjData,
+        x: float,
+        y: float,
+        gesture: Gesture = "click",
+        tolerance: float = 0.0,
+    ) -> Picked | None:
+        """Clicks on a pixel, see `pick`, and returns the item there.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, 0 to width.
+            y: down, 0 to height.
+            gesture: a click, one with Shift held, or a double click.
+            tolerance: see `picking.pick`.
+        """
+        return self._lay_out(data).click(data, self.decor.from_above(x, y), gesture, tolerance)
+
+    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
+        """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
+        return self._lay_out(data).hover(data, self.decor.from_above(x, y))
+
+    def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
+        self.decor.lay_out(data, self._look(data))
+        return self.decor
+
+    def close(self) -> None:
+        """Frees the OpenGL context."""
+        self._renderer.close()
+
+    def __enter__(self) -> HeadlessRenderer:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _make_renderer(world: WorldView, width: int, height: int) -> Any:
+    model = world.model
+    font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{font_scale(world, height)}")
+    adopt_backend()
+    try:
+        with offscreen_size(model, width, height):
+            return mujoco.Renderer(model, height, width, font_scale=font)
+    except Exception as error:  # every GL backend raises errors of its own
+        raise RenderError(
+            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
+            "`sero-mj doctor` lists what is missing"
+        ) from error
+
 
 MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
 State = NDArray[np.float64]

@@ -281,7 +281,7 @@ class WebHost:
 
     def picture(self, width: int = 1280, height: int = 800) -> NDArray[np.uint8]:
         """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
-        from ..headless.renderer import HeadlessRenderer
+        from ..headless.render import HeadlessRenderer
 
         with HeadlessRenderer(self.world, width, height) as renderer:
             renderer.camera, renderer.toggles = self.viewer.camera, self.toggles

@@ -13,7 +13,7 @@ import mujoco
 from ...assemble.world_view import WorldView
 from ...decor.font import Font, font_scale, nearest_font_scale
 from ...errors import RenderError
-from ..headless._offscreen import check_size, offscreen_size
+from ..headless.render import check_size, offscreen_size
 from ..input import LEFT, MIDDLE, RIGHT, Event
 
 _SAMPLES = 4  # samples per pixel, for antialiasing

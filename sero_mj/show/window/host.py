@@ -13,7 +13,7 @@ from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
 from ...errors import SeroError
 from ..clock import Clock, time_text
-from ..headless.renderer import DEFAULT_SIZE
+from ..headless.render import DEFAULT_SIZE
 from ..input import Clicked, Event, Mouse, Moved
 from ..interaction import ClickDetector, OnClick, handle_click, hover
 from ..keys import KeyHandler
