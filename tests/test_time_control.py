@@ -10,7 +10,7 @@ from mujoco.studio import messages, sim
 from sero_mj import Mirror
 from sero_mj.load import load_scene
 from sero_mj.show.clock import Clock
-from sero_mj.show.web.time_control import TimeControl
+from sero_mj.show.web.studio_controls import TimeControl
 
 
 class Handle:

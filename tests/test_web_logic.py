@@ -21,11 +21,17 @@ from sero_mj.decor.pen import MAX_GEOMS
 from sero_mj.decor.picture_view import PictureView
 from sero_mj.errors import RenderError, UsageError
 from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
-from sero_mj.show.web import app
+from sero_mj.show.web import studio_controls
 from sero_mj.show.web.guard import Guard
 from sero_mj.show.web.host import check_address, page_url
-from sero_mj.show.web.site import find_files, read_page, with_head
-from sero_mj.show.web.studio import _DISCONNECT_FILTER, ChangesOnlyServer, ThrottledUi
+from sero_mj.show.web.studio import (
+    _DISCONNECT_FILTER,
+    ChangesOnlyServer,
+    ThrottledUi,
+    find_files,
+    read_page,
+    with_head,
+)
 from sero_mj.show.window.help import help_columns
 
 
@@ -35,7 +41,7 @@ def test_the_page_takes_every_geom_of_the_budget() -> None:
 
 def test_every_key_of_the_table_is_one_of_the_page() -> None:
     ours = {*KEYS, *HOST_KEYS, *MORE_KEYS} - set(OF_BROWSER) - {"+", "_"}  # with Shift
-    assert ours <= set(app.KEYS)
+    assert ours <= set(studio_controls.KEYS)
 
 
 def test_the_help_of_the_page_is_about_the_page() -> None:

@@ -38,7 +38,7 @@ from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.live import open_page
 from sero_mj.show.web import page_windows
-from sero_mj.show.web.app import KEYS
+from sero_mj.show.web.studio_controls import KEYS
 from pathlib import Path
 page_windows._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
 

@@ -18,8 +18,10 @@ import hashlib
 import hmac
 import ipaddress
 import logging
+import os
 import secrets
 import socket
+import stat
 import threading
 import types
 import urllib.parse
@@ -40,6 +42,7 @@ _LONGEST_MESSAGE = 2**20  # bytes; messages with input, camera or clipboard are 
 _OPEN_TIMEOUT = 10.0  # timeout of a connection's request, s
 _MOST_TOLD = 10  # refused requests that are logged; all are counted
 _PAGE_PATHS = ("/", "/index.html")
+_DESCRIPTORS = "/dev/fd"
 _FRAMES_OF = "vscode-webview: " + " ".join(  # notebooks embed the page in a frame
     f"{scheme}://{name}:*" for name in ("localhost", "127.0.0.1") for scheme in ("http", "https")
 )
@@ -274,3 +277,37 @@ class GuardedRun:
         options["sock"].listen()  # now listening: connections are queued, not refused
         self._is_guarded.set()
         return serve(handler, **options)
+
+
+class SameProcessSocket(socket.socket):
+    """A listening socket that accepts connections of this process and closes all others at once.
+
+    Studio's user interface connects to its server by TCP. Any website, and any other user of this
+    machine, can connect to a loopback port and could take the place of the user interface.
+    """
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """See `socket.socket`; raises ConnectionAbortedError for another process."""
+        connection, address = super().accept()
+        if is_same_process(address):
+            return connection, address
+        connection.close()
+        raise ConnectionAbortedError("it is another process")
+
+
+def is_same_process(address: Any) -> bool:
+    """Whether a socket of this process has this address; True if this cannot be determined."""
+    try:
+        numbers = [int(name) for name in os.listdir(_DESCRIPTORS)]
+    except OSError:  # Windows
+        return True
+    for number in numbers:
+        try:
+            if not stat.S_ISSOCK(os.fstat(number).st_mode):
+                continue
+            with socket.socket(fileno=os.dup(number)) as each:
+                if each.getsockname() == address:
+                    return True
+        except OSError:  # closed in the meantime
+            continue
+    return False

@@ -21,13 +21,11 @@ from ..interaction import ClickDetector, OnClick, handle_click, hover
 from ..keys import KeyHandler
 from ..status_line import Message
 from ..torque_history import TorqueHistory
-from .app import StudioApp
-from .decor import WebDecor
-from .greying import Greying
 from .guard import is_loopback, make_token
 from .page_windows import PageWindows
 from .studio import LOOPBACK, RATE, StudioViewer, suppress_output
-from .time_control import TimeControl
+from .studio_controls import StudioApp, TimeControl
+from .studio_decor import Greying, WebDecor
 
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 

@@ -19,8 +19,8 @@ from ..status_line import Message, Mood, clock_text, source_text
 from ..torque_history import TorqueHistory
 from ..window.help import help_columns
 from ._robot_panel import RobotPanel
-from .decor import WebDecor
 from .plots import TorquePlots
+from .studio_decor import WebDecor
 
 _ONCE = int(imgui.Cond.FirstUseEver)
 _ALWAYS = int(imgui.Cond.Always)

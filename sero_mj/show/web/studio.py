@@ -1,13 +1,15 @@
-"""MuJoCo Studio's web viewer, with a configurable address and without redundant messages."""
+"""MuJoCo Studio's web viewer and its page, with a configurable address and a title."""
 
 from __future__ import annotations
 
 import contextlib
+import html
 import io
 import logging
 import socket
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -16,14 +18,23 @@ from mujoco.studio.web import web_server
 from websockets.exceptions import ConnectionClosed
 
 from ...errors import RenderError
-from ._same_process_socket import SameProcessSocket
-from .guard import Guard, GuardedRun
-from .site import find_files, read_page
+from .guard import Guard, GuardedRun, SameProcessSocket
 
 LOOPBACK = "127.0.0.1"
 RATE = 60.0  # pictures/s
 _UI_RATE = 30.0  # frames/s of the user interface
 _ALIVE = 0.5  # maximum time between two states that are sent, s
+# After a tap a browser also sends mouse events, for pages without touch support. Studio 4.0 handles
+# both, so a tap would count as two clicks.
+_HEAD = """\
+    <meta name="viewport" content="width=device-width, initial-scale=1" />
+    <style>canvas { touch-action: none; }</style>
+    <script>
+      document.addEventListener("touchend", (event) => {
+        if (event.cancelable) event.preventDefault();
+      }, { passive: false });
+    </script>
+  </head>"""
 
 
 class _DisconnectFilter(logging.Filter):
@@ -246,3 +257,38 @@ def suppress_output() -> Any:
     """Suppresses what Studio prints."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield
+
+
+def with_head(page: str, title: str) -> str:
+    """Returns Studio's page with title and additions, where its head matches the expected text."""
+    start, found, rest = page.partition("<title>")
+    if found:
+        page = start + found + html.escape(title) + rest[rest.find("</title>") :]
+    return page.replace("  </head>", _HEAD, 1)
+
+
+def find_files() -> Path:
+    """Returns the folder with the files of Studio's page.
+
+    Raises:
+        RenderError: this MuJoCo has none.
+    """
+    found = web_server._find_static_files_dir()
+    if found is None:
+        raise RenderError(
+            "no web page: this MuJoCo does not include the files of Studio's web client; "
+            "`sero-mj view SCENE --window` needs none"
+        )
+    return Path(found)
+
+
+def read_page(title: str) -> bytes:
+    """Returns the page, which refers to Studio's files.
+
+    Args:
+        title: of the browser's tab.
+
+    Raises:
+        RenderError: this MuJoCo has no page.
+    """
+    return with_head((find_files() / "index.html").read_text("utf-8"), title).encode()

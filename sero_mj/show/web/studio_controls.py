@@ -1,4 +1,4 @@
-"""Studio's user interface, with mouse and keys by the tables of `interaction`."""
+"""Plugins that connect Studio's mouse, keys and time controls to a host of this package."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import time
 from typing import Protocol
 
 from mujoco.studio import app as studio_app
-from mujoco.studio import ux
+from mujoco.studio import messages, plugin, sim, sim_history, ux
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
+from ..clock import Clock
 from ..input import LEFT, RIGHT, Clicked, Event, Mouse
 
 _FIRST_LETTER, _FIRST_DIGIT = ord("a"), ord("0")
@@ -33,6 +34,8 @@ _LETTERS = {chr(_FIRST_LETTER + i): getattr(imgui.Key, chr(ord("A") + i)) for i 
 _DIGITS = {chr(_FIRST_DIGIT + i): getattr(imgui.Key, f"N{i}") for i in range(10)}
 _HELD = (".", ",", "-", "=", "left", "right", "[", "]")  # repeated while they are held down
 KEYS = {**_NAMED, **_LETTERS, **_DIGITS}
+_RUNS = sim.PauseState.UNPAUSED
+_PAUSED = sim.PauseState.NORMAL_PAUSED
 
 
 class InputTarget(Protocol):
@@ -116,3 +119,75 @@ class StudioApp(studio_app.App):
 
     def apply_perturb(self) -> None:
         """Does nothing: a mirrored robot is not simulated by this model."""
+
+
+class TimeControl(plugin.SimPlugin):
+    """Replaces Studio's `StepControl`: time and state are those of the mirror.
+
+    Args:
+        clock: of the mirror.
+
+    Attributes:
+        is_held: whether time is stopped because no browser has connected yet.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._last = time.monotonic()
+        self._is_scrubbed = False
+        self.is_held = False
+
+    def snapshot(self) -> messages.StepControlSnapshot:
+        """Returns the state of Studio's controls."""
+        control = sim.StepControl()
+        control.set_pause_state(_PAUSED if self._clock.is_paused else _RUNS)
+        control.set_speed(100.0 * self._clock.speed)
+        return messages.StepControlSnapshot.from_step_control(control)
+
+    @messages.handler
+    def on_step_control(self, event: messages.StepControlSnapshot) -> bool:
+        """Applies pause and speed that were set on the page."""
+        wanted = event.pause_state != _RUNS
+        if wanted != self._clock.is_paused:
+            self._clock.pause()
+        if not self._clock.is_live:
+            self._clock.speed = self._clock.real_speed = max(event.speed / 100.0, 1e-3)
+        return True
+
+    @messages.handler
+    def on_single_step(self, event: messages.SingleStepEvent) -> bool:
+        """Advances by a single step."""
+        self._clock.step()
+        return True
+
+    @messages.handler
+    def on_pause(self, event: messages.RequestPauseEvent) -> bool:
+        """Pauses when the user opens Studio's history."""
+        self._clock.is_paused = event.pause_state != _RUNS
+        return True
+
+    @messages.handler
+    def on_reset(self, event: messages.ResetEvent) -> bool:
+        """Resets the mirror to the start, not the data to zero as Studio does."""
+        self._clock.reset()
+        return True
+
+    @messages.handler
+    def on_history(self, event: sim_history.SimHistorySnapshot) -> None:
+        """Handles the selection of a past state, which `SimHistory` writes to the data."""
+        self._is_scrubbed = True
+
+    @messages.handler
+    def on_step(self, event: messages.StepEvent) -> None:
+        """Advances the mirror to the current time."""
+        now = time.monotonic()
+        passed, self._last = now - self._last, now
+        clock = self._clock
+        with self.handle.send_if_changes(self.snapshot):
+            if self._is_scrubbed and clock.is_live and not clock.is_paused:
+                self._is_scrubbed = False
+                clock.reset()  # the current state, not the one that the history has written
+            if self._is_scrubbed and not clock.is_live:
+                self._is_scrubbed = False
+                clock.seek(event.data.time)
+            clock.advance(0.0 if self.is_held else passed)
