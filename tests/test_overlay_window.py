@@ -48,8 +48,8 @@ with sero_mj.view(overlay, size=(640, 480)) as viewer:
     window.clock.pause()
     window.frame()
     assert (viewer.data.qpos == data.qpos).all()
-    at = window._frame.decor.view.project(viewer.data.geom("upper").xpos)[0]
-    picked = window._frame.pick(viewer.data, at[0], at[1] + window._frame.rect.bottom)
+    at = window.decor.view.project(viewer.data.geom("upper").xpos)[0]
+    picked = window.decor.pick(viewer.data, at)
     assert picked.owner in ("arm", "goal"), picked
     window.shows_plot = True
     window.frame()

@@ -7,8 +7,7 @@ import pytest
 
 from sero_mj import Double, Scene, SerialRobot, World
 from sero_mj.decor.toggles import Toggles
-from sero_mj.show.interaction import KEYS
-from sero_mj.show.keys import press_toggle
+from sero_mj.show.interaction import KEYS, press_toggle
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,7 @@ def page(served: Served, visitor: Visitor) -> Visitor:
     visitor.move(500, 60)
     served.ask("w.toggles.reset()")
     served.ask("w.choose_camera(0)[:0]")
-    served.ask("setattr(w._panels, 'shows_status', False)")  # it would cover the robot
+    served.ask("setattr(w, 'shows_status', False)")  # it would cover the robot
     served.settle()
     return visitor
 
@@ -118,7 +118,7 @@ def test_the_panel_switches_what_is_shown(served: Served, page: Visitor) -> None
 
 def test_billboards_stay_clear_of_the_panel(served: Served, page: Visitor) -> None:
     served.ask("w.toggles.billboards.fill(True)")
-    served.ask("setattr(w._panels, 'shows_status', True)")
+    served.ask("setattr(w, 'shows_status', True)")
     served.settle()
     left = served.ask("w._panels.inset[0]")
     assert left > 300

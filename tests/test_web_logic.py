@@ -20,7 +20,7 @@ from sero_mj.decor.panels import labels_at
 from sero_mj.decor.pen import MAX_GEOMS
 from sero_mj.decor.picture_view import PictureView
 from sero_mj.errors import RenderError, UsageError
-from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER
+from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER, help_columns
 from sero_mj.show.web import studio_controls
 from sero_mj.show.web.guard import Guard
 from sero_mj.show.web.host import check_address, page_url
@@ -32,7 +32,6 @@ from sero_mj.show.web.studio import (
     read_page,
     with_head,
 )
-from sero_mj.show.window.help import help_columns
 
 
 def test_the_page_takes_every_geom_of_the_budget() -> None:

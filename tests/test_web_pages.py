@@ -60,7 +60,7 @@ def test_a_mirrored_robot_moves_and_is_grey_when_its_source_is_quiet(
         '[routes]\n"lwr.joint_angles" = "udp.values0"\n'
     )
     with Served(tmp_path, str(scene)) as served:
-        served.ask("setattr(w._panels, 'shows_status', False)")
+        served.ask("setattr(w, 'shows_status', False)")
         visitor = Visitor(browser, served)
         visitor.hears("First remote draw frame applied")
         grey = _light_pixels(visitor.still())
@@ -91,7 +91,7 @@ def _light_pixels(pixels: np.ndarray) -> int:
 
 def test_a_finger_taps_once(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
-        served.ask("setattr(w._panels, 'shows_status', False)")
+        served.ask("setattr(w, 'shows_status', False)")
         finger = Visitor(browser, served, has_touch=True)
         finger.hears("First remote draw frame applied")
         served.until("w.decor.view is not None")

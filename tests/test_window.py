@@ -23,8 +23,8 @@ pytestmark = [
 
 # Where the LWR's joints are in the window, from the upper left corner.
 _JOINTS = (
-    "[w._frame.decor.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][{0}].tolist(), "
-    "w._frame.rect.bottom]"
+    "[w.decor.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][{0}].tolist(), "
+    "w.decor.rect.bottom]"
 )
 
 
@@ -142,10 +142,8 @@ def test_a_double_click_of_the_right_button_centres_the_view(window: Driven) -> 
     x, y = pixel(window, 5)
     window.click(x, y, "click", "--repeat", 2, "--delay", 60, 3)
     window.settle()
-    seen = window.ask(
-        "w._frame.decor.view.project(np.array(w.navigator.camera.lookat))[0].tolist()"
-    )
-    picture = window.ask("w.picture_size")
+    seen = window.ask("w.decor.view.project(np.array(w.navigator.camera.lookat))[0].tolist()")
+    picture = window.ask("[w.decor.rect.width, w.decor.rect.height]")
     assert seen == pytest.approx([picture[0] / 2, picture[1] / 2], abs=1)
     assert pixel(window, 5) == pytest.approx((320, picture[1] / 2), abs=40)
 
@@ -186,10 +184,10 @@ def test_the_help_is_shown_and_goes_with_a_click(window: Driven) -> None:
 def test_a_screenshot_is_what_is_seen(window: Driven) -> None:
     folder: Path = window.folder  # type: ignore[attr-defined]
     window.key("F2")
-    window.until("'screenshot saved' in w._notice.text")
+    window.until("'screenshot saved' in w.notice.text")
     (picture,) = folder.glob("lwr_*.png")
     pixels = np.asarray(Image.open(picture))
-    assert pixels.shape == (*window.ask("w.picture_size")[::-1], 3)
+    assert pixels.shape == (*window.ask("[w.decor.rect.width, w.decor.rect.height]")[::-1], 3)
     assert pixels.std() > 10
     assert pixels[:40].mean() > pixels[-200:].mean()  # the sky is up
 
@@ -201,7 +199,7 @@ def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
     window.key("F3")
     window.until("w.camera.seconds > 1.0")
     window.key("F3")
-    window.until("'film of' in w._notice.text and 'saved' in w._notice.text")
+    window.until("'film of' in w.notice.text and 'saved' in w.notice.text")
     (film,) = folder.glob("lwr_*.mp4")
     with av.open(str(film)) as container:
         frames = sum(1 for _ in container.decode(video=0))
@@ -212,7 +210,7 @@ def test_the_window_takes_another_size(window: Driven) -> None:
     window.tool("search", "--name", "lwr - sero-mj", "windowsize", 500, 400)
     window.until("w.gl.size == (500, 400)")
     window.settle()
-    assert window.ask("w.picture_size[0]") == 500
+    assert window.ask("w.decor.rect.width") == 500
     window.tool("search", "--name", "lwr - sero-mj", "windowsize", *SIZE)
     window.until(f"w.gl.size == {SIZE}")
 
@@ -298,7 +296,7 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
             window.until("not next(iter(w.mirror.sources.values())).receiving")
             window.key("a")
             assert window.ask("w.clock.is_live")
-            window.until("w._frame.decor.pen.grey is not None")  # shown as stale
+            window.until("w.decor.pen.grey is not None")  # shown as stale
     finally:
         sender.kill()
         sender.wait()

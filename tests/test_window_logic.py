@@ -11,18 +11,23 @@ import numpy as np
 import pytest
 
 from sero_mj import Mirror, World
-from sero_mj.decor.toggles import Toggles
 from sero_mj.load import load_scene
 from sero_mj.show.clock import SPEEDS, Clock, time_text
 from sero_mj.show.input import LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
-from sero_mj.show.interaction import CLICKS, HOST_KEYS, HOST_MOUSE, KEYS, MORE_KEYS
-from sero_mj.show.keys import KeyHandler
+from sero_mj.show.interaction import (
+    CLICKS,
+    HOST_KEYS,
+    HOST_MOUSE,
+    KEYS,
+    MORE_KEYS,
+    help_columns,
+    pages,
+)  # fmt: skip
+from sero_mj.show.live import LiveHost
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
-from sero_mj.show.window.arrange import arrange
 from sero_mj.show.window.capture import due_frames, unused_name
-from sero_mj.show.window.help import help_columns, pages
-from sero_mj.show.window.hud import TimeLine
+from sero_mj.show.window.hud import TimeLine, arrange
 
 # ---- clock
 
@@ -282,27 +287,54 @@ class FakeClock:
         return lambda *arguments: self.asked.append((name, *arguments))
 
 
-def test_keys_do_what_the_tables_say_in_every_host(lwr_world: World) -> None:
-    clock, said, own = FakeClock(), [], []
-    host = SimpleNamespace(
-        world=lwr_world, data=lwr_world.make_data(), toggles=Toggles(lwr_world), clock=clock,
-        joint=0, say=said.append, choose_camera=lambda number: f"camera {number}",
-    )  # fmt: skip
-    keys = KeyHandler(host, {"follow": lambda: "follows", "help": lambda: own.append("help")})
+class Host(LiveHost):
+    """Notes what it says and is asked for, and shows nothing."""
+
+    is_open = is_due = True
+    frame = picture = centre = close = None  # type: ignore[assignment]
+
+    def __init__(self, world: World) -> None:
+        super().__init__(SimpleNamespace(world=world, data=world.make_data()))  # type: ignore[arg-type]
+        self.said: list[str] = []
+        self.helped = 0
+        self._actions["help"] = self.help
+
+    def help(self) -> None:
+        self.helped += 1
+
+    def say(self, text: str, *, is_bad: bool = False) -> None:
+        self.said.append(text)
+
+    def choose_camera(self, number: int) -> str:
+        return f"camera {number}"
+
+    def follow(self, frame: str | None) -> str:
+        return f"follows {frame}"
+
+    def _pointer(self) -> None:
+        return None
+
+
+def test_keys_do_what_the_tables_say_in_every_host(
+    lwr_world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = FakeClock()
+    monkeypatch.setattr("sero_mj.show.live.Clock", lambda mirror: clock)
+    host = Host(lwr_world)
     for key in (" ", ".", ",", "-", "+", "backspace", "left", "right", "home", "_"):
-        keys.press(key)
+        host.press(key)
     assert clock.asked == [
         ("pause",), ("step",), ("step", -1), ("faster", -1), ("faster", 1), ("reset",),
         ("seek", 4.0), ("seek", 6.0), ("reset",), ("faster", -1),
     ]  # fmt: skip
-    for key in ("3", "f", "h", "[", "]", "]", "l", "p", "y", "escape"):
-        keys.press(key)  # p is not of this host, y of none
+    for key in ("3", "f", "h", "[", "]", "]", "l", "f2", "y", "escape"):
+        host.press(key)  # F2 is not of this host, y of none
     selected = [f"selected: lwr/{joint}" for joint in ("A6", "A1", "A2")]
-    assert said == ["camera 3", "follows", *selected, "legend: off"]
-    assert (host.joint, own, host.toggles.legend) == (1, ["help"], False)
+    assert host.said == ["camera 3", "follows None", *selected, "legend: off"]
+    assert (host.joint, host.helped, host.toggles.legend) == (1, 1, False)
     clock.asked.clear()
     for key in (".", " ", "l"):
-        keys.press(key, is_repeat=True)  # held down: only what goes on in steps does
+        host.press(key, is_repeat=True)  # held down: only what goes on in steps does
     assert clock.asked == [("step",)] and host.toggles.legend is False
 
 

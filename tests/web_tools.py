@@ -36,7 +36,7 @@ _PROGRAM = """
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
-from sero_mj.show.live import open_page
+from sero_mj.show.viewer import open_page
 from sero_mj.show.web import page_windows
 from sero_mj.show.web.studio_controls import KEYS
 from pathlib import Path

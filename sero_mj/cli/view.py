@@ -123,11 +123,11 @@ def _of_page(options: argparse.Namespace) -> list[str]:
 
 def _open_window(scene: Scene, options: argparse.Namespace) -> None:
     from ..drive.mirror import Mirror
-    from ..show.live import open_window
+    from ..show.window.host import Window
 
     with (
         Mirror(scene) as mirror,
-        open_window(
+        Window(
             mirror,
             size=options.size or _SIZE,
             camera=options.camera,
@@ -139,7 +139,7 @@ def _open_window(scene: Scene, options: argparse.Namespace) -> None:
 
 def _serve(scene: Scene, options: argparse.Namespace) -> None:
     from ..drive.mirror import Mirror
-    from ..show.live import open_page
+    from ..show.viewer import open_page
 
     host = options.host or _LOOPBACK
     with (

@@ -1,4 +1,4 @@
-"""Cameras: the scene's named ones, and a free one by azimuth, elevation and distance."""
+"""Cameras: the scene's named ones, a free one by azimuth, elevation and distance, moved ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from ..assemble.world_view import WorldView
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError
 
+Array = NDArray[np.float64]
+
 _MARGIN = 1.12  # margin around the robots
+_DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
+_STEEPEST_DEG = 89.0
+_PER_NOTCH = 0.9  # change of distance for one step of the wheel
+_NEAREST, _FARTHEST = 0.02, 500.0  # m
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
 def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera:
@@ -53,7 +60,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
     return camera
 
 
-def bounding_sphere(world: WorldView) -> tuple[NDArray[np.float64], float]:
+def bounding_sphere(world: WorldView) -> tuple[Array, float]:
     """Returns centre (3,), m, and radius, m, of a sphere about all but the floor, as declared.
 
     Objects that a route attaches to a robot's flange count at the flange.
@@ -91,3 +98,122 @@ def _three_numbers(text: str) -> tuple[float, float, float]:
             "(degrees, degrees, m above 0), e.g. 150,-15,2.2"
         )
     return azimuth, elevation, distance
+
+
+class Navigator:
+    """A camera that the user moves.
+
+    Drags are in units of the window's height, so that they act the same at all sizes.
+
+    Args:
+        world: the compiled scene.
+        wanted: see `find_camera`.
+
+    Attributes:
+        camera: of the renderer.
+        following: the frame that it follows; None for none.
+
+    Raises:
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(self, world: WorldView, wanted: str | None = None) -> None:
+        self.camera = find_camera(world, wanted)
+        self.following: str | None = None
+        self._world = world
+        self._start = wanted
+        self._last = np.zeros(3)  # last position of the followed frame
+
+    def orbit(self, right: float, down: float) -> None:
+        """Rotates about the look-at point by a drag, in window heights."""
+        camera = self.camera
+        azimuth = camera.azimuth - _DEGREES_PER_HEIGHT * right
+        camera.azimuth = (azimuth + 180.0) % 360.0 - 180.0
+        camera.elevation = float(
+            np.clip(
+                camera.elevation - _DEGREES_PER_HEIGHT * down,
+                min(-_STEEPEST_DEG, camera.elevation),
+                max(_STEEPEST_DEG, camera.elevation),
+            )
+        )
+
+    def pan(self, right: float, down: float, tan_half_fovy: float) -> None:
+        """Moves parallel to the picture, so that the look-at point follows the pointer.
+
+        Args:
+            right: of the drag, in window heights.
+            down: likewise.
+            tan_half_fovy: tangent of half the vertical field of view.
+        """
+        camera = self.camera
+        _, to_right, to_up = axes(camera.azimuth, camera.elevation)
+        height = 2.0 * tan_half_fovy * camera.distance
+        camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
+
+    def zoom(self, notches: float) -> None:
+        """Reduces the distance by steps of the wheel, or increases it."""
+        distance = self.camera.distance * _PER_NOTCH ** np.clip(notches, -100.0, 100.0)
+        self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
+
+    def free(self, position: Array, forward: Array) -> None:
+        """Replaces a fixed camera of the scene by a free one with the same pose.
+
+        Args:
+            position: of the camera, (3,), m.
+            forward: unit vector (3,).
+        """
+        if self.camera.type == _FREE:
+            return
+        self.camera.type = _FREE
+        self.camera.fixedcamid = -1
+        self.camera.azimuth = float(np.rad2deg(np.arctan2(forward[1], forward[0])))
+        self.camera.elevation = float(np.rad2deg(np.arcsin(np.clip(forward[2], -1, 1))))
+        self.camera.lookat = position + self.camera.distance * forward
+
+    def choose(self, number: int) -> str:
+        """Selects a camera by number, 1 for the first; 0 for the scene's own view.
+
+        Returns:
+            a message for the user.
+        """
+        names = list_cameras(self._world)
+        if number == 0:
+            self.camera = find_camera(self._world, self._start)
+            self.following = None
+            return "initial view"
+        if number > len(names):
+            count = f"{len(names)} cameras" if len(names) != 1 else "one camera"
+            return f"no camera {number}: the scene has {count if names else 'none'}"
+        distance, lookat = self.camera.distance, self.camera.lookat.copy()
+        self.camera = find_camera(self._world, names[number - 1])
+        self.camera.distance, self.camera.lookat = distance, lookat
+        self.following = None
+        return f"camera {names[number - 1]}"
+
+    def follow(self, data: mujoco.MjData, frame: str | None) -> str:
+        """Starts following a frame, or stops for None; returns a message for the user."""
+        if frame is None or frame == self.following:
+            self.following = None
+            return "follows nothing"
+        self._last = self._world.frame(data, frame)[:3, 3].copy()
+        self.following = frame
+        return f"follows {frame}"
+
+    def advance(self, data: mujoco.MjData) -> None:
+        """Moves with the followed frame, by its displacement since the last call."""
+        if self.following is None or self.camera.type != _FREE:
+            return
+        now = self._world.frame(data, self.following)[:3, 3]
+        if np.isfinite(now).all():
+            self.camera.lookat = self.camera.lookat + now - self._last
+            self._last = now.copy()
+
+
+def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]:
+    """Returns the unit vectors forward, right and up (3,) of a free camera."""
+    azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    forward = np.array([ca * ce, sa * ce, se])
+    right = np.array([sa, -ca, 0.0])
+    up = np.array([-ca * se, -sa * se, ce])
+    return forward, right, up

@@ -7,6 +7,8 @@ from typing import Literal
 
 LEFT, RIGHT, MIDDLE = 0, 1, 2
 DOUBLE_CLICK_TIME = 0.35  # maximum time between the two presses, s
+DOUBLE_CLICK_DISTANCE = 8.0  # maximum distance between them, pixels
+_STILL = 4.0  # maximum distance between press and release of a click, pixels
 
 
 @dataclass(frozen=True)
@@ -32,10 +34,6 @@ class Event:
     key: str = ""
     shift: bool = False
     is_repeat: bool = False
-
-
-_STILL = 4.0  # maximum distance between press and release of a click, pixels
-_TOGETHER = 8.0  # maximum distance between the clicks of a double click, pixels
 
 
 @dataclass(frozen=True)
@@ -134,7 +132,7 @@ class Mouse:
         if press.button == RIGHT:
             first, self._right_click = self._right_click, press
             soon = first is not None and press.time - first.time <= DOUBLE_CLICK_TIME
-            if soon and first is not None and _apart(first, press) <= _TOGETHER:
+            if soon and first is not None and _apart(first, press) <= DOUBLE_CLICK_DISTANCE:
                 self._right_click = None
                 return Clicked(press.x, press.y, press.time, centre=True)
         return None

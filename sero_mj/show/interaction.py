@@ -1,96 +1,72 @@
 """Actions of clicks, double clicks, clicks with Shift, and keys: one table for all hosts.
 
-A host finds the item at a pixel by `picking.pick` and passes on the user's input.
+A host finds the item at a pixel by `picking.pick` and passes on the user's input. The help is
+generated from the tables.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
+from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
-from .input import DOUBLE_CLICK_TIME, Clicked
+from .input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME
 from .picking import Picked
 
 Gesture = Literal["click", "shift", "double"]
 GESTURES: tuple[Gesture, ...] = ("click", "shift", "double")
 Action = Callable[[WorldView, Toggles, Picked], None]
+Rows = Callable[[WorldView, Picked], Any]  # returns indices of the joints or frames of an action
 
-_DOUBLE_CLICK_PIXELS = 8.0  # maximum distance between the two presses
+
+def _item(world: WorldView, picked: Picked) -> int:
+    return picked.index
 
 
 def _joints(world: WorldView, picked: Picked) -> slice:
-    """Returns all joints of the robot or double of an item, (N,) bool."""
+    """Returns all joints of the robot or double of an item."""
     return world.owners[picked.owner].joints
 
 
 def _frames(world: WorldView, picked: Picked) -> Any:
-    """Returns all frames of the owner of an item, or a frame without owner, (M,) bool."""
+    """Returns all frames of the owner of an item, or a frame without owner."""
     if picked.owner not in world.owners:
         return [picked.index]
     return world.frames.owner == list(world.owners).index(picked.owner)
 
 
-def _all_flipped(shown: Any, where: Any) -> None:
-    shown[where] = not shown[where].any()
+def _everything(world: WorldView, picked: Picked) -> slice:
+    return slice(None)
 
 
-def _toggle_billboard(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    toggles.billboards[picked.index] ^= True
+def _flip(field: str, rows: Rows = _item) -> Action:
+    """Returns an action that hides features if any of them is shown, else shows them."""
+
+    def act(world: WorldView, toggles: Toggles, picked: Picked) -> None:
+        shown, where = getattr(toggles, field), rows(world, picked)
+        shown[where] = not shown[where].any()
+
+    return act
 
 
-def _toggle_billboards(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    _all_flipped(toggles.billboards, _joints(world, picked))
+def _hide(fields: tuple[str, ...], rows: Rows = _item) -> Action:
+    def act(world: WorldView, toggles: Toggles, picked: Picked) -> None:
+        for name in fields:
+            getattr(toggles, name)[rows(world, picked)] = False
 
-
-def _toggle_axes(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    _all_flipped(toggles.axes, _frames(world, picked))
-
-
-def _hide_billboard(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    toggles.billboards[picked.index] = toggles.details[picked.index] = False
-
-
-def _hide_billboards(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    joints = _joints(world, picked)
-    toggles.billboards[joints] = toggles.details[joints] = False
-
-
-def _toggle_details(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    toggles.details[picked.index] ^= True
-
-
-def _toggle_all_details(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    _all_flipped(toggles.details, _joints(world, picked))
+    return act
 
 
 def _next_quantity_here(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    joints = _joints(world, picked)
     following = toggles.arrow_quantity[picked.index] + 1
-    toggles.arrow_quantity[joints] = following % len(ARROW_QUANTITIES)
-
-
-def _toggle_name(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    toggles.frame_names[picked.index] ^= True
-
-
-def _toggle_names(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    _all_flipped(toggles.frame_names, _frames(world, picked))
-
-
-def _hide_axes(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    toggles.axes[picked.index] = toggles.frame_names[picked.index] = False
-
-
-def _toggle_card(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    toggles.cards[picked.index] ^= True
-
-
-def _toggle_cards(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    toggles.cards[:] = not toggles.cards.any()
+    toggles.arrow_quantity[_joints(world, picked)] = following % len(ARROW_QUANTITIES)
 
 
 def _hide_checks(world: WorldView, toggles: Toggles, picked: Picked) -> None:
@@ -101,25 +77,26 @@ def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     """Changes no toggles."""
 
 
+_BILLBOARD = ("billboards", "details")
 # Description and action by gesture and kind of item, for all hosts.
 CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
-    ("click", "link"): ("its joint's billboard on or off", _toggle_billboard),
-    ("shift", "link"): ("all billboards of the robot on or off", _toggle_billboards),
-    ("double", "link"): ("all axes of the robot on or off", _toggle_axes),
-    ("click", "billboard"): ("hides it", _hide_billboard),
-    ("shift", "billboard"): ("hides all of the robot", _hide_billboards),
-    ("click", "arrow"): ("its precise values on or off", _toggle_details),
-    ("shift", "arrow"): ("precise values of the whole robot on or off", _toggle_all_details),
+    ("click", "link"): ("its joint's billboard on or off", _flip("billboards")),
+    ("shift", "link"): ("all billboards of the robot on or off", _flip("billboards", _joints)),
+    ("double", "link"): ("all axes of the robot on or off", _flip("axes", _frames)),
+    ("click", "billboard"): ("hides it", _hide(_BILLBOARD)),
+    ("shift", "billboard"): ("hides all of the robot", _hide(_BILLBOARD, _joints)),
+    ("click", "arrow"): ("its precise values on or off", _flip("details")),
+    ("shift", "arrow"): ("precise values of the whole robot on or off", _flip("details", _joints)),
     ("double", "arrow"): ("the robot's arrows show the next quantity", _next_quantity_here),
-    ("click", "axes"): ("their name on or off", _toggle_name),
-    ("shift", "axes"): ("names of all axes of the robot on or off", _toggle_names),
-    ("double", "axes"): ("hides them", _hide_axes),
-    ("click", "name"): ("hides it", _toggle_name),
-    ("shift", "name"): ("hides all of the robot", _toggle_names),
-    ("click", "vector"): ("its values on or off", _toggle_card),
-    ("shift", "vector"): ("values of all smart arrows on or off", _toggle_cards),
-    ("click", "card"): ("hides it", _toggle_card),
-    ("shift", "card"): ("hides all of them", _toggle_cards),
+    ("click", "axes"): ("their name on or off", _flip("frame_names")),
+    ("shift", "axes"): ("names of all axes of the robot on or off", _flip("frame_names", _frames)),
+    ("double", "axes"): ("hides them", _hide(("axes", "frame_names"))),
+    ("click", "name"): ("hides it", _flip("frame_names")),
+    ("shift", "name"): ("hides all of the robot", _flip("frame_names", _frames)),
+    ("click", "vector"): ("its values on or off", _flip("cards")),
+    ("shift", "vector"): ("values of all smart arrows on or off", _flip("cards", _everything)),
+    ("click", "card"): ("hides it", _flip("cards")),
+    ("shift", "card"): ("hides all of them", _flip("cards", _everything)),
     ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
     ("double", "object"): ("centres the view on it", _do_nothing),  # the host moves its camera
 }
@@ -190,7 +167,7 @@ class ClickDetector:
             the recognized gesture.
         """
         apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
-        second = time - self._when <= DOUBLE_CLICK_TIME and apart <= _DOUBLE_CLICK_PIXELS
+        second = time - self._when <= DOUBLE_CLICK_TIME and apart <= DOUBLE_CLICK_DISTANCE
         if second and not shift:
             kind = "" if self._first is None else self._first.kind
             if not kind or ("double", kind) in CLICKS:
@@ -302,43 +279,108 @@ HOST_MOUSE: dict[str, str] = {
 }
 
 
-OnClick = Callable[[Picked | None, str], None]
-_OF_JOINTS = ("link", "double", "arrow", "billboard")
-
-
-class ClickHost(Protocol):
-    """A live host, as seen by `handle_click`.
-
-    Attributes:
-        joint: the joint of the world whose torques are plotted.
-        on_click: called with the clicked item and the gesture.
-    """
-
-    joint: int
-    on_click: OnClick | None
-
-
-def handle_click(
-    host: ClickHost,
-    detector: ClickDetector,
-    picked: Picked | None,
-    clicked: Clicked,
-    centre: Callable[[tuple[float, float]], None],
-) -> None:
-    """Performs the action of a click, see `CLICKS`.
+def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
+    """Performs the action of a key of `KEYS`.
 
     Args:
-        host: its selected joint is set, and its callback called.
-        detector: of the host.
-        picked: the item at the pixel.
-        clicked: the click.
-        centre: centres the view on what is at a pixel.
+        key: one of `KEYS`.
+        world: the compiled scene.
+        data: its state.
+        toggles: changed in place.
+
+    Returns:
+        a message with the new state.
     """
-    at = (clicked.x, clicked.y)
-    gesture = detector.press(picked, at, clicked.time, shift=clicked.shift)
-    if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
-        host.joint = picked.index
-    if picked is not None and picked.kind == "object" and gesture == "double":
-        centre(at)
-    if host.on_click is not None:
-        host.on_click(picked, gesture)
+    words, act = KEYS[key]
+    act(toggles)
+    if key == "q" or (key == "a" and toggles.arrows.any()):
+        return _arrows_text(world, data, toggles)
+    if key not in SWITCHES:
+        return words
+    field, name = SWITCHES[key]
+    shown = np.atleast_1d(getattr(toggles, field))
+    if not len(shown):
+        return f"no {name} in this scene"
+    return f"{name}: {'on' if shown.any() else 'off'}"
+
+
+def _arrows_text(world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
+    """Returns a message with the quantity of the arrows and whether they are shown."""
+    quantity = toggles.arrow_quantity
+    if not len(quantity):
+        return "no arrows in this scene"
+    names = [QUANTITY_NAMES[ARROW_QUANTITIES[code]] for code in np.unique(quantity)]
+    text = f"arrows: {', '.join(names)}"
+    if not toggles.arrows.any():
+        return f"{text} (they are off: a)"
+    values, _ = arrow_values(world, data, joint_values(world, data), quantity)
+    return text if np.isfinite(values[toggles.arrows]).any() else f"{text} (no data)"
+
+
+Row = tuple[str, str]
+
+_KEY_NAMES = {
+    " ": "space",
+    "0": "0 - 9",
+    "]": "[ ]",
+    "left": "left arrow",
+    "right": "right arrow",
+    **{f"f{number}": f"F{number}" for number in range(1, 13)},
+}
+_GESTURES: dict[Gesture, str] = {"click": "click", "double": "double"}
+_KINDS = {
+    "link": "link",
+    "arrow": "round arrow",
+    "billboard": "billboard",
+    "axes": "axes",
+    "name": "name",
+    "vector": "smart arrow",
+    "card": "card",
+    "object": "object",
+}
+
+
+def help_columns(*, on_page: bool = False) -> list[list[Row]]:
+    """Returns columns of rows of input and effect; headings have no effect.
+
+    Args:
+        on_page: whether to omit actions that a browser provides itself.
+    """
+    of_host = HOST_KEYS
+    if on_page:
+        of_host = {
+            key: description for key, description in HOST_KEYS.items() if key not in OF_BROWSER
+        }
+        of_host |= {"t": ("panel", "panel on or off"), "h": ("help", "this help")}
+    view: list[Row] = [("View", "")]
+    view += [(how, words) for how, words in HOST_MOUSE.items()]
+    view += [("", ""), ("Page and time" if on_page else "Window and time", "")]
+    view += [(_KEY_NAMES.get(key, key), words) for key, (_, words) in of_host.items()]
+    view += [] if on_page else [("Ctrl+Q", "close")]
+    shown: list[Row] = [("What is shown", "")]
+    shown += [(key, words) for key, (words, _) in KEYS.items()]
+    shown += [("", ""), ("Clicks", "")]
+    for kind, name in _KINDS.items():
+        for gesture, word in _GESTURES.items():
+            entry = CLICKS.get((gesture, kind))
+            if entry is not None:
+                shown.append((f"{word} {name}", entry[0]))
+    shown += [
+        ("double click background", "what the scene declares"),
+        ("Shift+click", "the same for the whole robot"),
+    ]
+    return [view, shown]
+
+
+def pages(columns: list[list[Row]], room: tuple[int, int]) -> list[list[list[Row]]]:
+    """Divides the help into pages of columns.
+
+    Args:
+        columns: of rows.
+        room: maximum number of rows of a column, and of columns of a page.
+    """
+    rows, beside = max(room[0], 4), max(room[1], 1)
+    parts = [
+        column[start : start + rows] for column in columns for start in range(0, len(column), rows)
+    ]
+    return [parts[start : start + beside] for start in range(0, len(parts), beside)]

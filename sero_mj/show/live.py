@@ -1,99 +1,249 @@
-"""`LiveHost`: the common interface of window and web page, and functions that open them."""
+"""`LiveHost`: what window and web page have in common."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import NamedTuple, Self
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.world_view import WorldView
 from ..decor.toggles import Toggles
 from ..drive.mirror import LiveWorld
-from ..errors import RenderError
+from ..errors import SeroError
 from .clock import Clock
-from .interaction import OnClick
+from .input import Clicked
+from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
+from .picking import Picked
+from .scene_decor import Pixel, SceneDecor
+from .torque_history import TorqueHistory, joint_name
 
-if TYPE_CHECKING:
-    from .web.host import WebHost
-    from .window.host import Window
+OnClick = Callable[[Picked | None, str], None]
+Action = Callable[[], str | None]  # returns a message for the user
+
+_OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
+_REPEATED = ("step", "step_back", "back", "on", "slower", "faster", "next_joint", "last_joint")
+_JUMP = 1.0  # s
+_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
 
-class LiveHost(Protocol):
-    """The common interface of window and web page.
+class Message(NamedTuple):
+    """A message to the user, shown for a few seconds."""
+
+    text: str = ""
+    is_bad: bool = False
+    until: float = float("-inf")  # on the clock of `time.monotonic`, s
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is still to be shown."""
+        return time.monotonic() < self.until
+
+
+class LiveHost(ABC):
+    """Shows a mirror and handles clicks and keys, by the tables of `interaction`.
+
+    Args:
+        mirror: must be open; is driven by the host's clock.
 
     Attributes:
+        mirror: the mirror.
         world: the compiled scene.
         data: its state.
         toggles: what is shown.
         clock: pause, speed and time line.
+        history: the torques of the last seconds.
         joint: the joint of the world whose torques are plotted.
-        work: time spent by sero-mj for the last frame, s.
+        decor: of the last frame; pixels of the pointer are those of its picture, y up.
+        notice: the last message to the user.
+        shows_status: whether status line or panel are shown.
+        shows_plot: whether torques are plotted.
+        shows_help: whether the help is shown.
+        work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
+            without rendering.
         on_click: called with the clicked item and the gesture.
     """
 
-    world: WorldView
-    data: mujoco.MjData
-    toggles: Toggles
-    clock: Clock
-    joint: int
-    work: float
-    on_click: OnClick | None
+    decor: SceneDecor
+
+    def __init__(self, mirror: LiveWorld) -> None:
+        world = mirror.world
+        self.mirror, self.world, self.data = mirror, world, mirror.data
+        self.toggles = Toggles(world)
+        self.clock = clock = Clock(mirror)
+        self.history = TorqueHistory(world)
+        self.joint = 0
+        self.notice = Message()
+        self.shows_status, self.shows_plot, self.shows_help = True, False, False
+        self.work = 0.0
+        self.on_click: OnClick | None = None
+        self._clicks = ClickDetector(world, self.toggles)
+        # By the names in `interaction.HOST_KEYS`; hosts add their own.
+        self._actions: dict[str, Action] = {
+            "pause": clock.pause,
+            "step": clock.step,
+            "step_back": lambda: clock.step(-1),
+            "slower": lambda: clock.faster(-1),
+            "faster": lambda: clock.faster(1),
+            "reset": clock.reset,
+            "back": lambda: clock.seek(clock.time - _JUMP),
+            "on": lambda: clock.seek(clock.time + _JUMP),
+            "next_joint": lambda: self._select(1),
+            "last_joint": lambda: self._select(-1),
+            "follow": self._follow_under_pointer,
+            "plot": self.toggle_plot,
+            "status_line": self.toggle_status,
+        }
 
     @property
+    @abstractmethod
     def is_open(self) -> bool:
         """Whether the user has not closed it."""
 
     @property
+    @abstractmethod
     def is_due(self) -> bool:
         """Whether it is time for the next frame."""
 
+    @abstractmethod
     def frame(self, *, wait: bool = True) -> bool:
-        """Shows one frame; returns whether it is still open."""
+        """Shows one frame.
 
+        Args:
+            wait: whether to wait until it is due.
+
+        Returns:
+            whether it is still open.
+        """
+
+    @abstractmethod
     def picture(self) -> NDArray[np.uint8]:
-        """Returns the current picture, (height, width, 3), uint8."""
+        """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Shows a message for a few seconds."""
+    @abstractmethod
+    def choose_camera(self, number: int) -> str:
+        """Selects a camera by number, 1 for the first, 0 for the initial view."""
 
+    @abstractmethod
+    def follow(self, frame: str | None) -> str:
+        """Starts following a frame with the camera, or stops; returns a message for the user."""
+
+    @abstractmethod
+    def centre(self, point: NDArray[np.float64]) -> None:
+        """Makes a point (3,), m, the camera's look-at point."""
+
+    @abstractmethod
     def close(self) -> None:
         """Closes the host."""
 
+    @abstractmethod
+    def _pointer(self) -> Pixel | None:
+        """Returns the pixel of the pointer; None if it is not over the picture."""
 
-def open_window(mirror: LiveWorld, **options: Any) -> Window:
-    """Opens a window on a mirror.
+    def run(self) -> None:
+        """Shows frames until the user closes it."""
+        while self.frame():
+            pass
 
-    Args:
-        mirror: must be open.
-        options: see `Window`.
+    def say(self, text: str, *, is_bad: bool = False) -> None:
+        """Shows a message for a few seconds; errors are shown longer."""
+        seconds = _ERROR_TIME if is_bad else _MESSAGE_TIME
+        self.notice = Message(text, is_bad, time.monotonic() + seconds)
 
-    Raises:
-        RenderError: there is no display, or no OpenGL.
-        UnknownName: no camera of that name.
-    """
-    from .window.host import Window
+    def toggle_plot(self) -> str:
+        """Shows or hides the torques."""
+        self.shows_plot = not self.shows_plot
+        return "" if self.world.joints.names else "no joint to plot"
 
-    return Window(mirror, **options)
+    def toggle_status(self) -> None:
+        """Shows or hides status line or panel."""
+        self.shows_status = not self.shows_status
 
+    @property
+    def _has_plot(self) -> bool:
+        return self.shows_plot and len(self.world.joints.names) > 0
 
-def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
-    """Serves a web page of a mirror.
+    def _advance(self, advance: Callable[[], object]) -> None:
+        """Brings the mirror to the current time; an error pauses and is shown."""
+        try:
+            advance()
+        except SeroError as error:  # for example a deleted file; the display does not change
+            self.clock.is_paused = True
+            self.say(str(error), is_bad=True)
+        if not self.clock.is_paused:
+            self._sample()
 
-    Args:
-        mirror: must be open.
-        options: see `WebHost`.
+    def _sample(self) -> None:
+        self.history.add(self.data)
 
-    Raises:
-        RenderError: the page cannot be served there, or this MuJoCo does not include Studio.
-        UnknownName: no camera of that name.
-    """
-    try:
-        from .web.host import WebHost
-    except ImportError as error:  # Studio is not built for every platform
-        raise RenderError(
-            f"no web page: this MuJoCo does not include Studio's web viewer ({error}); "
-            "`sero-mj view SCENE --window` needs none"
-        ) from error
-    return WebHost(mirror, **options)
+    def press(self, key: str, *, is_repeat: bool = False) -> None:
+        """Performs the action of a key, if it has one.
+
+        Args:
+            key: see `input.Event`.
+            is_repeat: whether it is an automatic repetition.
+        """
+        message = None
+        name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
+        if is_repeat and name not in _REPEATED:
+            return
+        if key in KEYS:
+            message = press_toggle(key, self.world, self.data, self.toggles)
+        elif name == "camera":
+            message = self.choose_camera(int(key))
+        elif name in self._actions:
+            message = self._actions[name]()
+        if message:
+            self.say(message)
+
+    def _select(self, places: int) -> str:
+        names = self.world.joints.names
+        if not names:
+            return "no joint"
+        self.joint = (self.joint + places) % len(names)
+        return f"selected: {joint_name(self.world, self.joint)}"
+
+    def _follow_under_pointer(self) -> str:
+        picked = self.pick_under_pointer()
+        is_frame = picked is not None and picked.name in self.world.frames.names
+        return self.follow(picked.name if picked and is_frame else None)
+
+    def point(self, at: Pixel | None) -> None:
+        """Moves the pointer to a pixel of the picture, whose item is named; None for no name."""
+        if at is None:
+            self.toggles.hover = None
+        else:
+            self.decor.hover(self.data, at)
+
+    def pick_under_pointer(self) -> Picked | None:
+        """Returns the item under the pointer."""
+        at = self._pointer()
+        return None if at is None else self.decor.pick(self.data, at)
+
+    def click(self, clicked: Clicked) -> None:
+        """Performs the action of a click on a pixel of the picture."""
+        at = (clicked.x, clicked.y)
+        if clicked.centre:
+            self._centre(at)
+            return
+        picked = self.decor.pick(self.data, at)
+        gesture = self._clicks.press(picked, at, clicked.time, shift=clicked.shift)
+        if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
+            self.joint = picked.index
+        if picked is not None and picked.kind == "object" and gesture == "double":
+            self._centre(at)
+        if self.on_click is not None:
+            self.on_click(picked, gesture)
+
+    def _centre(self, at: Pixel) -> None:
+        point = self.decor.point_at(self.data, at)
+        if point is not None and np.isfinite(point).all():
+            self.centre(point)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

@@ -1,8 +1,7 @@
-"""What live hosts tell their user: a status line (sources, time, frame rate) and messages."""
+"""The status line of live hosts: sources, time, frame rate."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from typing import Any, Literal
 
@@ -15,7 +14,6 @@ Mood = Literal["good", "quiet", "bad", "plain"]
 Piece = tuple[str, Mood]
 
 _SEEN_LOSS = 0.0005  # fraction of lost packets below which their number is shown
-_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 _SLOW = 0.85  # fraction of the selected speed below which the actual speed is shown
 
 
@@ -79,26 +77,3 @@ def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) ->
             pieces.append(source_text(report(source), is_live=source.is_live))
     pieces.append((f"{frame_rate:.0f} frames/s", "plain"))
     return pieces
-
-
-class Message:
-    """A message to the user of a live host, shown for a few seconds.
-
-    Attributes:
-        text: the message.
-        is_bad: whether it reports an error.
-    """
-
-    def __init__(self) -> None:
-        self.text, self.is_bad = "", False
-        self._until = float("-inf")
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether it is still to be shown."""
-        return time.monotonic() < self._until
-
-    def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Shows a message; errors are shown longer."""
-        self.text, self.is_bad = text, is_bad
-        self._until = time.monotonic() + (_ERROR_TIME if is_bad else _MESSAGE_TIME)

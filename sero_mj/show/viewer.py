@@ -6,7 +6,7 @@ import copy
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import mujoco
 
@@ -15,15 +15,17 @@ from ..assemble.scene import Scene
 from ..assemble.surroundings import Look
 from ..assemble.world_view import WorldView
 from ..drive.mirror import LiveWorld, Mirror, Watch
-from ..errors import UsageError, did_you_mean
+from ..errors import RenderError, UsageError, did_you_mean
 from ..load import load_scene
 from .headless.backend import has_display
 from .headless.film import Picture
 from .headless.render import DEFAULT_SIZE
-from .interaction import OnClick
-from .live import LiveHost, open_page, open_window
+from .live import LiveHost, OnClick
 from .overlay import Overlay
 from .robot_inputs import RobotInputs
+
+if TYPE_CHECKING:
+    from .web.host import WebHost
 
 log = logging.getLogger(__name__)
 
@@ -184,8 +186,10 @@ def view(
             raise UsageError(f"{name}: found {value!r}; it is for {what}: use web={not web}")
     mirror = _mirror_of(scene, look)
     if not web:
+        from .window.host import Window
+
         options = {"size": size or DEFAULT_SIZE, "camera": camera, "full_screen": full_screen}
-        return Viewer(mirror, open_window, **options)
+        return Viewer(mirror, Window, **options)
     page: dict[str, Any] = {name: value for name, value in of_page.items() if value is not None}
     page["camera"] = camera
     viewer = Viewer(mirror, open_page, **page)
@@ -194,6 +198,27 @@ def view(
         viewer.host.toggles.doubles[:] = False
     print(f"{mirror.world.scene.name} is at {' and '.join(viewer.urls)}", flush=True)
     return viewer
+
+
+def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
+    """Serves a web page of a mirror.
+
+    Args:
+        mirror: must be open.
+        options: see `WebHost`.
+
+    Raises:
+        RenderError: the page cannot be served there, or this MuJoCo does not include Studio.
+        UnknownName: no camera of that name.
+    """
+    try:
+        from .web.host import WebHost
+    except ImportError as error:  # Studio is not built for every platform
+        raise RenderError(
+            f"no web page: this MuJoCo does not include Studio's web viewer ({error}); "
+            "`sero-mj view SCENE --window` needs none"
+        ) from error
+    return WebHost(mirror, **options)
 
 
 def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> LiveWorld:

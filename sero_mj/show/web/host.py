@@ -11,16 +11,11 @@ import numpy as np
 from mujoco.studio import launch_thread, messages, sim_history, ux, viewer_handle
 from numpy.typing import NDArray
 
-from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
-from ...errors import RenderError, SeroError
+from ...errors import RenderError
 from ..camera import find_camera, list_cameras
-from ..clock import Clock
-from ..input import Clicked
-from ..interaction import ClickDetector, OnClick, handle_click, hover
-from ..keys import KeyHandler
-from ..status_line import Message
-from ..torque_history import TorqueHistory
+from ..live import LiveHost
+from ..scene_decor import Pixel
 from .guard import is_loopback, make_token
 from .page_windows import PageWindows
 from .studio import LOOPBACK, RATE, StudioViewer, suppress_output
@@ -30,7 +25,7 @@ from .studio_decor import Greying, WebDecor
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 
 
-class WebHost:
+class WebHost(LiveHost):
     """Shows a mirror on a web page, rendered by the browser.
 
     Any number of browsers can connect; one at a time has control by mouse, keys and panels.
@@ -44,20 +39,12 @@ class WebHost:
             does.
         waits: whether recordings and simulations start when the first browser connects.
 
-    Attributes:
-        toggles: what is shown.
-        clock: pause, speed and time line.
-        joint: the joint of the world whose torques are plotted.
-        history: the torques of the last seconds.
-        work: time spent by sero-mj for the last frame, s: sources, input, panels and decor.
-        notice: the current message to the user.
-        on_click: called with the clicked item and the gesture.
-
     Raises:
         RenderError: the page cannot be served there, or this process already serves one.
         UnknownName: no camera of that name.
     """
 
+    decor: WebDecor
     _is_any_open = False  # in this process
 
     def __init__(
@@ -72,22 +59,16 @@ class WebHost:
     ) -> None:
         if WebHost._is_any_open:
             raise RenderError("no second page: Studio serves one at a time in a process")
-        world = mirror.world
-        self.mirror, self.world, self.data = mirror, world, mirror.data
-        self.toggles = Toggles(world)
-        self.clock = Clock(mirror)
-        self.joint = 0
-        self.history = TorqueHistory(world)
-        self.work = 0.0
-        self.notice = Message()
-        self.on_click: OnClick | None = None
-        self._is_closed = False
+        super().__init__(mirror)
+        world = self.world
+        self.clock.on_moment = self._sample
         self.decor = WebDecor(world, self.toggles)
-        self._clicks = ClickDetector(world, self.toggles)
-        self._under: tuple[float, float] | None = None
+        self._is_closed = False
+        self._under: Pixel | None = None
         self._start_camera = camera
         self._app = StudioApp(self)
-        self._panels = PageWindows(self)
+        self._panels = PageWindows(self, self.decor)
+        self._actions["help"] = self._toggle_help
         is_private = is_loopback(check_address(host))
         self._token = None if is_private and not token else make_token()
         if not (isinstance(port, int) and 0 <= port < 65536):
@@ -120,16 +101,6 @@ class WebHost:
                 self.viewer.dispatch(event)
         self._greying = Greying(self.viewer)
         self._begin = time.monotonic()
-        panels = self._panels
-        self._keys = KeyHandler(
-            self,
-            {
-                "follow": self._follow,
-                "plot": panels.toggle_plots,
-                "status_line": panels.toggle_status,
-                "help": panels.toggle_help,
-            },
-        )
 
     @property
     def url(self) -> str:
@@ -164,11 +135,6 @@ class WebHost:
         """Whether it is time for the next frame."""
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
-    def run(self) -> None:
-        """Serves frames until the page is closed with File, Quit."""
-        while self.frame():
-            pass
-
     def frame(self, *, wait: bool = True) -> bool:
         """Serves one frame, if it is due.
 
@@ -185,7 +151,8 @@ class WebHost:
         viewer = self.viewer
         viewer.prepare_next_frame()  # sleeps until then
         self._begin = begin = time.monotonic()
-        self._advance()
+        self._time.is_held &= not viewer.server.is_watched
+        self._advance(self._handle.sync)
         for event in viewer.get_sim_events():
             viewer.dispatch(event)
         if not viewer.is_running():
@@ -196,57 +163,28 @@ class WebHost:
             viewer.dispatch(messages.UpdateEvent())
             viewer.dispatch(messages.BuildGuiEvent())
         self.decor.show_in(viewer, self.data, self._panels.inset)
-        self._greying.show(self.decor.grey)
+        self._greying.show(self.decor.pen.grey)
         viewer.sync()
         self.work = time.monotonic() - begin
         return self.is_open
 
-    def _advance(self) -> None:
-        self.clock.on_moment = self._sample
-        self._time.is_held &= not self.viewer.server.is_watched
-        try:
-            self._handle.sync()
-        except SeroError as error:  # for example a deleted file; the display does not change
-            self.clock.is_paused = True
-            self.say(str(error), is_bad=True)
-        if not self.clock.is_paused:
-            self._sample()
-
-    def _sample(self) -> None:
-        self.history.add(self.data)
-
-    def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Shows a message on the page for a few seconds."""
-        self.notice.say(text, is_bad=is_bad)
-
-    def click(self, clicked: Clicked) -> None:
-        """Performs the action of a click, see `interaction`."""
-        at = (clicked.x, clicked.y)
-        if clicked.centre:
-            self._centre(at)
-            return
-        picked = self.decor.pick(self.data, at)
-        handle_click(self, self._clicks, picked, clicked, self._centre)
-
-    def point(self, at: tuple[float, float] | None) -> None:
-        """Shows the name of the item under the pointer beside it."""
+    def point(self, at: Pixel | None) -> None:
+        """Moves the pointer to a pixel of the page, y up; None if it is not over the scene."""
         self._under = at
-        if at is None:
-            self.toggles.hover = None
-        else:
-            hover(self.toggles, self.decor.pick(self.data, at), at)
+        super().point(at)
 
-    def _centre(self, at: tuple[float, float]) -> None:
-        point, camera = self.decor.point_at(self.data, at), self.viewer.camera
-        if point is None or not np.isfinite(point).all():
-            return
+    def _pointer(self) -> Pixel | None:
+        return self._under
+
+    def _toggle_help(self) -> None:
+        self.shows_help = not self.shows_help
+
+    def centre(self, point: NDArray[np.float64]) -> None:
+        """Makes a point (3,), m, the camera's look-at point."""
+        camera = self.viewer.camera
         camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
         camera.lookat[:] = point
         self._app.reset_camera_index(ux.TUMBLE_CAMERA_IDX)
-
-    def press(self, key: str) -> None:
-        """Performs the action of a key, see `interaction`."""
-        self._keys.press(key)
 
     def choose_camera(self, number: int) -> str:
         """Selects a camera by number, 1 for the first; 0 for the scene's own view."""
@@ -263,19 +201,18 @@ class WebHost:
         self._app.reset_camera_index(camera.fixedcamid if is_fixed else ux.TUMBLE_CAMERA_IDX)
         return f"camera {names[number - 1]}" if number else "initial view"
 
-    def _follow(self) -> str:
-        picked = None if self._under is None else self.decor.pick(self.data, self._under)
+    def follow(self, frame: str | None) -> str:
+        """Starts following a frame with the camera, or stops; returns a message for the user."""
         camera = self.viewer.camera
-        frames = self.world.frames
-        if picked is None or picked.name not in frames.names:
+        if frame is None:
             camera.type, camera.trackbodyid = int(mujoco.mjtCamera.mjCAMERA_FREE), -1
             self._app.reset_camera_index(ux.TUMBLE_CAMERA_IDX)
             return "follows nothing"
-        site = frames.site[frames.names.index(picked.name)]
+        site = self.world.frames.site[self.world.frames.names.index(frame)]
         camera.type = int(mujoco.mjtCamera.mjCAMERA_TRACKING)
         camera.trackbodyid = int(self.world.model.site_bodyid[site])
         self._app.reset_camera_index(ux.TRACKING_CAMERA_IDX)
-        return f"follows {picked.name}"
+        return f"follows {frame}"
 
     def picture(self, width: int = 1280, height: int = 800) -> NDArray[np.uint8]:
         """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
@@ -294,12 +231,6 @@ class WebHost:
             self._handle.close()
         with suppress_output():
             self.viewer.close()
-
-    def __enter__(self) -> WebHost:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def check_address(host: str) -> str:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Protocol
+from typing import Any
 
 from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
-from ...assemble.world_view import WorldView
 from ...decor.pen import MAX_GEOMS
-from ...decor.toggles import Toggles
-from ...drive.mirror import LiveWorld
 from ...receive.report import describe, report
 from ...receive.source import Source
-from ..clock import SPEEDS, Clock, time_text
-from ..status_line import Message, Mood, clock_text, source_text
-from ..torque_history import TorqueHistory
-from ..window.help import help_columns
+from ..clock import SPEEDS, time_text
+from ..interaction import help_columns
+from ..live import LiveHost
+from ..status_line import Mood, clock_text, source_text
 from ._robot_panel import RobotPanel
 from .plots import TorquePlots
 from .studio_decor import WebDecor
@@ -67,70 +64,42 @@ def write_line(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> N
     imgui.PopStyleColor(1)
 
 
-class PanelHost(Protocol):
-    """The host of the panels: a `WebHost`."""
-
-    world: WorldView
-    mirror: LiveWorld
-    toggles: Toggles
-    clock: Clock
-    decor: WebDecor
-    history: TorqueHistory
-    joint: int
-    notice: Message
-
-
 class PageWindows(plugin.ViewerPlugin):
     """The windows of the page, in addition to Studio's menus.
 
     Args:
         host: the host of the page.
+        decor: of the page.
     """
 
-    def __init__(self, host: PanelHost) -> None:
-        self._host = host
+    def __init__(self, host: LiveHost, decor: WebDecor) -> None:
+        self._host, self._decor = host, decor
         self._robots = RobotPanel(host.world, host.toggles)
         self._plots = TorquePlots(host.world)
-        self.shows_status = True
         self._is_narrow = False
-        self.shows_plots = False
-        self.shows_help = False
         self._pages: dict[str, tuple[float, float]] = {}  # page sizes for which windows were placed
         self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents
         # Margins that windows at the edges of the page cover, see `PictureView.inset`.
         self.inset = (0.0, 0.0, 0.0, 0.0)
 
-    def toggle_plots(self) -> str:
-        """Shows or hides the torques."""
-        self.shows_plots = not self.shows_plots
-        return "" if self._host.world.joints.names else "no joint to plot"
-
-    def toggle_status(self) -> None:
-        """Shows or hides the panel."""
-        self.shows_status = not self.shows_status
-
-    def toggle_help(self) -> None:
-        """Shows or hides the help."""
-        self.shows_help = not self.shows_help
-
     @messages.handler
     def on_build_gui(self, event: messages.BuildGuiEvent) -> None:
         """Builds all windows of a frame."""
-        size = imgui.GetIO().DisplaySize
+        host, size = self._host, imgui.GetIO().DisplaySize
         self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
         # In every frame, since the size is unknown before a browser is connected.
         if self._is_narrow != (size.x < _NARROW):
             self._is_narrow = size.x < _NARROW
-            self.shows_status = not self._is_narrow
+            host.shows_status = not self._is_narrow
         self._menu()
         self._time(size)
-        if self.shows_status:
+        if host.shows_status:
             self._panel(size)
         else:
             self._handle()
-        if self.shows_plots and self._host.world.joints.names:
+        if host.shows_plot and host.world.joints.names:
             self._torques(size)
-        if self.shows_help:
+        if host.shows_help:
             self._help(size)
         self._message(size)
 
@@ -140,15 +109,16 @@ class PageWindows(plugin.ViewerPlugin):
         return _ONCE if last == (size.x, size.y) else _ALWAYS
 
     def _menu(self) -> None:
+        host = self._host
         if not imgui.BeginMainMenuBar():
             return
         if imgui.BeginMenu("Robot"):
-            if imgui.MenuItem("Panel", "T", self.shows_status):
-                self.toggle_status()
-            if imgui.MenuItem("Torques", "P", self.shows_plots):
-                self.toggle_plots()
-            if imgui.MenuItem("Mouse and keys", "H", self.shows_help):
-                self.toggle_help()
+            if imgui.MenuItem("Panel", "T", host.shows_status):
+                host.toggle_status()
+            if imgui.MenuItem("Torques", "P", host.shows_plot):
+                host.toggle_plot()
+            if imgui.MenuItem("Mouse and keys", "H", host.shows_help):
+                host.shows_help = not host.shows_help
             imgui.EndMenu()
         imgui.EndMainMenuBar()
 
@@ -157,7 +127,7 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ALWAYS)
         imgui.Begin("##handle", True, _HANDLE_FLAGS)
         if imgui.Button("panel"):
-            self.toggle_status()
+            self._host.toggle_status()
         imgui.SetItemTooltip("toggles, sources and sizes: t")
         imgui.End()
 
@@ -165,14 +135,15 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), self._when("panel", size))
         room = max(size.y - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
         imgui.SetNextWindowSizeConstraints(imgui.Vec2(_WIDTH, 0.0), imgui.Vec2(_WIDTH, room))
-        shown, self.shows_status = imgui.Begin(
-            f"{self._host.world.scene.name}###sero", True, _PANEL_FLAGS
+        host = self._host
+        shown, host.shows_status = imgui.Begin(
+            f"{host.world.scene.name}###sero", True, _PANEL_FLAGS
         )
         self._cover(size.y)
         if shown:
             self._sources()
             self._robots.build()
-            self._decor()
+            self._count()
         imgui.End()
 
     def _cover(self, height: float) -> None:
@@ -220,8 +191,8 @@ class PageWindows(plugin.ViewerPlugin):
             self._reports[source.name] = now, found
         return found
 
-    def _decor(self) -> None:
-        decor = self._host.decor
+    def _count(self) -> None:
+        decor = self._decor
         write_line(f"decor: {decor.count} of {MAX_GEOMS} geoms", "quiet")
         if decor.dropped:
             write_line(
@@ -267,10 +238,10 @@ class PageWindows(plugin.ViewerPlugin):
         height, when = min(520.0, max(size.y - 220.0, 240.0)), self._when("torques", size)
         imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), when)
         imgui.SetNextWindowSize(imgui.Vec2(width, height), when)
-        shown, self.shows_plots = imgui.Begin("Torques###torques", self.shows_plots)
+        host = self._host
+        shown, host.shows_plot = imgui.Begin("Torques###torques", host.shows_plot)
         self._cover(size.y)
         if shown:
-            host = self._host
             host.joint = self._plots.build(host.history, host.joint)
         imgui.End()
 
@@ -279,7 +250,8 @@ class PageWindows(plugin.ViewerPlugin):
             imgui.Vec2(size.x / 2, size.y / 2), int(imgui.Cond.Appearing), imgui.Vec2(0.5, 0.5)
         )
         flags = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
-        _, self.shows_help = imgui.Begin("Mouse and keys###help", self.shows_help, flags)
+        host = self._host
+        _, host.shows_help = imgui.Begin("Mouse and keys###help", host.shows_help, flags)
         if imgui.BeginTable("##help", 2):
             imgui.TableNextRow()
             for column in help_columns(on_page=True):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Protocol
 
 from mujoco.studio import app as studio_app
 from mujoco.studio import messages, plugin, sim, sim_history, ux
@@ -11,6 +10,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 
 from ..clock import Clock
 from ..input import LEFT, RIGHT, Clicked, Event, Mouse
+from ..live import LiveHost
 
 _FIRST_LETTER, _FIRST_DIGIT = ord("a"), ord("0")
 _BUTTONS = ((LEFT, imgui.MouseButton.Left), (RIGHT, imgui.MouseButton.Right))
@@ -38,19 +38,6 @@ _RUNS = sim.PauseState.UNPAUSED
 _PAUSED = sim.PauseState.NORMAL_PAUSED
 
 
-class InputTarget(Protocol):
-    """The receiver of mouse and key input."""
-
-    def click(self, clicked: Clicked) -> None:
-        """Handles a click, pixels with y up."""
-
-    def point(self, at: tuple[float, float] | None) -> None:
-        """Handles the pointer's position, pixels with y up; None if it is not over the scene."""
-
-    def press(self, key: str) -> None:
-        """Handles a key, by its name in `interaction.KEYS`."""
-
-
 class StudioApp(studio_app.App):
     """Studio's menus, tool bar and panels.
 
@@ -58,10 +45,10 @@ class StudioApp(studio_app.App):
     mirrored robot. The browser moves the camera by itself.
 
     Args:
-        target: handles clicks and keys.
+        host: handles clicks, keys and the pointer.
     """
 
-    def __init__(self, target: InputTarget) -> None:
+    def __init__(self, host: LiveHost) -> None:
         super().__init__(
             studio_app.Config(
                 show_options=False,
@@ -70,7 +57,7 @@ class StudioApp(studio_app.App):
                 show_view_gizmo=True,
             )
         )
-        self._target = target
+        self._host = host
         self._mouse = Mouse()
 
     def reset_camera_index(self, index: int) -> None:
@@ -100,8 +87,8 @@ class StudioApp(studio_app.App):
                 found.append(self._mouse.take(event("release", button)))
         for each in found:
             if isinstance(each, Clicked):
-                self._target.click(each)
-        self._target.point(at if over_scene and not self._mouse.is_down else None)
+                self._host.click(each)
+        self._host.point(at if over_scene and not self._mouse.is_down else None)
 
     def handle_keyboard_events(self) -> None:
         """Handles the keys of `interaction`."""
@@ -111,11 +98,11 @@ class StudioApp(studio_app.App):
         for name, key in KEYS.items():
             if imgui.IsKeyPressed(key, name in _HELD):
                 if name == "=" and io.KeyShift:
-                    self._target.press("+")
+                    self._host.press("+")
                 elif name == "?" and not io.KeyShift:
                     continue
                 else:
-                    self._target.press(name)
+                    self._host.press(name)
 
     def apply_perturb(self) -> None:
         """Does nothing: a mirrored robot is not simulated by this model."""

@@ -49,13 +49,10 @@ class WebDecor(SceneDecor):
 
     Attributes:
         count: number of geoms of the last picture.
-        grey: geoms of the model to show grey, (ngeom,) bool; None for none.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
-        self.view: PictureView | None = None
         self.count = 0
-        self.grey: NDArray[np.bool_] | None = None
         super().__init__(world, toggles, MAX_GEOMS, _MAX_SEGMENTS)
         self._buffer = mujoco.MjvScene(world.model, maxgeom=MAX_GEOMS)
         self._geoms = list(self._buffer.geoms)
@@ -88,7 +85,6 @@ class WebDecor(SceneDecor):
         view = PictureView.of_scene(self._camera, width, height, self._font, inset, _PANEL_ALPHA)
         self._buffer.ngeom = 0
         self.draw(data, view, self._buffer)
-        self.grey = self.pen.grey
         self.count = self._buffer.ngeom
         viewer.extra_geoms[:] = self._geoms[: self.count]
         self._hide_doubles(viewer.data)

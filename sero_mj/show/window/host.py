@@ -3,36 +3,89 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assemble.world_view import WorldView
+from ...decor.font import Font
+from ...decor.pen import CAPACITY
+from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
 from ...errors import SeroError
-from ..clock import Clock, time_text
+from ..camera import Navigator
+from ..clock import time_text
 from ..headless.render import DEFAULT_SIZE
 from ..input import Clicked, Event, Mouse, Moved
-from ..interaction import ClickDetector, OnClick, handle_click, hover
-from ..keys import KeyHandler
-from ..picking import Picked
-from ..status_line import Message, Piece, status_pieces
-from ..torque_history import TorqueHistory
-from .arrange import Layout, arrange
+from ..interaction import Row, help_columns, pages
+from ..live import LiveHost
+from ..scene_decor import Pixel, SceneDecor
+from ..status_line import Piece, status_pieces
 from .capture import Capture
 from .glfw_window import GlWindow
-from .help import Row, help_columns, pages
-from .hud import Hud, TimeLine
-from .navigator import Navigator
+from .hud import Hud, Layout, TimeLine, arrange
 from .torque_plot import TorquePlot
-from .viewport import Viewport
 
 _HINT = "H help"
+_MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
 
 
-class Window:
+class Viewport(SceneDecor):
+    """The picture of a world in a rectangle of a window.
+
+    Args:
+        world: the compiled scene.
+        toggles: what is shown.
+
+    Attributes:
+        rect: of the last picture in the window.
+    """
+
+    def __init__(self, world: WorldView, toggles: Toggles) -> None:
+        super().__init__(world, toggles)
+        self.rect = mujoco.MjrRect(0, 0, 1, 1)
+        self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
+        self._option = mujoco.MjvOption()
+
+    def update(
+        self, data: mujoco.MjData, camera: mujoco.MjvCamera, rect: mujoco.MjrRect, font: Font
+    ) -> None:
+        """Lays out scene and decor.
+
+        Args:
+            data: the world's state, with frames up to date.
+            camera: of the picture.
+            rect: of the picture in the window.
+            font: of its labels.
+        """
+        scene, everything = self._scene, mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(
+            self.world.model, data, self._option, None, camera, everything, scene
+        )
+        self.rect = rect
+        self.draw(data, PictureView.of_scene(scene, rect.width, rect.height, font), scene)
+
+    def render(self, context: mujoco.MjrContext) -> None:
+        """Renders the picture."""
+        mujoco.mjr_render(self.rect, self._scene, context)
+
+    def pixels(self, context: mujoco.MjrContext) -> NDArray[np.uint8]:
+        """Returns the rendered picture, (height, width, 3), uint8, top row first."""
+        rgb = np.empty((self.rect.height, self.rect.width, 3), np.uint8)
+        mujoco.mjr_readPixels(rgb, None, self.rect, context)
+        return np.ascontiguousarray(rgb[::-1])
+
+    def to_picture(self, x: float, y: float) -> Pixel | None:
+        """Converts a pixel of the window to one of the picture; None outside of it."""
+        x, y = x - self.rect.left, y - self.rect.bottom
+        return (x, y) if 0 <= x < self.rect.width and 0 <= y < self.rect.height else None
+
+
+class Window(LiveHost):
     """Shows a mirror in a window.
 
     It never waits for a packet: every frame shows the latest one.
@@ -45,19 +98,15 @@ class Window:
         folder: where screenshots and films go; the current one when None.
 
     Attributes:
-        toggles: what is shown.
-        clock: pause, speed and time line.
         navigator: moves the camera.
         camera: records screenshots and films.
-        joint: the joint of the world whose torques are plotted.
-        work: time spent by sero-mj for the last frame, s: input, sources, decor and plots,
-            without rendering.
-        on_click: called with the clicked item and the gesture.
 
     Raises:
         RenderError: there is no display, or no OpenGL.
         UnknownName: no camera of that name.
     """
+
+    decor: Viewport
 
     def __init__(
         self,
@@ -68,43 +117,28 @@ class Window:
         full_screen: bool = False,
         folder: Path | None = None,
     ) -> None:
-        world = mirror.world
-        self.mirror, self.world, self.data = mirror, world, mirror.data
-        self.toggles = Toggles(world)
-        self.clock = Clock(mirror)
+        super().__init__(mirror)
+        world = self.world
         self.navigator = Navigator(world, camera)
         self.camera = Capture(world.scene.name, folder)
-        self.joint = 0
-        self.work = 0.0
-        self.on_click: OnClick | None = None
-        self.shows_plot = self.shows_help = False
-        self.shows_status = True
         self.help_page = 0
         self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
-        self._frame = Viewport(world, self.toggles)
+        self.decor = Viewport(world, self.toggles)
         self._hud = Hud(self.gl)
-        self._clicks = ClickDetector(world, self.toggles)
         self._mouse = Mouse()
-        self._keys = KeyHandler(
-            self,
-            {
-                "follow": self._follow,
-                "plot": self._toggle_plot,
-                "status_line": self._toggle_status,
-                "screenshot": self._take_screenshot,
-                "film": self._toggle_film,
-                "full_screen": self.gl.toggle_full_screen,
-                "help": self.next_help_page,
-            },
-        )
-        self._history, self._plot = TorqueHistory(world), TorquePlot(world)
+        self._actions |= {
+            "screenshot": self._take_screenshot,
+            "film": self._toggle_film,
+            "full_screen": self.gl.toggle_full_screen,
+            "help": self.next_help_page,
+        }
+        self._plot = TorquePlot(world)
         self._help = help_columns()
         self._layout = self._arrange(self.gl.size)
         self._line: TimeLine | None = None
         self._is_scrubbing = False
-        self._notice = Message()
         self._last = self._end = time.monotonic()  # start and end of the last frame
         self._interval = 1.0 / self.gl.refresh_rate
 
@@ -112,11 +146,6 @@ class Window:
     def frame_rate(self) -> float:
         """Frames/s, averaged over the last frames."""
         return 1.0 / max(self._interval, 1e-6)
-
-    def run(self) -> None:
-        """Shows frames until the user closes the window."""
-        while self.frame():
-            pass
 
     @property
     def is_open(self) -> bool:
@@ -154,12 +183,18 @@ class Window:
             return True
         for event in self.gl.events():
             self._take(event, height)
-        self._advance(passed)
+        self.clock.on_moment = self._sample if self._has_plot else None
+        self._advance(lambda: self.clock.advance(passed))
+        self.navigator.advance(self.data)
+        message = self.camera.next_message()
+        if message is not None:
+            self.say(message[0], is_bad=message[1])
         self._layout = self._arrange((width, height))
         rect = self._layout.picture
-        self._frame.lay_out(self.data, self.navigator.camera, rect, self.gl.fit_font(rect.height))
-        self._hover()
-        figures = self._plot.fill(self._history, self.joint) if self._has_plot else []
+        self.decor.update(self.data, self.navigator.camera, rect, self.gl.fit_font(rect.height))
+        is_pointing = not (self._mouse.is_down or self.shows_help)
+        self.point(self._pointer() if is_pointing else None)
+        figures = self._plot.fill(self.history, self.joint) if self._has_plot else []
         pieces = status_pieces(self.mirror.sources.values(), self.clock, self.frame_rate)
         self._line = None
         if self._has_line:
@@ -188,37 +223,16 @@ class Window:
     def _has_line(self) -> bool:
         return self.shows_status and bool(self.clock.end)
 
-    @property
-    def _has_plot(self) -> bool:
-        return self.shows_plot and len(self.world.joints.names) > 0
-
-    def _advance(self, passed: float) -> None:
-        self.clock.on_moment = self._sample if self._has_plot else None
-        try:
-            self.clock.advance(passed)
-        except SeroError as error:  # for example a deleted file; the display does not change
-            self.clock.is_paused = True
-            self.say(str(error), is_bad=True)
-        if not self.clock.is_paused:
-            self._sample()
-        self.navigator.advance(self.data)
-        message = self.camera.next_message()
-        if message is not None:
-            self.say(message[0], is_bad=message[1])
-
-    def _sample(self) -> None:
-        self._history.add(self.data)
-
     def _draw(
         self, figures: list[mujoco.MjvFigure], pieces: list[Piece], size: tuple[int, int]
     ) -> None:
         width, height = size
         hud, layout, now = self._hud, self._layout, time.monotonic()
-        self._frame.draw(self.gl.context)
+        self.decor.render(self.gl.context)
         for rect, figure in zip(layout.plots, figures, strict=False):  # only one in a narrow window
             mujoco.mjr_figure(rect, figure, self.gl.hud)
         if self.wants_picture or self.camera.wants(now):
-            pixels = self._frame.pixels(self.gl.context)
+            pixels = self.decor.pixels(self.gl.context)
             if self.wants_picture:
                 self.camera.picture(pixels)
             self.camera.add(pixels, now)
@@ -229,22 +243,17 @@ class Window:
             hud.draw_time_line(self._line, self.clock.time, width, layout.line_bottom)
         if self.shows_status:
             hud.status(pieces, _HINT, width)
-        if self._notice.is_shown:
-            text, is_bad = self._notice.text, self._notice.is_bad
+        if self.notice.is_shown:
+            text, is_bad = self.notice.text, self.notice.is_bad
             hud.message(text, layout.picture.width, layout.picture.bottom, is_bad=is_bad)
         if self.shows_help:
             found = self.help_pages(size)
             hud.help(found[min(self.help_page, len(found) - 1)], width, height)
 
-    @property
-    def picture_size(self) -> tuple[int, int]:
-        """Width and height of the picture in the window, pixels."""
-        return self._frame.rect.width, self._frame.rect.height
-
     def picture(self) -> NDArray[np.uint8]:
         """Renders the last frame again without status line and messages, (height, width, 3)."""
-        self._frame.draw(self.gl.context)
-        return self._frame.pixels(self.gl.context)
+        self.decor.render(self.gl.context)
+        return self.decor.pixels(self.gl.context)
 
     def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:
         """Returns the help in pages of columns that fit a window of that size."""
@@ -255,22 +264,9 @@ class Window:
         self.help_page = self.help_page + 1 if self.shows_help else 0
         self.shows_help = self.help_page < len(self.help_pages(self.gl.size))
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Shows a message in the window for a few seconds."""
-        self._notice.say(text, is_bad=is_bad)
-
-    def pick_under_pointer(self) -> Picked | None:
-        """Returns the item under the pointer."""
+    def _pointer(self) -> Pixel | None:
         at = self._mouse.position
-        return None if at is None else self._frame.pick(self.data, *at)
-
-    def _hover(self) -> None:
-        at = self._mouse.position
-        if at is None or self._mouse.is_down or self.shows_help:
-            self.toggles.hover = None
-            return
-        picked = self._frame.pick(self.data, *at)
-        hover(self.toggles, picked, self._frame.to_picture(*at))
+        return None if at is None else self.decor.to_picture(*at)
 
     def _take(self, event: Event, height: int) -> None:
         """Handles an event."""
@@ -292,7 +288,7 @@ class Window:
             self._click(found)
 
     def _move(self, moved: Moved, height: int) -> None:
-        view, navigator = self._frame.decor.view, self.navigator
+        view, navigator = self.decor.view, self.navigator
         if view is None:
             return
         navigator.free(view.position, view.forward)
@@ -305,28 +301,15 @@ class Window:
             navigator.orbit(right, down)
 
     def _click(self, clicked: Clicked) -> None:
-        at = (clicked.x, clicked.y)
+        at = self.decor.to_picture(clicked.x, clicked.y)
         if self.shows_help:
             self.shows_help = False
-            return
-        if not self._frame.contains(*at):
-            return
-        if clicked.centre:
-            self._centre(at)
-            return
-        picked = self._frame.pick(self.data, *at)
-        handle_click(self, self._clicks, picked, clicked, self._centre)
-
-    def _centre(self, at: tuple[float, float]) -> None:
-        view, point = self._frame.decor.view, self._frame.point_at(self.data, *at)
-        if point is None or view is None or not np.isfinite(point).all():
-            return
-        self.navigator.free(view.position, view.forward)
-        self.navigator.centre(point)
+        elif at is not None:
+            self.click(replace(clicked, x=at[0], y=at[1]))
 
     def _press(self, event: Event) -> None:
         if event.key != "escape":
-            self._keys.press(event.key, is_repeat=event.is_repeat)
+            self.press(event.key, is_repeat=event.is_repeat)
         elif self.shows_help:
             self.shows_help = False
         elif self.gl.is_full_screen:
@@ -336,17 +319,16 @@ class Window:
         """Selects a camera by number, 1 for the first, 0 for the initial view."""
         return self.navigator.choose(number)
 
-    def _follow(self) -> str:
-        picked = self.pick_under_pointer()
-        is_frame = picked is not None and picked.name in self.world.frames.names
-        return self.navigator.follow(self.data, picked.name if picked and is_frame else None)
+    def follow(self, frame: str | None) -> str:
+        """Starts following a frame with the camera, or stops; returns a message for the user."""
+        return self.navigator.follow(self.data, frame)
 
-    def _toggle_plot(self) -> str:
-        self.shows_plot = not self.shows_plot
-        return "" if self.world.joints.names else "no joint to plot"
-
-    def _toggle_status(self) -> None:
-        self.shows_status = not self.shows_status
+    def centre(self, point: NDArray[np.float64]) -> None:
+        """Makes a point (3,), m, the camera's look-at point."""
+        view = self.decor.view
+        assert view is not None  # there is a picture of the point
+        self.navigator.free(view.position, view.forward)
+        self.navigator.camera.lookat = point
 
     def _take_screenshot(self) -> None:
         self.wants_picture = True
@@ -356,7 +338,9 @@ class Window:
             self.camera.stop()
             return "the film is complete"
         try:
-            return self.camera.start(self.picture_size, time.monotonic())
+            return self.camera.start(
+                (self.decor.rect.width, self.decor.rect.height), time.monotonic()
+            )
         except SeroError as error:
             self.say(str(error), is_bad=True)
             return ""
@@ -365,9 +349,3 @@ class Window:
         """Closes the window after pictures and films are written."""
         self.camera.close()
         self.gl.close()
-
-    def __enter__(self) -> Window:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
