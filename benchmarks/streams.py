@@ -30,9 +30,8 @@ from rich.table import Table
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, ShmReader, UdpReceiver
 from sero_mj.load import load_scene
-from sero_mj.receive.fri import FriReceiver
-from sero_mj.receive.fri_layout import FriLayout, no_command
-from sero_mj.receive.receiver import Receiver
+from sero_mj.receive.fri import FriLayout, FriReceiver, no_command
+from sero_mj.receive.source import Source
 from sero_mj.receive.structure import Structure
 from sero_mj.record.recording import Recording
 from sero_mj.record.recording_writer import RecordingWriter
@@ -60,7 +59,7 @@ def compile_c(folder: Path) -> dict[str, str]:
     return programs
 
 
-def mirror_of(source: Receiver) -> Mirror:
+def mirror_of(source: Source) -> Mirror:
     robot = SerialRobot.from_model("lwr", show_arrows=True)
     routes = {"lwr.joint_angles": "stream.joints"}
     return Mirror(Scene(robots=[robot], sources={"stream": source}, routes=routes))

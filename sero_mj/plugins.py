@@ -1,6 +1,6 @@
 """What other packages add: entry points, by which sero-mj's own parts are found as well.
 
-    sero_mj.sources   kinds of sources in scenes, classes like `receive.Receiver`
+    sero_mj.sources   kinds of sources in scenes, classes like `receive.source.Source`
     sero_mj.decor     visual features, see `decor.draw`
 
 A package adds a kind in its pyproject.toml, and no line of sero-mj changes:

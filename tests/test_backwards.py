@@ -16,7 +16,7 @@ from sero_mj.assemble.world import World
 from sero_mj.drive.place import Placer, Router
 from sero_mj.drive.wiring import wire
 from sero_mj.errors import UsageError
-from sero_mj.receive._checks import are_frames
+from sero_mj.receive.structure import are_frames
 from sero_mj.send._motion import InverseDynamics, SineMotion
 from sero_mj.send.play import LEAD, MotionPackets
 

@@ -15,9 +15,8 @@ from fri_packets import FORMAT, TABLE, UPRIGHT, give, measurement
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import DeclarationError, UnknownName
 from sero_mj.load import load_scene
-from sero_mj.receive._sequence import SequenceTracker
-from sero_mj.receive.fri import FriReceiver
-from sero_mj.receive.fri_layout import FriLayout
+from sero_mj.receive._tracking import SequenceTracker
+from sero_mj.receive.fri import FriLayout, FriReceiver
 from sero_mj.receive.source import make_source
 
 

@@ -24,8 +24,7 @@ from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
 from sero_mj.load import load_scene
 from sero_mj.receive._scheduling import request_short_slices
-from sero_mj.receive.fri import FriReceiver
-from sero_mj.receive.fri_layout import COMMAND, no_command
+from sero_mj.receive.fri import COMMAND, FriReceiver, no_command
 from sero_mj.receive.structure import Structure
 from sero_mj.receive.udp import UdpReceiver
 from sero_mj.record.recording_writer import RecordingWriter
@@ -52,7 +51,7 @@ def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> 
 def test_nothing_but_the_answer_sends() -> None:
     folder = Path(sero_mj.__file__).parent / "receive"
     texts = {path.name: path.read_text() for path in folder.glob("*.py")}
-    assert {name for name, text in texts.items() if "sendto" in text} == {"_datagrams.py"}
+    assert {name for name, text in texts.items() if "sendto" in text} == {"_udp_socket.py"}
     assert {name for name, text in texts.items() if "datagrams.send" in text} == {"udp.py"}
     handing_on = {name for name, text in texts.items() if "def _on_arrival(" in text}
     assert handing_on == {"udp.py", "fri.py"}

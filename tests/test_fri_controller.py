@@ -21,8 +21,7 @@ from sero_mj.cli import main
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import SourceError, UsageError
 from sero_mj.load import load_scene
-from sero_mj.receive.fri import FriReceiver
-from sero_mj.receive.fri_layout import FriLayout, no_command
+from sero_mj.receive.fri import FriLayout, FriReceiver, no_command
 from sero_mj.send.fri_controller import AnswerStatistics, FriController, FriSignals, NetworkFaults
 from sero_mj.send.sender import UdpSink
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sero_mj.frames import rotation_from_rpy
-from sero_mj.receive.guess import describe_bytes, find_frames, guess_layouts, plausibility
+from sero_mj.receive.sniffer import describe_bytes, find_frames, guess_layouts, plausibility
 from sero_mj.receive.structure import Structure
 
 JOINTS = np.random.default_rng(7).normal(size=(6, 14))

@@ -12,9 +12,9 @@ import pytest
 
 from sero_mj.cli import main
 from sero_mj.errors import StructureError
-from sero_mj.receive.fri_layout import FriLayout
-from sero_mj.receive.guess import KNOWN
+from sero_mj.receive.fri import FriLayout
 from sero_mj.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
+from sero_mj.receive.sniffer import KNOWN
 from sero_mj.receive.source import make_source
 from sero_mj.receive.structure import Structure
 

@@ -17,8 +17,9 @@ from polling import until
 
 from sero_mj.errors import DeclarationError, UnknownName
 from sero_mj.frames import nearest_rotation, rotation_from_rpy
-from sero_mj.receive._checks import are_frames, find_not_frame
-from sero_mj.receive.source import Counters, Packet, make_source
+from sero_mj.receive.intake import Counters, find_not_frame
+from sero_mj.receive.source import Packet, make_source
+from sero_mj.receive.structure import are_frames
 from sero_mj.receive.udp import UdpReceiver
 
 NAN, INF = math.nan, math.inf

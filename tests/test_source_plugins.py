@@ -17,7 +17,7 @@ from sero_mj import Mirror, Recording, Replay, Scene, SerialRobot, load_scene, r
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, SourceError
 from sero_mj.plugins import SOURCES, plugins
-from sero_mj.receive.receiver import Receiver
+from sero_mj.receive.source import Source
 from sero_mj.show.clock import Clock
 
 EXAMPLE = Path(__file__).parent / "plugins" / "json_lines.py"
@@ -118,7 +118,7 @@ def test_a_kind_of_another_package_is_mirrored_recorded_and_replayed(
     recording = tmp_path / "arm.mcap"
     with Mirror(scene) as mirror:
         source = mirror.sources["arm"]
-        assert isinstance(source, Receiver)
+        assert isinstance(source, Source)
         assert source.about == f"JSON lines from 127.0.0.1:{server.port}"
         with record_sources(mirror.sources, recording, scene=scene):
             server.send(line(1, 0.25), line(2, 0.5))
@@ -199,7 +199,7 @@ def test_as_many_arrivals_as_packets_are_taken(installed: None, server: Server) 
     source.close()
 
 
-class Rows(Receiver):
+class Rows(Source):
     """Plays a row every 10 ms up to 2 s: a source that does not follow the real time."""
 
     structure: str = "7F"

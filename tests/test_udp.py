@@ -20,8 +20,8 @@ import pytest
 from polling import until
 
 from sero_mj.errors import SeroError, SourceError
-from sero_mj.receive.intake import Intake
-from sero_mj.receive.source import Counters, Packet
+from sero_mj.receive.intake import Counters, Intake
+from sero_mj.receive.source import Packet
 from sero_mj.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"

@@ -18,8 +18,7 @@ from ._layout_table import make_console
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from ..receive.guess import Guess
-    from ..receive.sniffer import Sniffer, Stream
+    from ..receive.sniffer import Guess, Sniffer, Stream
     from ..receive.structure import Structure
 
 _REFRESH = 0.25  # s between two pictures of a terminal

@@ -54,8 +54,7 @@ def run(options: argparse.Namespace) -> int:
             f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)
             for event, shape in source.events.items()
         )
-        about = getattr(source, "about", type(source).__name__)
-        text = f"{name}: {about}, {source.size} bytes: {events}"
+        text = f"{name}: {source.about}, {source.size} bytes: {events}"
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_TIED, " "))
         print(_unused(name, source, taken), end="")

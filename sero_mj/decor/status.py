@@ -11,7 +11,7 @@ import numpy as np
 
 from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.world_view import WorldView
-from ..receive import fri_layout as fri
+from ..receive import fri
 from .cards import move_below
 from .feature import Feature, Frame
 from .panels import Panels, panel_sizes

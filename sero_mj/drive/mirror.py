@@ -15,7 +15,8 @@ from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..assemble.world_view import WorldView
 from ..foreign.model_world import ModelWorld
-from ..receive.source import QUIET_AFTER, Counters, Packet, Packets, Source, age
+from ..receive.intake import Counters
+from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
 from .place import Placer, Router, follow
 from .route import Route
 from .wiring import wire

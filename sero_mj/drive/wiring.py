@@ -97,7 +97,7 @@ def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
     problems = []
     taken: dict[tuple[str, int], str] = {}
     for name, source in sources.items():
-        place = getattr(source, "place", None)
+        place = source.place
         if place is None or place[1] == 0:  # no port, or one that the system chooses
             continue
         if place in taken:

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import are_frames, blank_not_finite, find_not_finite, find_not_frame
-from ._senders import MOST, Senders
-from ._sequence import Position, SequenceTracker, StampTracker
-from ._timing import Timing
-from .source import Counters
-from .structure import Structure
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.uint8]
-Ints = NDArray[np.intp]
-Addresses = NDArray[np.uint8]
-Places = NDArray[np.int8]
+from ._tracking import MOST_SENDERS, Position, Senders, SequenceTracker, StampTracker, Timing
+from .structure import (
+    LAST_ROW,
+    LAST_ROW_TOLERANCE,
+    Array,
+    Ints,
+    Rows,
+    Structure,
+    are_frames,
+)
 
 # In the order in which they change; who waits for a malformed packet finds the others done.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
-_DUPLICATE, _LATE, _RESTARTED = (
-    position.value for position in (Position.DUPLICATE, Position.LATE, Position.RESTARTED)
-)
-
 _MOST_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
 
 
@@ -46,6 +41,57 @@ def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
     width = max(size, min(int(lengths.max()), _MOST_KEPT))
     text = b"".join(packet[:width].ljust(width, b"\0") for packet in packets)
     return np.frombuffer(text, np.uint8).reshape(len(packets), width), lengths
+
+
+@dataclass
+class Counters:
+    """What came in since the source was opened.
+
+    Attributes:
+        received: packets of any kind.
+        wrong_size: malformed ones: not as long as the structure says.
+        wrong_constant: malformed ones: another number where the structure demands one.
+        not_finite: malformed ones: with NaN or infinity where these are not allowed.
+        not_frames: malformed ones: with a matrix that is not a rigid frame.
+        foreign: from others than the `sender` that was named; not looked at.
+        lost: sequence numbers that never came.
+        late: came after one with a higher number; applied only when none may be lost.
+        duplicates: came before with the same number; not applied.
+        restarts: how often the sender restarted: with its numbers, or from another port.
+        torn: reads of shared memory given up because the writer was always in between.
+        senders: how many send at once, in turns, within the last 2 s.
+        blanked: good ones with NaN or infinity where these are allowed.
+        superseded: good ones that a later packet replaced before they were used, as intended
+            when a robot sends faster than pictures are made.
+        dropped: packets that the kernel threw away because its buffer was full.
+        last_fault: what was wrong with the last malformed packet.
+        last_size: bytes of the last packet of a wrong size.
+        last_fault_time: when the last malformed packet came, on the clock of `Source.now`.
+    """
+
+    received: int = 0
+    wrong_size: int = 0
+    wrong_constant: int = 0
+    not_finite: int = 0
+    not_frames: int = 0
+    foreign: int = 0
+    lost: int = 0
+    late: int = 0
+    duplicates: int = 0
+    restarts: int = 0
+    torn: int = 0
+    senders: int = 0
+    blanked: int = 0
+    superseded: int = 0
+    dropped: int = 0
+    last_fault: str = ""
+    last_size: int = 0
+    last_fault_time: float = 0.0
+
+    @property
+    def malformed(self) -> int:
+        """Packets that were counted and not applied."""
+        return self.wrong_size + self.wrong_constant + self.not_finite + self.not_frames
 
 
 class Intake:
@@ -97,7 +143,7 @@ class Intake:
             self._modulus = 2 ** (8 * dtype.itemsize) if dtype.kind in "iu" else 0
 
     def take(
-        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Addresses | None = None
+        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> tuple[Rows, Array]:
         """Sorts packets, and returns those to apply; `count` then counts them all.
 
@@ -141,7 +187,8 @@ class Intake:
         self._time_good(good, arrivals, stamps, places, begins)
         # What is malformed has been counted, and is not counted again as late, say.
         if places.any():
-            duplicate, late = good & (places == _DUPLICATE), good & (places == _LATE)
+            duplicate = good & (places == Position.DUPLICATE)
+            late = good & (places == Position.LATE)
             counters.duplicates += int(duplicate.sum())
             counters.late += int(late.sum())
             good &= ~duplicate if self._lossless else ~(duplicate | late)
@@ -206,12 +253,12 @@ class Intake:
         good: NDArray[np.bool_],
         arrivals: Array,
         stamps: Array | None,
-        places: Places,
+        places: NDArray[np.int8],
         begins: int | None,
     ) -> None:
         """Measures the packets that are not malformed, from the last restart on."""
         timed = good.copy()
-        restarts = np.flatnonzero(places == _RESTARTED)
+        restarts = np.flatnonzero(places == Position.RESTARTED)
         self._tally.restarts += len(restarts)
         if len(restarts) or begins is not None:
             self.timing.restart()
@@ -245,9 +292,9 @@ class Intake:
         return good
 
     def _follow(
-        self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Addresses | None
-    ) -> Places:
-        """What the packets' numbers or time stamps say, as `Position`'s numbers, (n,)."""
+        self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
+    ) -> NDArray[np.int8]:
+        """What the packets' numbers or time stamps say, as `Position`s, (n,)."""
         places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
             return places
@@ -270,7 +317,7 @@ class Intake:
         for i, arrival in enumerate(arrivals.tolist()):
             if finite[i]:
                 tracker = self._tracker(b"" if senders is None else senders[i].tobytes())
-                places[i] = tracker.classify(numbers[i], arrival).value
+                places[i] = tracker.classify(numbers[i], arrival)
         return places
 
     def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:
@@ -278,13 +325,13 @@ class Intake:
         if tracker is None:
             tracker = SequenceTracker(self._modulus) if self._sequence else StampTracker()
             self._trackers[sender] = tracker
-            if len(self._trackers) > MOST:
+            if len(self._trackers) > MOST_SENDERS:
                 self._lost_by_forgotten += self._trackers.popitem(last=False)[1].lost
         else:  # who sends is the last to be forgotten
             self._trackers.move_to_end(sender)
         return tracker
 
-    def _note_senders(self, senders: Addresses, arrivals: Array) -> int | None:
+    def _note_senders(self, senders: Rows, arrivals: Array) -> int | None:
         """Notes who sent; returns the row from which on another one does, with another clock."""
         self._senders.note(senders, arrivals)
         for gone in self._senders.gone:  # its successor is the same program, restarted
@@ -292,3 +339,70 @@ class Intake:
             if (tracker := self._trackers.pop(gone, None)) is not None:
                 self._lost_by_forgotten += tracker.lost
         return self._senders.begins
+
+
+def find_not_finite(values: Mapping[str, Array], but: Collection[str] = ()) -> str:
+    """Says where the first NaN or infinity stands; empty when there is none.
+
+    Args:
+        values: event name to its array.
+        but: events that are left out.
+    """
+    for event, array in values.items():
+        if event in but:
+            continue
+        good = np.isfinite(array)
+        if not good.all():
+            index = tuple(np.argwhere(~good)[0].tolist())
+            return f"{event}[{', '.join(map(str, index))}] is {array[index]}"
+    return ""
+
+
+def blank_not_finite(
+    values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
+) -> None:
+    """Makes NaN of every infinity, and of a whole matrix when one of its numbers is either.
+
+    Args:
+        values: event name to its array, of one packet or of many; what has to change is replaced
+            by a copy.
+        events: those that are looked at.
+        matrices: those that are matrices.
+    """
+    for event in events:
+        array = values.get(event)
+        if array is None:
+            continue
+        good = np.isfinite(array)
+        if good.all():
+            continue
+        if event in matrices:  # part of a frame is none
+            good &= good.all(axis=(-2, -1), keepdims=True)
+        values[event] = np.where(good, array, np.nan)
+
+
+def find_not_frame(
+    values: Mapping[str, Array], events: Collection[str], *, column_major: bool
+) -> str:
+    """Says which is the first matrix that is no rigid frame, and why; empty when all are frames.
+
+    Args:
+        values: event name to its array; matrices that are NaN are left out.
+        events: those that are matrices.
+        column_major: how they were read, for advice when the other way gives a frame.
+    """
+    matrices = np.concatenate([values[event] for event in events])
+    wrong = ~(are_frames(matrices) | np.isnan(matrices[:, 3, 3]))
+    if not wrong.any():
+        return ""
+    first = int(np.argmax(wrong))
+    name = [f"{event}[{i}]" for event in events for i in range(len(values[event]))][first]
+    matrix = matrices[first]
+    if np.abs(matrix[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
+        why = f"last row [{', '.join(f'{number:.7g}' for number in matrix[3])}]"
+    else:
+        why = "upper left 3 x 3 is not a rotation (orthonormal, determinant +1)"
+    if are_frames(matrix.T[None])[0]:
+        other = "false" if column_major else "true"
+        why += f"; its transpose is one: set column_major = {other}"
+    return f"{name} is not a frame: {why}"

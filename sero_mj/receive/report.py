@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from .source import Counters, Source, age
+from .intake import Counters
+from .source import Source, age
 
 # What each counter means to somebody who looks for a fault; in the order in which to look.
 MEANINGS = {

@@ -1,4 +1,7 @@
-"""Listens to a port and sorts packets of any kind by sender and size."""
+"""Listens to a port, sorts packets of any kind by sender and size, and guesses their structures.
+
+`Sniffer` takes the packets in; `guess_layouts` guesses from their size and their bytes.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,54 @@ from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from ..errors import SourceError
-from ._datagrams import Batch, Datagrams, unpack_address
-from ._sockets import open_socket
-from ._timing import Timing
-from .guess import Guess, describe_bytes, guess_layouts, is_text
+from ._tracking import Timing
+from ._udp_socket import Batch, Datagrams, open_socket, unpack_address
+from .fri import COMMAND, MEASUREMENT
 from .language import MAX_PACKET_BYTES
-from .structure import Rows
+from .structure import Rows, Structure, are_frames
 
 _KEPT = 16  # packets of a stream that guesses are made from
 _MOST_STREAMS = 100  # more senders and sizes than anyone reads
+
+SMALLEST, LARGEST = 1e-6, 1e6  # sizes of numbers that look like measurements in SI units
+_MOST_JOINTS = 64
+_MOST_NUMBERS = 512  # among which frames are looked for
+_HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # bytes to what they may be
+_TYPES = {
+    "<f8": "float64",
+    "<f4": "float32",
+    ">f8": "big-endian float64",
+    ">f4": "big-endian float32",
+}
+# Packets of robots that are on the market, by size: structure, row by row, and words.
+KNOWN = {
+    916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
+    376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
+}
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A layout that would fit.
+
+    Attributes:
+        structure: to be given to `Structure`.
+        is_double: whether `F`, `V` and `M` are float64.
+        column_major: how its matrices come.
+        about: what it is, in words.
+        plausible: share of its floating-point numbers but zeros that look like measurements, 0 to
+            1; 1 where there is none.
+    """
+
+    structure: str
+    is_double: bool
+    column_major: bool
+    about: str
+    plausible: float
 
 
 @dataclass
@@ -130,3 +170,175 @@ class Sniffer:
             stream.count += len(places)
             stream.timing.add(batch.arrivals[places])
             stream.last.extend(batch.rows[i, : key[1]].tobytes() for i in places[-_KEPT:].tolist())
+
+
+def guess_layouts(rows: Rows, most: int = 4) -> list[Guess]:
+    """Returns layouts that would fit packets of one size, the most likely first.
+
+    Args:
+        rows: packets of one sender one after the other, (n, size), n >= 1.
+        most: how many to return.
+    """
+    size = rows.shape[1]
+    header, begin = find_header(rows)
+    first = ">" if header.startswith(">") else "<"  # the order that is taken where either would do
+    fits = {}
+    for start, letters in {begin: header, **({} if header else _HEADERS)}.items():
+        for type_, word in _TYPES.items():
+            if start < size and (size - start) % int(type_[-1]) == 0:
+                fits[start, type_] = _with_body(rows, letters, start, type_, word)
+    best = max((guess.plausible for (at, _), (_, guess) in fits.items() if at == begin), default=-1)
+    ranked = [
+        ranked_guess
+        for (start, type_), ranked_guess in fits.items()
+        # A header that nothing tells of, and the other byte order, only where they say more.
+        if (start == begin or ranked_guess[1].plausible > best + 0.2)
+        and (
+            type_[0] == first or ranked_guess[1].plausible > _of(fits[start, f"{first}{type_[1:]}"])
+        )
+    ]
+    guesses = [guess for _, guess in sorted(ranked, key=lambda pair: pair[0], reverse=True)]
+    if size in KNOWN:
+        text, about = KNOWN[size]
+        known = Structure(text, column_major=False)
+        is_it = not known.find_wrong_constants(rows).any()
+        guesses.insert(0 if is_it else most - 1, Guess(text, False, False, about, float(is_it)))
+    return guesses[:most]
+
+
+def _of(ranked: tuple[tuple[float, ...], Guess]) -> float:
+    return ranked[1].plausible
+
+
+def _with_body(
+    rows: Rows, header: str, start: int, type_: str, word: str
+) -> tuple[tuple[float, ...], Guess]:
+    """A layout with nothing but numbers of one type behind a header, and its rank."""
+    numbers = rows[:, start:].view(type_)
+    plausible, seen = plausibility(numbers)
+    body, column_major, words = _body(numbers)
+    about = f"{word}: {words}{f', behind a header of {start} bytes' if start else ''}"
+    before = ">" if header.startswith(">") else "<"  # an order holds from where it stands
+    order = type_[0] if type_[0] != before else ""
+    structure = f"{header} {order}{body}" if header else order + body
+    guess = Guess(structure, type_[-1] == "8", column_major, about, plausible)
+    # Doubles of few digits look like float32 as well, but then half of these are zero.
+    return (round(plausible, 1), float("M" in body), -float(start), float(seen)), guess
+
+
+def plausibility(numbers: NDArray[np.floating]) -> tuple[float, int]:
+    """Share of numbers but zeros that are from 1e-6 to 1e6 in size, and how many these are.
+
+    The share is 1 where there are only zeros: nothing speaks against them.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        sizes = np.abs(numbers.astype(np.float64))
+        good = (sizes >= SMALLEST) & (sizes <= LARGEST)
+    others = int((sizes != 0).sum())  # NaN is one of them
+    return (float(good.sum()) / others if others else 1.0), int(good.sum())
+
+
+def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
+    """Structure of these numbers (n, k) without a header, `column_major`, and words for it."""
+    places, column_major = find_frames(numbers)
+    ends = [*places, numbers.shape[1]]
+    parts, words, at = [], [], 0
+    for end in ends:
+        if count := end - at:
+            twice = count % 2 == 0 and count // 2 <= _MOST_JOINTS and count > 2
+            parts.append(f"{count // 2}F{count // 2}F" if twice else f"{count}F")
+            words.append(f"{count // 2} joints twice" if twice else _plural(count, "number"))
+        if end < numbers.shape[1]:
+            parts.append("1M")
+            words.append(f"a frame {'column by column' if column_major else 'row by row'}")
+        at = end + 16
+    return "".join(parts), column_major, ", ".join(words)
+
+
+def _plural(count: int, word: str) -> str:
+    return f"{count} {word}{'s' if count > 1 else ''}"
+
+
+def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
+    """Where rigid frames begin in all of these packets, and whether they come by columns.
+
+    Args:
+        numbers: (n, k).
+    """
+    if not 16 <= numbers.shape[1] <= _MOST_NUMBERS:
+        return [], True
+    with np.errstate(invalid="ignore", over="ignore"):
+        windows = sliding_window_view(np.nan_to_num(numbers.astype(np.float64)), 16, axis=1)
+    matrices = np.clip(windows, -1e9, 1e9).reshape(-1, 4, 4)
+    by_rows, by_columns = (
+        are_frames(each).reshape(windows.shape[:2]).all(axis=0)
+        for each in (matrices, matrices.swapaxes(1, 2))
+    )
+    column_major = int(by_columns.sum()) >= int(by_rows.sum())
+    places: list[int] = []
+    for place in np.flatnonzero(by_columns if column_major else by_rows).tolist():
+        if not places or place >= places[-1] + 16:
+            places.append(place)
+    return places, column_major
+
+
+def find_header(rows: Rows) -> tuple[str, int]:
+    """Structure and bytes of a header that counts packets or tells their size; empty if none.
+
+    Args:
+        rows: packets one after the other, (n, size); at least four of them tell a counter.
+    """
+    little, big = (_header_in(rows, order) for order in "<>")
+    return (f">{big[0]}", big[1]) if big[1] > little[1] else little
+
+
+def _header_in(rows: Rows, order: str) -> tuple[str, int]:
+    """The header in one byte order."""
+    size, at, parts, is_counted = rows.shape[1], 0, [], False
+    while at < 16:
+        for letter, each in (("Q", 8), ("I", 4), ("H", 2)):
+            if at + each >= size:
+                continue
+            numbers = rows[:, at : at + each].view(f"{order}u{each}")[:, 0]
+            numbers = numbers.astype(f"u{each}")  # so that differences wrap in any order
+            # Eight bytes only where they keep doubles behind them in place.
+            if letter == "Q" and ((size - at) % 8 or (numbers >= 2**32).any()):
+                continue
+            if letter == "I" and (_second(numbers, order) == size).all():
+                continue  # a counter of two bytes, then the size
+            steps = np.diff(numbers)  # they wrap as the counter does
+            if len(rows) >= 4 and (steps == 1).all():
+                parts.append(f"1{letter}" if is_counted else f"number:1{letter}")
+                is_counted = True
+                break
+            if letter != "Q" and (numbers == size).all():
+                parts.append(f"1{letter}=size")
+                break
+        else:
+            break
+        at += each
+    return " ".join(parts), at
+
+
+def _second(numbers: NDArray[np.integer], order: str) -> NDArray[np.integer]:
+    """The last two of four bytes."""
+    return numbers >> 16 if order == "<" else numbers & 0xFFFF
+
+
+def is_text(packet: bytes) -> bool:
+    """Whether there are nothing but printable ASCII characters and line ends."""
+    return all(32 <= byte < 127 or byte in b"\t\r\n" for byte in packet)
+
+
+def describe_bytes(rows: Rows) -> str:
+    """What can be said of packets (n, size) in words: text, or only zeros; else empty."""
+    if not rows.size:
+        return "empty"
+    if not rows.any():
+        return "only zeros"
+    packet = bytes(rows[-1])
+    if not is_text(packet):
+        return ""
+    words = packet.decode("ascii").split() or [" "]
+    kind = {"<": "XML", "{": "JSON", "[": "JSON"}.get(words[0][0], "text")
+    return f"{kind}, which no structure describes: {' '.join(words)[:40]}"

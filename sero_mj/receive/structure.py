@@ -1,4 +1,7 @@
-"""`Structure`: a decoder and encoder for the packets that a structure string describes."""
+"""`Structure`: a decoder and encoder for the packets that a structure string describes.
+
+`are_frames` says whether what was decoded are rigid frames.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,17 @@ from ..errors import UnknownName
 from .language import Item, limits, parse
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.uint8]
+Ints = NDArray[np.intp]
+Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one a row
 # First and last byte, type, and which of the numbers between these; None for all of them.
-_Block = tuple[int, int, np.dtype[Any], NDArray[np.intp] | None]
+_Block = tuple[int, int, np.dtype[Any], Ints | None]
 Alignment = Literal[1, 2, 4, 8]
 
-_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
-_LAST_ROW_TOLERANCE = 1e-6  # as `checks.are_frames` has it
+_ROTATION_TOLERANCE = 1e-3  # as `nearest_rotation` has it for frames in files
+# Much smaller: a frame sent the other way round has its position there, be that of 1 mm only.
+LAST_ROW_TOLERANCE = 1e-6
+LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_IDENTITY = np.eye(3)
 _DOUBLE = np.dtype(np.float64)
 
 
@@ -192,7 +199,7 @@ class Structure:
             return values
         frames = np.empty((*before, count, 4, 4))
         frames[..., :3, :] = values
-        frames[..., 3, :] = _LAST_ROW
+        frames[..., 3, :] = LAST_ROW
         return frames
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
@@ -300,8 +307,8 @@ class Structure:
             if self._is_scaled(item):
                 array[:, :3, 3] = self._unscaled(item, array[:, :3, 3])
             if item.kind == "T":
-                off = np.abs(array[:, 3] - _LAST_ROW).max(axis=1)
-                if (off > _LAST_ROW_TOLERANCE).any():  # NaN is no data, and may be sent
+                off = np.abs(array[:, 3] - LAST_ROW).max(axis=1)
+                if (off > LAST_ROW_TOLERANCE).any():  # NaN is no data, and may be sent
                     row = ", ".join(f"{number:g}" for number in array[np.argmax(off), 3])
                     raise ValueError(f"{item.name}: found last row [{row}]; expected [0, 0, 0, 1]")
                 array = array[:, :3]
@@ -317,6 +324,21 @@ class Structure:
             found = array[wrong].flat[0]
             raise ValueError(f"{item.name}: found {found}; too large for scale {self.scale:g}")
         return unscaled
+
+
+def are_frames(matrices: Array) -> NDArray[np.bool_]:
+    """Whether each of the matrices (n, 4, 4) is a rigid frame, (n,).
+
+    The last row is 0 0 0 1 within 1e-6, the upper left 3 x 3 orthonormal within 1e-3 and no mirror
+    image.
+    """
+    # Entries far above 1 are still far from a rotation, and their squares do not overflow.
+    rotations = np.minimum(np.maximum(matrices[:, :3, :3], -2.0), 2.0)  # np.clip is slower
+    off = np.abs(rotations @ rotations.swapaxes(1, 2) - _IDENTITY).max(axis=(1, 2))
+    last_row_off = np.abs(matrices[:, 3] - LAST_ROW).max(axis=1)
+    good: NDArray[np.bool_] = (off <= _ROTATION_TOLERANCE) & (last_row_off <= LAST_ROW_TOLERANCE)
+    good[good] = np.linalg.det(rotations[good]) > 0.0  # of NaN it would warn
+    return good
 
 
 def _numbers(rows: Rows, item: Item) -> NDArray[Any]:

@@ -14,10 +14,17 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 
-from ._datagrams import BATCH, Batch, Datagrams, OnArrival, canonical_address, pack_address
 from ._scheduling import request_short_slices
-from ._sockets import open_socket
-from .receiver import Receiver, log
+from ._udp_socket import (
+    BATCH,
+    Batch,
+    Datagrams,
+    OnArrival,
+    canonical_address,
+    open_socket,
+    pack_address,
+)
+from .source import Source, log
 
 # At many packets per second it is cheaper to let some come together; the renderer shares the
 # interpreter with this thread.
@@ -31,7 +38,7 @@ def _as_list(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
 
 
-class UdpReceiver(Receiver):
+class UdpReceiver(Source):
     """Receives UDP packets of one structure.
 
     Attributes:
@@ -74,7 +81,7 @@ class UdpReceiver(Receiver):
 
     @property
     def place(self) -> tuple[str, int]:
-        """Address and port it listens on; no two sources can share one."""
+        """Address and port it listens on."""
         return self.host, self.udpport
 
     @property

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,7 @@ from ..errors import (
 )
 from ..plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
-from ..receive.receiver import Receiver, log
-from ..receive.source import Packets
+from ..receive.source import Packets, Source, log
 from ..receive.structure import Structure
 from .recording import RecordedSource, Recording
 
@@ -37,7 +36,7 @@ def _as_path(file: Any) -> Path:
     raise ValueError(f"found {file!r}; expected the name of a recording, REC.mcap say")
 
 
-class Replay(Receiver):
+class Replay(Source):
     """Plays one source of a recording, through the decoder that the source had.
 
     It has no thread: packets come when the clock that drives it has reached their time. A mirror
@@ -61,7 +60,9 @@ class Replay(Receiver):
     loop: bool = False
     start: float | None = None
     stop: float | None = None
-    structure: str = ""  # the recording says it
+    structure: str = ""
+
+    _structure_is: ClassVar[str] = "what the recording says"
 
     _recording: Recording | None = PrivateAttr(None)
     _coming: Iterator[tuple[float, bytes]] = PrivateAttr(default_factory=lambda: iter(()))
@@ -72,13 +73,6 @@ class Replay(Receiver):
     _paused: bool = PrivateAttr(False)
     _told: int = PrivateAttr(0)  # faults of the recording
     _lock: Any = PrivateAttr(default_factory=threading.RLock)
-
-    @field_validator("structure")
-    @classmethod
-    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
-        if text:
-            raise ValueError("is what the recording says; leave it out")
-        return text
 
     @field_validator("file")
     @classmethod
@@ -131,7 +125,7 @@ class Replay(Receiver):
             return recording.sources[self.source]
 
     @cached_property
-    def original(self) -> Receiver:
+    def original(self) -> Source:
         """The receiver as it was recorded; never opened, it only decodes."""
         receiver = _receiver_of(self.file, self.recorded, self.name)
         receiver.only_latest_packet = self.only_latest_packet
@@ -190,7 +184,7 @@ class Replay(Receiver):
         return self._position + self._beyond
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Lets NaN and infinity mean `no data` in these events; see `Receiver.allow_nan`."""
+        """Lets NaN and infinity mean `no data` in these events; see `Source.allow_nan`."""
         super().allow_nan(events)
         self.original.allow_nan(events)  # whose decoder this is
 
@@ -327,7 +321,7 @@ class Replay(Receiver):
         self.accept(packets, arrivals)
 
 
-def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Receiver:
+def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
     """The receiver that a recording declares.
 
     Raises:
@@ -338,7 +332,7 @@ def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Receiver:
     if kind not in kinds:
         raise RecordingError(file, f"{of}: no kind '{kind}'{did_you_mean(kind, kinds)}")
     try:
-        receiver: Receiver = load_plugin(SOURCES, kind)(**{**recorded.declared, "name": name})
+        receiver: Source = load_plugin(SOURCES, kind)(**{**recorded.declared, "name": name})
     except PluginError as error:
         raise RecordingError(file, str(error)) from error
     except DeclarationError as error:

@@ -14,8 +14,7 @@ from ..assemble.scene import Scene, names_in, origin_text
 from ..drive.route import Origin
 from ..drive.wiring import Wiring, wire
 from ..errors import RecordingError
-from ..receive.receiver import Receiver
-from ..receive.source import SIGNALS
+from ..receive.source import SIGNALS, Source
 from ..record.recording import Recording
 from .recorded_events import read_events, receiver_of
 from .run_log import event_of
@@ -106,7 +105,7 @@ class _Follower:
     def __init__(
         self,
         recording: Recording,
-        receivers: Mapping[str, Receiver],
+        receivers: Mapping[str, Source],
         wiring: Wiring,
         first: str,
     ) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
+from pydantic import Field, PrivateAttr
 
 from ..errors import SimulationError
-from ..receive.receiver import Receiver
+from ..receive.source import Source
 from ..receive.structure import Structure
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class FinishedRun:
         """Nothing is left to be computed."""
 
 
-class RunSource(Receiver):
+class RunSource(Source):
     """The rows of a run as packets, handed on when the clock reaches their times.
 
     It has no thread: whoever drives it says what time it is, so a film is the same however long
@@ -81,15 +81,9 @@ class RunSource(Receiver):
     column_major: bool = False
     run: Any = Field(exclude=True)
 
+    _structure_is: ClassVar[str] = "that of the run"
     _shown: int = PrivateAttr(-1)
     _error: SimulationError | None = PrivateAttr(None)
-
-    @field_validator("structure")
-    @classmethod
-    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
-        if text:
-            raise ValueError("is that of the run; leave it out")
-        return text
 
     @cached_property
     def layout(self) -> Structure:

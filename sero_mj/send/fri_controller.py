@@ -21,7 +21,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..errors import UsageError, did_you_mean
-from ..receive.fri_layout import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
+from ..receive.fri import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
 from ._motion import SineMotion
 from .sender import SendReport, UdpSink, send

@@ -19,10 +19,10 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from sero_mj.errors import SourceError
-from sero_mj.receive.receiver import Receiver
+from sero_mj.receive.source import Source
 
 
-class JsonLines(Receiver):
+class JsonLines(Source):
     """Connects to `host` and `port`; the structure says which events lines have."""
 
     host: str = "127.0.0.1"
