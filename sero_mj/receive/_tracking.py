@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
 from .structure import Array, Ints, Rows
+
+# Positions: the order of a packet relative to those before it.
+NEXT, DUPLICATE, LATE, RESTARTED = range(4)
 
 LATE_WITHIN = 64  # numbers; what is further back comes from a sender that restarted
 LATE_SECONDS = 0.5  # likewise for time stamps
@@ -28,15 +30,6 @@ _STREAM = 2  # packets; who sends every packet from a new port does not begin an
 _WEIGHT = 1.0 / 16.0  # of a new packet in a running mean, as in RFC 3550, section 6.4.1
 _LONG_PAUSE = 2.0  # s; a longer one says nothing about the rate
 _BASELINE = 10.0  # s for which the fastest packet is the measure; clocks of two machines drift
-
-
-class Position(IntEnum):
-    """Order of a packet relative to those before it."""
-
-    NEXT = 0
-    DUPLICATE = 1
-    LATE = 2
-    RESTARTED = 3
 
 
 class SequenceTracker:
@@ -76,8 +69,8 @@ class SequenceTracker:
         self._missing = _shifted(self._missing, steps)
         self._last, self._last_arrival, self._run = number, arrival, 0
 
-    def classify(self, number: int, arrival: float) -> Position:
-        """Classifies a number; `arrival` (s) shows pauses.
+    def classify(self, number: int, arrival: float) -> int:
+        """Returns a number's position; `arrival` (s) shows pauses.
 
         The sender has restarted when the number is more than 64 back, not ahead after a pause
         of half a second, the fourth old one in order, or more than 3000 ahead over the wrap to 0.
@@ -86,7 +79,7 @@ class SequenceTracker:
         self._last_arrival = arrival
         if last is None:
             self._begin(number)
-            return Position.NEXT
+            return NEXT
         step = number - last
         if self._modulus:
             half = self._modulus // 2
@@ -96,9 +89,9 @@ class SequenceTracker:
             return self._restart(number)
         if step > 0:
             self._advance(number, step)
-            return Position.NEXT
+            return NEXT
         if step == 0:
-            return Position.DUPLICATE
+            return DUPLICATE
         self._run = self._run + 1 if number == self._run_last + 1 else 1
         self._run_last = number
         if self._run >= RUN:
@@ -116,18 +109,18 @@ class SequenceTracker:
         self._came = _shifted(self._came, step) | 1
         self._missing = _shifted(self._missing, step) | skipped
 
-    def _old(self, bit: int) -> Position:
+    def _old(self, bit: int) -> int:
         if self._came & bit:
-            return Position.DUPLICATE
+            return DUPLICATE
         self._came |= bit
         if self._missing & bit:  # else it is from before the first one that was seen
             self._missing &= ~bit
             self.lost -= 1
-        return Position.LATE
+        return LATE
 
-    def _restart(self, number: int) -> Position:
+    def _restart(self, number: int) -> int:
         self._begin(number)
-        return Position.RESTARTED
+        return RESTARTED
 
 
 def _shifted(bits: int, steps: int) -> int:
@@ -144,19 +137,19 @@ class StampTracker:
         self._last_arrival = 0.0
         self._run, self._run_last = 0, 0.0
 
-    def classify(self, stamp: float, arrival: float) -> Position:
-        """Classifies a time stamp (s); `arrival` (s) shows pauses."""
+    def classify(self, stamp: float, arrival: float) -> int:
+        """Returns a time stamp's (s) position; `arrival` (s) shows pauses."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None or stamp >= last:
             self._last, self._run = stamp, 0
-            return Position.NEXT
+            return NEXT
         self._run = self._run + 1 if self._run and stamp >= self._run_last else 1
         self._run_last = stamp
         if paused or last - stamp > LATE_SECONDS or self._run >= RUN:
             self._last, self._run = stamp, 0
-            return Position.RESTARTED
-        return Position.LATE
+            return RESTARTED
+        return LATE
 
 
 @dataclass

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SourceError
-from .structure import Array
+from .structure import Array, Ints, Rows
 
 DEFAULT_BUFFER = 4 * 2**20  # bytes; the system may grant less
 _SO_RCVBUFFORCE = 33  # Linux: beyond net.core.rmem_max, where the user may
@@ -33,7 +33,6 @@ _REASONS = {
     errno.EACCES: ": no permission; choose a port above 1023",
     errno.ENODEV: ": no route for this group; name the network with interface = ...",
 }
-
 
 BATCH = 256  # packets
 _ADDRESS_BYTES, _V4_BYTES = 28, 16  # of sockaddr_in6, and of sockaddr_in
@@ -52,7 +51,7 @@ class _Msghdr(ctypes.Structure):
     _fields_ = [
         ("name", ctypes.c_void_p),
         ("namelen", ctypes.c_uint32),
-        ("iov", ctypes.POINTER(_Iovec)),
+        ("iov", ctypes.c_void_p),
         ("iovlen", ctypes.c_size_t),
         ("control", ctypes.c_void_p),
         ("controllen", ctypes.c_size_t),
@@ -64,26 +63,6 @@ class _Mmsghdr(ctypes.Structure):
     _fields_ = [("header", _Msghdr), ("length", ctypes.c_uint)]
 
 
-def _field(name: str) -> tuple[int, str]:
-    found = getattr(_Msghdr, name)
-    return found.offset, f"u{found.size}"
-
-
-def _headers_dtype() -> np.dtype[Any]:
-    """Numpy's view of an array of `mmsghdr`: what the kernel changes."""
-    names = ["namelen", "controllen", "flags"]
-    offsets, formats = zip(*(_field(name) for name in names), strict=True)
-    length = _Mmsghdr.length
-    return np.dtype(
-        {
-            "names": [*names, "length"],
-            "formats": [*formats, f"u{length.size}"],
-            "offsets": [*offsets, length.offset],
-            "itemsize": ctypes.sizeof(_Mmsghdr),
-        }
-    )
-
-
 # The control message that comes first: header, then seconds and nanoseconds of a 64-bit system.
 _STAMP = np.dtype(
     {
@@ -93,7 +72,6 @@ _STAMP = np.dtype(
         "itemsize": _CONTROL_BYTES,
     }
 )
-
 
 OnArrival = Callable[[memoryview, int, bytes], None]
 
@@ -110,10 +88,10 @@ class Batch:
         dropped: packets that the kernel has dropped so far, or None where it does not say.
     """
 
-    rows: NDArray[np.uint8]
-    lengths: NDArray[np.intp]
+    rows: Rows
+    lengths: Ints
     arrivals: Array
-    senders: NDArray[np.uint8]
+    senders: Rows
     dropped: int | None
 
     def __len__(self) -> int:
@@ -158,18 +136,17 @@ class Datagrams:
     def _prepare(self) -> None:
         """Lays out the headers once; each call resets only what the kernel changes."""
         self._controls = np.zeros((BATCH, _CONTROL_BYTES), np.uint8)
-        self._vectors = (_Iovec * BATCH)()
+        self._vectors = np.zeros(BATCH, np.dtype(_Iovec))
+        self._vectors["base"], self._vectors["length"] = _places(self._rows), self._rows.shape[1]
         self._headers = (_Mmsghdr * BATCH)()
-        for i in range(BATCH):
-            self._vectors[i] = _Iovec(self._rows[i].ctypes.data, self._rows.shape[1])
-            header = self._headers[i].header
-            header.name = self._senders[i].ctypes.data
-            header.iov = ctypes.pointer(self._vectors[i])
-            header.iovlen = 1
-            header.control = self._controls[i].ctypes.data
-        self._state = np.frombuffer(memoryview(self._headers), _headers_dtype())
-        self._state["namelen"] = _ADDRESS_BYTES
-        self._state["controllen"] = _CONTROL_BYTES
+        states = np.frombuffer(memoryview(self._headers), np.dtype(_Mmsghdr))
+        header = states["header"]
+        header["name"], header["namelen"] = _places(self._senders), _ADDRESS_BYTES
+        header["iov"], header["iovlen"] = _places(self._vectors), 1
+        header["control"], header["controllen"] = _places(self._controls), _CONTROL_BYTES
+        # What the kernel changes.
+        self._got, self._namelen = states["length"], header["namelen"]
+        self._controllen = header["controllen"]
         self._row_views = [memoryview(row) for row in self._rows]  # type: ignore[arg-type]
         self._sender_view = memoryview(self._senders.reshape(-1))  # type: ignore[arg-type]
         self._stamps = self._controls.view(_STAMP)[:, 0]
@@ -210,12 +187,11 @@ class Datagrams:
         if self._recvmmsg is None:
             lengths, arrivals = self._lengths[:count].copy(), self._came[:count].copy()
             return Batch(rows, lengths, arrivals, senders, self._dropped)
-        state = self._state[:count]
-        lengths = state["length"].astype(np.intp)
+        lengths = self._got[:count].astype(np.intp)
         arrivals = self._arrivals(count)
-        if (state["controllen"] > 32).any():
+        if (self._controllen[:count] > 32).any():
             self._dropped = self._read_dropped(count)
-        state["namelen"], state["controllen"] = _ADDRESS_BYTES, _CONTROL_BYTES
+        self._namelen[:count], self._controllen[:count] = _ADDRESS_BYTES, _CONTROL_BYTES
         return Batch(rows, lengths, arrivals, senders, self._dropped)
 
     def send(self, data: bytes, to: bytes) -> None:
@@ -283,6 +259,11 @@ class Datagrams:
                 self.on_arrival(self._rows[i].data, int(self._lengths[i]), packed)
             self._senders[i] = np.frombuffer(packed, np.uint8)
         return BATCH - first
+
+
+def _places(rows: NDArray[Any]) -> Ints:
+    """Addresses in memory of an array's rows."""
+    return np.asarray(rows.ctypes.data + rows.strides[0] * np.arange(len(rows)))
 
 
 def _both_clocks() -> tuple[int, int]:

@@ -9,7 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ._tracking import MOST_SENDERS, Position, Senders, SequenceTracker, StampTracker, Timing
+from ._tracking import (
+    DUPLICATE,
+    LATE,
+    MOST_SENDERS,
+    RESTARTED,
+    Senders,
+    SequenceTracker,
+    StampTracker,
+    Timing,
+)
 from .structure import (
     LAST_ROW,
     LAST_ROW_TOLERANCE,
@@ -187,8 +196,8 @@ class Intake:
         self._time_good(good, arrivals, stamps, places, begins)
         # What is malformed has been counted, and is not counted again as late, say.
         if places.any():
-            duplicate = good & (places == Position.DUPLICATE)
-            late = good & (places == Position.LATE)
+            duplicate = good & (places == DUPLICATE)
+            late = good & (places == LATE)
             counters.duplicates += int(duplicate.sum())
             counters.late += int(late.sum())
             good &= ~duplicate if self._lossless else ~(duplicate | late)
@@ -258,7 +267,7 @@ class Intake:
     ) -> None:
         """Measures the packets that are not malformed, from the last restart on."""
         timed = good.copy()
-        restarts = np.flatnonzero(places == Position.RESTARTED)
+        restarts = np.flatnonzero(places == RESTARTED)
         self._tally.restarts += len(restarts)
         if len(restarts) or begins is not None:
             self.timing.restart()
@@ -294,7 +303,7 @@ class Intake:
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
     ) -> NDArray[np.int8]:
-        """What the packets' numbers or time stamps say, as `Position`s, (n,)."""
+        """What the packets' numbers or time stamps say, as positions, (n,)."""
         places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
             return places

@@ -91,20 +91,20 @@ class Structure:
             }
         )
         self._constants = [
-            (item, np.dtype(item.type).type(item.constant))
+            (item, item.dtype.type(item.constant))
             for item in self.fields
             if item.constant is not None
         ]
         # Event, type, first byte, count, and how to finish what is not just a view.
         self._plan = [
-            (name, np.dtype(item.type), item.offset, item.numbers, self._unless_plain(item))
+            (name, item.dtype, item.offset, item.numbers, self._unless_plain(item))
             for name, item in self._by_event.items()
         ]
         self._is_plain = not any(item for *_, item in self._plan)
         self._blocks: dict[frozenset[str], list[_Block]] = {}
 
     def _unless_plain(self, item: Item) -> Item | None:
-        is_plain = np.dtype(item.type) == _DOUBLE and len(item.shape) == 1
+        is_plain = item.dtype == _DOUBLE and len(item.shape) == 1
         return None if is_plain and not self._is_scaled(item) else item
 
     def _is_scaled(self, item: Item) -> bool:
@@ -227,8 +227,8 @@ class Structure:
         groups: dict[tuple[np.dtype[Any], int], list[Item]] = {}
         for name, item in self._by_event.items():
             if item.is_float and item.constant is None and name not in but:
-                dtype = np.dtype(item.type)
-                groups.setdefault((dtype, item.offset % dtype.itemsize), []).append(item)
+                key = (item.dtype, item.offset % item.item_bytes)
+                groups.setdefault(key, []).append(item)
         blocks: list[_Block] = []
         for (dtype, _), items in groups.items():
             start, end = items[0].offset, items[-1].end
