@@ -15,11 +15,9 @@ from hypothesis import strategies as st
 from sero_mj.cli import main
 from sero_mj.errors import CsvError, UnknownName
 from sero_mj.receive.structure import Structure
-from sero_mj.record.export_csv import Exported, column_names, export_csv
-from sero_mj.record.read_csv import read_csv
+from sero_mj.record.csv_files import Exported, column_names, csv_table, export_csv, read_csv
 from sero_mj.record.recording import Recording
 from sero_mj.record.recording_writer import RecordingWriter
-from sero_mj.record.write_csv import csv_table
 
 LAYOUT = Structure("2F1V1M")
 

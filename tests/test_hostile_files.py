@@ -22,7 +22,7 @@ from sero_mj.drive._expression import parse
 from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
 from sero_mj.paths import open_file, read_file
 from sero_mj.receive.shm import ShmReader
-from sero_mj.record.read_csv import read_csv
+from sero_mj.record.csv_files import read_csv
 from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 from sero_mj.runs.run_recording import read_run

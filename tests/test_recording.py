@@ -17,10 +17,9 @@ from recordings import DECLARED, EVENTS, begin, record
 
 from sero_mj.errors import UnknownName
 from sero_mj.receive.structure import Structure
-from sero_mj.record._mcap_stream import SHORT_ENDING
-from sero_mj.record._recording_format import RecordingClock
 from sero_mj.record.recording import Recording
-from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.record.recording_format import RecordingClock
+from sero_mj.record.recording_writer import SHORT_ENDING, RecordingWriter
 from sero_mj.record.replay import Replay
 
 

@@ -32,7 +32,7 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Writes; returns 0, or 1 where there are packets and none could be read."""
-    from ..record.export_csv import export_csv
+    from ..record.csv_files import export_csv
     from ..record.recording import Recording
     from ..record.replay import Replay
 

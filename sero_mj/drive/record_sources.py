@@ -18,7 +18,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..receive.source import Source
 from ..record.recorder import SIGNALS_RATE, Recorder
-from ..record.signals_json import Signals
+from ..record.recording_format import Signals
 from ._units import robot_of
 from .route import Route
 from .wiring import wire

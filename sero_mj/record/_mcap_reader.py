@@ -162,15 +162,33 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
 
 def _walk_through(file: BinaryIO, size: int) -> FileIndex:
     """Goes from record to record, up to the end of the data or to where that is not possible."""
-    index, chunks = FileIndex(), _Chunks()
+    index = FileIndex()
+    # Where chunks are, with the counts of the message indices behind them.
+    chunks: list[tuple[tuple[int, int, int, int], dict[int, int]]] = []
     position, is_whole = MAGIC_SIZE, False
     try:
         for opcode, offset, length in _records(file, size):
-            _note(file, opcode, offset, length, index, chunks)
+            if opcode == Opcode.CHUNK:
+                first, last = struct.unpack("<QQ", file.read(16))
+                chunks.append(((offset, length, first, last), {}))
+            elif opcode == Opcode.MESSAGE_INDEX:
+                channel, entries = struct.unpack("<HI", file.read(6))
+                if entries and chunks:
+                    chunks[-1][1][channel] = entries // 16
+            else:
+                _note(file, opcode, offset, length, index)
             position, is_whole = offset + length, opcode == Opcode.DATA_END
     except BROKEN:
         pass  # up to here, then
-    chunks.into(index, cut=not is_whole)
+    if chunks and not is_whole:
+        chunks[-1][1].clear()  # some of the records behind it may be missing
+    for place, counts in chunks:
+        chunk = ChunkPlace(*place, frozenset(counts) or None)
+        index.chunks.append(chunk)
+        if not counts:
+            index.uncounted.append(chunk)
+        for channel, count in counts.items():
+            index.counts[channel] = index.counts.get(channel, 0) + count
     if is_whole:
         index.faults.append(f"was not closed ({_NOT_CLOSED}), so it has no index")
     else:
@@ -194,44 +212,9 @@ def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
         position = end
 
 
-class _Chunks:
-    """Chunks in the order of the file, with counts from the message indices behind them."""
-
-    def __init__(self) -> None:
-        self.places: list[tuple[int, int, int, int]] = []
-        self.counts: list[dict[int, int]] = []
-
-    def into(self, index: FileIndex, *, cut: bool) -> None:
-        """Puts them into the index.
-
-        Args:
-            index: where to.
-            cut: the file ends early: some of the records behind the last chunk may be missing.
-        """
-        if cut and self.counts:
-            self.counts[-1].clear()
-        for place, counts in zip(self.places, self.counts, strict=True):
-            chunk = ChunkPlace(*place, frozenset(counts) or None)
-            index.chunks.append(chunk)
-            if not counts:
-                index.uncounted.append(chunk)
-            for channel, count in counts.items():
-                index.counts[channel] = index.counts.get(channel, 0) + count
-
-
-def _note(
-    file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex, chunks: _Chunks
-) -> None:
+def _note(file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex) -> None:
     """Adds a record to the index; the file stands behind the record's head."""
-    if opcode == Opcode.CHUNK:
-        first, last = struct.unpack("<QQ", file.read(16))
-        chunks.places.append((offset, length, first, last))
-        chunks.counts.append({})
-    elif opcode == Opcode.MESSAGE_INDEX:
-        channel, entries = struct.unpack("<HI", file.read(6))
-        if entries and chunks.counts:
-            chunks.counts[-1][channel] = entries // 16
-    elif opcode == Opcode.CHANNEL:
+    if opcode == Opcode.CHANNEL:
         found = Channel.read(ReadDataStream(read_record(file, offset, length)))
         index.channels[found.id] = found
     elif opcode == Opcode.METADATA:

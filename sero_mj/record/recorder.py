@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError, UnknownName
-from ._recording_format import RecordingClock
+from .recording_format import RecordingClock
 from .recording_writer import RecordingWriter
 
 Decode = Callable[[bytes], Mapping[str, NDArray[np.float64]] | None]
@@ -161,16 +161,7 @@ class Recorder:
             self._decoders[name] = (decode, RateLimiter(self._signals_rate))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Puts a file into the recording: the scene, a robot.
-
-        Args:
-            name: the file's name, with folders where that matters.
-            media_type: e.g. `application/toml`.
-            data: its contents.
-
-        Raises:
-            RecordingError: it cannot be written.
-        """
+        """Puts a file into the recording; see `RecordingWriter.attach`."""
         with self._writing:
             self._writer.attach(name, media_type, data)
 
@@ -205,24 +196,20 @@ class Recorder:
             raise ValueError(f"found {found} lengths for {count} packets; expected one for each")
         if not count:
             return True
-        batch = _Batch(
-            name,
-            packets,
-            None if lengths is None else list(map(int, lengths)),
-            list(map(float, arrivals)),
-            _size_of(packets),
-        )
+        rows = packets if isinstance(packets, np.ndarray) else None
+        size = sum(map(len, packets)) if rows is None else rows.nbytes
+        size += _PER_PACKET * count
+        ends = None if rows is None or lengths is None else list(map(int, lengths))
+        times = list(map(float, arrivals))
         with self._changed:
             ended = self._closing or self.error is not None
-            if ended or self._queued + batch.size > self._queue_bytes:
+            if ended or self._queued + size > self._queue_bytes:
                 self._not_recorded[name] += count
                 return False
-            if isinstance(packets, np.ndarray):  # its owner will receive into it again
-                batch = _Batch(name, packets.copy(), batch.lengths, batch.arrivals, batch.size)
-            else:
-                batch = _Batch(name, list(packets), None, batch.arrivals, batch.size)
-            self._queue.append(batch)
-            self._queued += batch.size
+            # A copy: the rows' owner will receive into them again.
+            kept = list(packets) if rows is None else rows.copy()
+            self._queue.append(_Batch(name, kept, ends, times, size))
+            self._queued += size
             self._changed.notify()
         return True
 
@@ -320,11 +307,6 @@ class Recorder:
                     self._writer.close(lost=self._not_recorded)
                 except RecordingError as second:
                     error.add_note(str(second))
-
-
-def _size_of(packets: Sequence[bytes] | NDArray[np.uint8]) -> int:
-    size = packets.nbytes if isinstance(packets, np.ndarray) else sum(map(len, packets))
-    return size + _PER_PACKET * len(packets)
 
 
 def _decoded(decode: Decode, packet: bytes) -> Mapping[str, NDArray[np.float64]] | None:

@@ -27,7 +27,7 @@ from ._mcap_reader import (
     reason_of,
     unpack_messages,
 )
-from ._recording_format import (
+from .recording_format import (
     ABOUT,
     CLOCK,
     FORMAT,

@@ -1,22 +1,30 @@
-"""`RecordingWriter`: packets and what they mean, into an MCAP file."""
+"""`RecordingWriter`: packets and what they mean, into an MCAP file that is whole at every moment.
+
+Behind the last record there always stands a short ending without an index, which the next records
+are written over and bring along. So a process may be killed at any time, and readers find a whole
+file without an index; only one that was killed in the midst of a write leaves half a chunk at the
+end. On a full disk the same ending has its room already.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
-from mcap.records import Channel, McapRecord, Schema
-from mcap.writer import Writer
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, DataEnd, Footer, McapRecord, Schema
+from mcap.writer import MCAP0_MAGIC, Writer
 from numpy.typing import NDArray
 
 from .. import __version__
-from ..errors import UnknownName
-from ._mcap_stream import McapStream, pack_record
-from ._recording_format import (
+from ..errors import RecordingError, UnknownName
+from .recording_format import (
     ABOUT,
     CLOCK,
     LOST,
@@ -25,16 +33,129 @@ from ._recording_format import (
     SIGNALS_ENCODING,
     SOURCE_KEY,
     RecordingClock,
+    Signals,
     SourceDeclaration,
-    raw_topic,
-    signals_topic,
 )
-from .signals_json import Signals
 
 CHUNK_BYTES = 1 << 20
 FLUSH_AFTER = 0.4  # s: so that no more than half a second is lost with its process
 _MESSAGE_HEAD = 31  # bytes of a message's record beside its data
 _BY_US = 1 << 62  # larger than any chunk: the library shall not end one when we do not know it
+_WHY = {
+    errno.ENOSPC: "no space left on the disk",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file has reached the largest size that the system allows",
+}
+
+
+def pack_record(record: McapRecord) -> bytes:
+    """Returns a record as it stands in a file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+SHORT_ENDING = pack_record(DataEnd(0)) + pack_record(Footer(0, 0, 0)) + MCAP0_MAGIC
+
+
+class McapStream:
+    """A stream for `mcap.writer.Writer`: records wait until `flush` writes them with an ending.
+
+    Args:
+        path: the file.
+        overwrite: write over a file that exists; else that is an error.
+
+    Attributes:
+        path: the file.
+        size: bytes of the file.
+        kept: what is in the file up to the last `flush`, for the error; empty for nothing.
+        error: why nothing more can be written, or None.
+
+    Raises:
+        RecordingError: it exists already, or cannot be written.
+    """
+
+    def __init__(self, path: Path | str, *, overwrite: bool = False) -> None:
+        self.path = Path(path)
+        self.size, self.kept = 0, ""
+        self.error: RecordingError | None = None
+        self._end = 0  # where the records in the file end, and its ending begins
+        self._records = bytearray()
+        try:
+            # Unbuffered: what is left in a buffer would be lost with the process.
+            self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
+        except FileExistsError as error:
+            reason = "exists already; choose another name, or remove it"
+            raise RecordingError(self.path, reason) from error
+        except (OSError, ValueError) as error:
+            raise RecordingError(self.path, f"cannot be written: {_why(error)}") from error
+
+    @property
+    def closed(self) -> bool:
+        """Whether it is finished, or has failed."""
+        return self._file.closed
+
+    def write(self, data: bytes) -> int:
+        """Takes whole records."""
+        self._records += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Where the next record will stand."""
+        return self._end + len(self._records)
+
+    def flush(self) -> None:
+        """Writes the records over the ending, which follows them.
+
+        Raises:
+            RecordingError: there is no room. What was written before is kept.
+        """
+        if self.error is not None:
+            raise self.error
+        if self._records:
+            self._put(self._records + SHORT_ENDING)
+            self._end += len(self._records)
+            self._records.clear()
+
+    def finish(self) -> None:
+        """Writes records of which the last is an ending, and closes; raises as `flush` does."""
+        self._put(self._records)
+        self._file.close()
+
+    def _put(self, data: bytearray) -> None:
+        try:
+            self._put_at_end(data)
+        except OSError as error:
+            self._rescue(error)
+
+    def _put_at_end(self, data: bytes | bytearray) -> None:
+        self._file.seek(self._end)
+        view = memoryview(bytes(data))
+        while view:
+            written = self._file.write(view)
+            if not written:
+                raise OSError(errno.ENOSPC, "nothing was written")
+            view = view[written:]
+        self.size = self._end + len(data)
+
+    def _rescue(self, error: OSError) -> NoReturn:
+        """Removes what is half written, closes the file, and raises the error."""
+        with contextlib.suppress(OSError):
+            # The ending keeps its room on the disk throughout.
+            self._file.truncate(self._end + len(SHORT_ENDING))
+            self._put_at_end(SHORT_ENDING)
+        with contextlib.suppress(OSError):
+            self._file.close()
+        kept = f"{self.kept} are kept in {self.size} bytes" if self.kept else "nothing is kept"
+        reason = f"{_why(error)}; the recording ends here, {kept}"
+        self.error = RecordingError(self.path, reason)
+        raise self.error from error
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, OSError) and error.errno is not None:
+        return _WHY.get(error.errno) or f"{error.strerror}"
+    return str(error)
 
 
 @dataclass
@@ -131,11 +252,11 @@ class RecordingWriter:
             raise ValueError(f"source '{name}' is in the recording already")
         declaration = SourceDeclaration(name, kind, declared, events, size).to_json()
         signals = signals or Signals(dict(events))
-        raw = self._add_channel(raw_topic(name), RAW_ENCODING, 0, {SOURCE_KEY: declaration})
+        raw = self._add_channel(f"/{name}/raw", RAW_ENCODING, 0, {SOURCE_KEY: declaration})
         title, text = f"sero-mj.{name}", signals.schema(name)
         schema: int = self._writer.register_schema(title, SCHEMA_ENCODING, text)
         self._repeat(Schema(id=schema, name=title, encoding=SCHEMA_ENCODING, data=text))
-        decoded = self._add_channel(signals_topic(name), SIGNALS_ENCODING, schema, signals.origins)
+        decoded = self._add_channel(f"/{name}/signals", SIGNALS_ENCODING, schema, signals.origins)
         self._channels[name] = _Channels(raw, decoded, signals)
         self._file.flush()
 
@@ -169,16 +290,13 @@ class RecordingWriter:
         self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
         self._file.flush()
 
-    def write_raw(
-        self, name: str, packet: bytes, arrival: float, sequence: int | None = None
-    ) -> None:
-        """Writes a packet as it came.
+    def write_raw(self, name: str, packet: bytes, arrival: float) -> None:
+        """Writes a packet as it came, numbered from 0 on.
 
         Args:
             name: its source.
             packet: its bytes, well-formed or not.
             arrival: when it arrived, s on the clock of `time.monotonic`.
-            sequence: its number; kept in 32 bits. Counted from 0 when it is not given.
 
         Raises:
             RecordingError: there is no room. What was written before is kept.
@@ -186,51 +304,40 @@ class RecordingWriter:
             ValueError: the arrival is not a time.
         """
         channels = self._find(name)
-        number = channels.number if sequence is None else sequence
         log_time = self.clock.log_time(arrival)
+        number = channels.number
         channels.number = number + 1
-        self._add_packet(channels.raw, packet, log_time, number)
+        self._count += 1
+        first, last = self._span
+        self._span = min(first, log_time), max(last, log_time)
+        self._add(channels.raw, packet, log_time, number)
 
     def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
-        """Writes packets of one length, all at once.
+        """Writes packets of one length; raises as `write_raw` does.
 
         Args:
             name: their source.
             rows: (n, bytes of a packet).
             arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
-
-        Raises:
-            RecordingError: there is no room. What was written before is kept.
-            UnknownName: no such source was added.
-            ValueError: an arrival is not a time.
         """
-        channels = self._find(name)
-        number = channels.number
-        channels.number = number + len(rows)
-        times = self.clock.log_times(arrivals).tolist()
-        for i, (row, log_time) in enumerate(zip(rows, times, strict=True), number):
-            self._add_packet(channels.raw, row.tobytes(), log_time, i)
+        for row, arrival in zip(rows, arrivals.tolist(), strict=True):
+            self.write_raw(name, row.tobytes(), arrival)
 
     def write_signals(
         self, name: str, values: Mapping[str, NDArray[np.float64]], arrival: float
     ) -> None:
         """Writes the decoded values of a good packet, for other programs; after its `write_raw`.
 
+        Raises as `write_raw` does.
+
         Args:
             name: its source.
             values: key of `Signals.shapes` to its array; events by default.
             arrival: when the packet arrived, s on the clock of `time.monotonic`.
-
-        Raises:
-            RecordingError: there is no room. What was written before is kept.
-            UnknownName: no such source was added.
-            ValueError: the arrival is not a time.
         """
         channels = self._find(name)
-        log_time = self.clock.log_time(arrival)
-        self._add(
-            channels.decoded, channels.signals.encode(values), log_time, max(0, channels.number - 1)
-        )
+        log_time, number = self.clock.log_time(arrival), max(0, channels.number - 1)
+        self._add(channels.decoded, channels.signals.encode(values), log_time, number)
 
     def write_signal_rows(
         self,
@@ -239,36 +346,24 @@ class RecordingWriter:
         arrivals: NDArray[np.float64],
         sequences: Sequence[int],
     ) -> None:
-        """Writes the decoded values of many packets.
+        """Writes the decoded values of many packets; raises as `write_raw` does.
 
         Args:
             name: their source.
             table: (n, k), the numbers of all its signals in their order; matrices row by row.
             arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
             sequences: the packets' numbers, n, counted from 0.
-
-        Raises:
-            RecordingError: there is no room. What was written before is kept.
-            UnknownName: no such source was added.
-            ValueError: an arrival is not a time.
         """
         channels = self._find(name)
         messages = channels.signals.encode_table(table)
-        times = self.clock.log_times(arrivals).tolist()
-        for message, log_time, sequence in zip(messages, times, sequences, strict=True):
-            self._add(channels.decoded, message, log_time, sequence)
+        for message, arrival, number in zip(messages, arrivals.tolist(), sequences, strict=True):
+            self._add(channels.decoded, message, self.clock.log_time(arrival), number)
 
     def _find(self, name: str) -> _Channels:
         channels = self._channels.get(name)
         if channels is None:
             raise UnknownName("source", name, self._channels)
         return channels
-
-    def _add_packet(self, channel: int, packet: bytes, log_time: int, number: int) -> None:
-        self._count += 1
-        first, last = self._span
-        self._span = min(first, log_time), max(last, log_time)
-        self._add(channel, packet, log_time, number)
 
     def _add(self, channel: int, data: bytes, log_time: int, number: int) -> None:
         """Adds a message to the chunk, and writes that when it is full."""

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import CsvError
-from ..record.export_csv import column_names
-from ..record.read_csv import read_csv
-from ..record.write_csv import csv_table
+from ..record.csv_files import column_names, csv_table, read_csv
 from .run_log import MEASURED, RunLayout, RunLog, event_of, recorded_event
 
 _COLUMN = re.compile(r"(\w+)\[(\d+)\]")

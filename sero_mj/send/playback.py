@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import CsvError, RecordingError, UsageError, did_you_mean
 from ..receive.structure import Structure
-from ..record.export_csv import column_names
-from ..record.read_csv import read_csv
+from ..record.csv_files import column_names, read_csv
 from ..record.recording import Recording
 from ..record.replay import Replay
 

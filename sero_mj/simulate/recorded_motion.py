@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import CsvError, DeclarationError, Problem, SeroError, did_you_mean
-from ..record.read_csv import read_csv
+from ..record.csv_files import read_csv
 from ..runs.run_recording import read_run
 
 Array = NDArray[np.float64]

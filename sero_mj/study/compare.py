@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..record.write_csv import csv_table
+from ..record.csv_files import csv_table
 from .align import Pair
 from .reduction import peak, rms
 

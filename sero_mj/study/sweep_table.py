@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..errors import CsvError, UsageError
-from ..record.write_csv import csv_table
+from ..record.csv_files import csv_table
 from .sweep import Sweep
 
 

@@ -1,22 +1,145 @@
-"""Reads a table of comma-separated values, to be sent as packets."""
+"""Tables of comma-separated values: a recording as one, and one to be sent as packets."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import math
+import os
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import CsvError
+from ..errors import CsvError, SeroError
 from ..paths import open_file
-from .export_csv import TIME
+
+if TYPE_CHECKING:
+    from _csv import Writer
+
+    from .recording import Recording
 
 Array = NDArray[np.float64]
+
+TIME = "time"
+
+
+@contextlib.contextmanager
+def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[Writer]:
+    """Gives a writer of rows; a file of this name is replaced when all of them are written.
+
+    Until then they are in a file beside it, which goes when something fails. What is no file, a
+    pipe say, is written to as it is.
+
+    Args:
+        path: the table.
+        failed: what is said when it fails, in front of the reason.
+
+    Raises:
+        CsvError: the file cannot be written.
+    """
+    path = Path(path)
+    is_file = path.is_file() or not path.exists()
+    whole = path.resolve() if is_file else path  # what a link leads to, not the link
+    partial = whole.with_name(f"{whole.name}.part") if is_file else whole
+    try:
+        with open(partial, "w", newline="", encoding="utf-8") as file:
+            yield csv.writer(file, lineterminator="\n")
+        if is_file:
+            os.replace(partial, whole)
+    except BaseException as error:
+        if is_file:
+            with contextlib.suppress(OSError):  # it may be its folder that is not there
+                partial.unlink()
+        # Some of this package's own errors are OSErrors as well: of where the rows come from.
+        if isinstance(error, OSError) and not isinstance(error, SeroError):
+            raise CsvError(path, f"{failed}: {error.strerror}") from error
+        raise
+
+
+@dataclass
+class Exported:
+    """What was written to a table.
+
+    Attributes:
+        rows: packets, one row each.
+        malformed: packets that are not in it, because they could not be decoded.
+    """
+
+    rows: int = 0
+    malformed: int = 0
+
+
+def column_names(events: Mapping[str, tuple[int, ...]]) -> list[str]:
+    """Returns a name for every number of a packet: `values0[0]`, `vectors0[0][2]`, ..."""
+    return [
+        event + "".join(f"[{i}]" for i in index)
+        for event, shape in events.items()
+        for index in np.ndindex(*shape)
+    ]
+
+
+def export_csv(
+    recording: Recording,
+    name: str,
+    path: Path | str,
+    decode: Callable[[bytes], Mapping[str, NDArray[np.float64]] | None],
+    *,
+    start: float = -math.inf,
+    stop: float | None = None,
+) -> Exported:
+    """Writes a source's good packets into a table, a row each: time, then all of its numbers.
+
+    Numbers have as many digits as it takes to read the same ones again; NaN is `nan`. The file is
+    there when all of it is there: a file of this name is replaced then.
+
+    Args:
+        recording: where from.
+        name: the source.
+        path: the file to write.
+        decode: a packet to its events; None, or ValueError, for a malformed one.
+        start: from when on, s since the recording began.
+        stop: until before when, likewise; None to the end.
+
+    Returns:
+        How many rows it has, and how many packets it has not.
+
+    Raises:
+        CsvError: the file cannot be written.
+        RecordingError: the recording cannot be read.
+        UnknownName: no such source was recorded.
+    """
+    packets = recording.packets(name, start, stop)
+    events = recording.sources[name].events if name in recording.sources else {}
+    written = Exported()
+
+    def rows() -> Iterator[list[float]]:
+        for time, packet in packets:
+            try:
+                values = decode(packet)
+            except ValueError:  # what `Structure.decode` raises for a packet of another size
+                values = None
+            if values is None:
+                written.malformed += 1
+                continue
+            written.rows += 1
+            row = [time]
+            for event in events:
+                row += values[event].ravel().tolist()
+            yield row
+
+    first = next(rows_of := rows(), None)  # what is wrong with the recording comes before a file
+    with csv_table(path) as table:
+        table.writerow([TIME, *column_names(events)])
+        if first is not None:
+            table.writerow(first)
+        table.writerows(rows_of)
+    return written
 
 
 def read_csv(path: Path | str, *, rate: float | None = None) -> tuple[Array, dict[str, Array]]:

@@ -1,6 +1,17 @@
-"""Decoded events as JSON messages that Foxglove and PlotJuggler can plot.
+"""What makes an MCAP file a recording of ours: topics, metadata, the two clocks, and JSON.
 
-Numbers that have a name of their own (`lwr.A1.torque [Nm]`) are members of the message. Foxglove
+    metadata `sero-mj`    format, version, started, start_epoch_ns, start_monotonic_ns
+    metadata `about`      what the recording is of: scene, robot, ...
+    metadata `lost`       source to the number of packets that could not be kept, where there are
+    channel /NAME/raw     a source's packets, byte for byte; its metadata says how to decode them
+    channel /NAME/signals what the good ones of them mean, as JSON that Foxglove and PlotJuggler
+                          plot; its metadata says of every name where its number comes from
+    attachments           the scene file and its robots' files
+
+A message's log time is when the packet arrived, in ns since the epoch. That clock is the monotonic
+one, moved once, when the recording began: it never jumps, and differences are exact to the ns.
+
+Numbers that have a name of their own (`lwr.A1.torque [Nm]`) are members of a JSON message. Foxglove
 refuses a whole channel whose schema has an array of arrays. So other values are an array of
 numbers; vectors an array of `{x, y, z}`; matrices an array of `{position: {x, y, z}, rotation: [9
 numbers, row by row]}`, which is all of a frame. NaN and infinity, which JSON lacks, are null.
@@ -10,13 +21,105 @@ Numbers have seven significant digits, enough for a plot; the packets beside the
 from __future__ import annotations
 
 import json
+import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .. import __version__
+
+FORMAT = 1
+ABOUT, CLOCK, LOST = "about", "sero-mj", "lost"
+SOURCE_KEY = "sero-mj"  # in the metadata of a raw channel
+RAW_ENCODING = "application/octet-stream"
+SIGNALS_ENCODING, SCHEMA_ENCODING = "json", "jsonschema"
+_MOST_NS = 2**64 - 1
+
+
+@dataclass(frozen=True)
+class RecordingClock:
+    """When a recording began, on both clocks.
+
+    Attributes:
+        epoch_ns: ns since the epoch, UTC.
+        monotonic_ns: ns on the clock of `time.monotonic`.
+    """
+
+    epoch_ns: int = field(default_factory=time.time_ns)
+    monotonic_ns: int = field(default_factory=time.monotonic_ns)
+
+    def log_time(self, arrival: float) -> int:
+        """Returns the log time, ns since the epoch, of an arrival in s on `time.monotonic`.
+
+        Raises:
+            ValueError: it is not a time that a file can hold.
+        """
+        if not math.isfinite(arrival):
+            raise ValueError(f"arrival: found {arrival}; expected seconds on time.monotonic")
+        log_time = round(arrival * 1e9) - self.monotonic_ns + self.epoch_ns
+        if not 0 <= log_time <= _MOST_NS:
+            raise ValueError(f"arrival: found {arrival}, which is before 1970 or after 2554")
+        return log_time
+
+    def to_metadata(self) -> dict[str, str]:
+        """As the metadata record that every recording has."""
+        started = datetime.fromtimestamp(self.epoch_ns / 1e9, UTC)
+        return {
+            "format": str(FORMAT),
+            "version": __version__,
+            "started": started.isoformat(timespec="milliseconds"),
+            "start_epoch_ns": str(self.epoch_ns),
+            "start_monotonic_ns": str(self.monotonic_ns),
+        }
+
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, str]) -> RecordingClock:
+        """Reads it from the metadata record; raises KeyError or ValueError."""
+        return cls(int(metadata["start_epoch_ns"]), int(metadata["start_monotonic_ns"]))
+
+
+@dataclass(frozen=True)
+class SourceDeclaration:
+    """How a source's packets are to be decoded, as a raw channel's metadata carries it.
+
+    Attributes:
+        name: the source's name in routes.
+        kind: its kind, e.g. `udp`.
+        declared: its fields in the scene, of JSON's types.
+        events: event name to its shape.
+        size: bytes of a packet.
+    """
+
+    name: str
+    kind: str
+    declared: Mapping[str, Any]
+    events: Mapping[str, tuple[int, ...]]
+    size: int
+
+    def to_json(self) -> str:
+        """As JSON; raises TypeError for a field that is not of JSON's types."""
+        plain = {"declared": dict(self.declared), "events": dict(self.events)}
+        return json.dumps({**vars(self), **plain})
+
+    @classmethod
+    def from_json(cls, text: str) -> SourceDeclaration:
+        """Reads it from JSON; raises KeyError, TypeError, AttributeError or ValueError."""
+        found = json.loads(text)
+        events = {str(event): tuple(map(int, shape)) for event, shape in found["events"].items()}
+        return cls(
+            str(found["name"]),
+            str(found["kind"]),
+            dict(found["declared"]),
+            events,
+            int(found["size"]),
+        )
+
 
 _NUMBER = {"type": "number"}
 _POINT = {"type": "object", "properties": {axis: _NUMBER for axis in "xyz"}}
