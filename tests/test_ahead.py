@@ -9,9 +9,8 @@ import pytest
 
 from sero_mj.load import load_scene
 from sero_mj.receive.structure import Structure
-from sero_mj.send.packet_buffer import PacketBuffer
 from sero_mj.send.play import MotionPackets
-from sero_mj.send.sender import paced, send
+from sero_mj.send.sender import PacketBuffer, paced, send
 
 PARABOLA = Structure("n:1H t:1I at:1d v:2f tag:1B=7 bits:1I")
 

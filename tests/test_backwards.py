@@ -17,8 +17,8 @@ from sero_mj.drive.place import Placer, Router
 from sero_mj.drive.wiring import wire
 from sero_mj.errors import UsageError
 from sero_mj.receive.structure import are_frames
-from sero_mj.send._motion import InverseDynamics, SineMotion
-from sero_mj.send.play import LEAD, MotionPackets
+from sero_mj.send.motion import LEAD, InverseDynamics, SineMotion
+from sero_mj.send.play import MotionPackets
 
 Array = NDArray[np.float64]
 T = 0.37

@@ -17,7 +17,8 @@ from sero_mj.drive.mirror import Mirror
 from sero_mj.drive.place import Placer
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
-from sero_mj.send.play import LEAD, MotionPackets
+from sero_mj.send.motion import LEAD
+from sero_mj.send.play import MotionPackets
 from sero_mj.show.camera import bounding_sphere
 from sero_mj.show.picking import pick
 

@@ -22,7 +22,8 @@ from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import SourceError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.receive.fri import FriLayout, FriReceiver, no_command
-from sero_mj.send.fri_controller import AnswerStatistics, FriController, FriSignals, NetworkFaults
+from sero_mj.send.fri_controller import AnswerStatistics, FriController, NetworkFaults
+from sero_mj.send.motion import FriSignals
 from sero_mj.send.sender import UdpSink
 
 # A controller in a process of its own; it prints what it did when it has sent its packets.

@@ -13,7 +13,7 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.drive.place import follow
-from sero_mj.send._motion import InverseDynamics, SineMotion
+from sero_mj.send.motion import InverseDynamics, SineMotion
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81  # m/s2, MuJoCo's default

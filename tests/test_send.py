@@ -16,7 +16,7 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_parts import VALUE_INPUTS
 from sero_mj.assemble.scene import Scene
 from sero_mj.errors import SourceError, StructureError, UsageError
-from sero_mj.send._motion import InverseDynamics, SineMotion
+from sero_mj.send.motion import InverseDynamics, SineMotion
 from sero_mj.send.play import MotionPackets
 from sero_mj.send.sender import SendReport, UdpSink, paced, send
 

@@ -23,7 +23,7 @@ from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import Block
 from sero_mj.receive.structure import Structure
 from sero_mj.record.replay import Replay
-from sero_mj.send.shm_writer import ShmWriter
+from sero_mj.send.sender import ShmWriter
 
 __all__ = ["block"]  # a fixture
 pytestmark = needs_posix

@@ -10,8 +10,7 @@ from ..errors import UsageError
 if TYPE_CHECKING:
     from ..receive.source import Source
     from ..receive.structure import Structure
-    from ..send.sender import UdpSink
-    from ..send.shm_writer import ShmWriter
+    from ..send.sender import ShmWriter, UdpSink
 
 
 def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
@@ -37,8 +36,7 @@ def make_sink(
     """
     from ..receive.shm import ShmReader
     from ..receive.udp import UdpReceiver
-    from ..send.sender import UdpSink
-    from ..send.shm_writer import ShmWriter
+    from ..send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
         if not isinstance(source, ShmReader):

@@ -91,9 +91,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
-    from ..send.packet_buffer import PacketBuffer
     from ..send.play import MotionPackets
-    from ..send.sender import paced, send
+    from ..send.sender import PacketBuffer, paced, send
 
     rate = 1000.0 if options.rate is None else options.rate
     amplitude = 1.0 if options.amplitude is None else options.amplitude

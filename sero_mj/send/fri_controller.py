@@ -1,7 +1,7 @@
 """`FriController`: sends what the controller of an LWR sends, as it sends it.
 
-`FriSignals` are the robot's values during a motion, `AnswerStatistics` is what the controller makes
-of a client's answers, `NetworkFaults` is a network that loses packets.
+`AnswerStatistics` is what the controller makes of a client's answers, `NetworkFaults` is a network
+that loses packets.
 """
 
 from __future__ import annotations
@@ -10,20 +10,17 @@ import select
 import socket
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
-from ..assemble.scene import Scene
-from ..assemble.world import World
 from ..errors import UsageError, did_you_mean
-from ..receive.fri import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
+from ..receive.fri import COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
-from ._motion import SineMotion
+from .motion import FriSignals
 from .sender import SendReport, UdpSink, send
 
 Array = NDArray[np.float64]
@@ -37,11 +34,6 @@ _PATIENCE = 2  # packets that may go out before the answer to one is missed; our
 # The answer rate from which a quality is reached. FRI says that it grades the link in four steps,
 # not where these are; the thresholds are ours.
 _REACHED_FROM = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
-_LEAD = 0.3  # s; much, so that the commanded position is seen beside the measured one
-_FORCE = 40.0  # N; as when somebody leans on the tool
-_MOMENT = 4.0  # Nm
-_ROOM_TEMPERATURE, _WARM_UP = 28.0, 14.0  # C
-_JOINT_IMPEDANCE = 3
 
 
 class FriController:
@@ -197,71 +189,6 @@ class FriController:
             return True
         self.take_answer(packet, time.perf_counter())
         return True
-
-
-class FriSignals:
-    """Values of FRI's events at any time, consistent with each other.
-
-    The flange frame is computed from the DH table and the rest by MuJoCo, so that a flange check
-    compares two computations. The measured torques are what the motion takes less what the
-    external force does; gravity torques hold the robot. FRI gives the wrench and the Jacobian in
-    the task frame of the controller's stiffness; here that is the flange's frame.
-
-    Args:
-        robot: seven joints.
-        amplitude: of the motion, 0 stands still, to 1.
-    """
-
-    def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
-        self._robot = robot
-        self._motion = SineMotion(robot, amplitude)
-        self._world = World(Scene(robots=[robot], floor=False))
-        self._data = self._world.make_data()
-        self._world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        frames = self._world.frames
-        self._site = int(frames.site[frames.names.index(f"{robot.name}/flange")])
-
-    def at(self, t: float) -> Mapping[str, Array]:
-        """Returns event name to value at time t (s)."""
-        model, data = self._world.model, self._data
-        position, velocity, acceleration = self._motion.at(t)
-        commanded = self._motion.at(t + _LEAD)[0]
-        data.qpos[:], data.qvel[:], data.qacc[:] = position, 0.0, 0.0
-        mujoco.mj_inverse(model, data)
-        gravity = data.qfrc_inverse.copy()
-        data.qvel[:], data.qacc[:] = velocity, acceleration
-        mujoco.mj_inverse(model, data)
-        needed = data.qfrc_inverse.copy()
-        jacobian = np.zeros((2, 3, 7))
-        mujoco.mj_jacSite(model, data, jacobian[0], jacobian[1], self._site)
-        turned = data.site_xmat[self._site].reshape(3, 3).T  # the world's axes in the flange's
-        jacobian = (turned @ jacobian).reshape(6, 7)
-        mass = np.zeros((7, 7))
-        mujoco.mj_fullM(model, data, mass)
-        force = _FORCE * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
-        moment = _MOMENT * np.array([np.sin(0.6 * t), np.cos(0.7 * t), np.sin(0.8 * t)])
-        external = jacobian.T @ np.concatenate([force, moment])
-        return {
-            "power": np.array([ALL_DRIVES]),
-            "control": np.array([_JOINT_IMPEDANCE]),
-            "temperatures": self._temperatures(t),
-            "joint_angles": position,
-            "flange_frame": self._robot.fwd_kin_base_to_flange(position),
-            "commanded_angles": commanded,
-            "commanded_frame": self._robot.fwd_kin_base_to_flange(commanded),
-            "torques": needed - external,
-            "external_torques": external,
-            "tcp_force": force,
-            "tcp_moment": moment,
-            "jacobian": jacobian.ravel(),
-            "mass_matrix": mass.ravel(),
-            "gravity_torques": gravity,
-        }
-
-    def _temperatures(self, t: float) -> Array:
-        """Drives warm up within minutes, those near the base more."""
-        warmth = 1.0 - 0.6 * float(np.exp(-t / 300.0))
-        return np.asarray(_ROOM_TEMPERATURE + _WARM_UP * warmth * np.linspace(1.0, 0.6, 7))
 
 
 @dataclass

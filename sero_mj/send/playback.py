@@ -159,12 +159,17 @@ class TablePackets(Playback):
             if name not in names:
                 near = did_you_mean(name, names)
                 raise CsvError(file, f"'{structure.text}' has no such number{near}", column=name)
-        self._columns = {
-            event: _of_event(columns, event, shape, len(self._times))
-            for event, shape in structure.events.items()
-            if any(name in columns for name in column_names({event: shape}))
-        }
-        self._check_complete(file, columns, structure)
+        self._columns: dict[str, Array] = {}
+        for event, shape in structure.events.items():
+            own = column_names({event: shape})
+            missing = [name for name in own if name not in columns]
+            if 0 < len(missing) < len(own):  # the others would be made up
+                few = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
+                has = f"has {len(own) - len(missing)} of the {len(own)} numbers of {event}"
+                raise CsvError(file, f"{has}; no column is called {few}")
+            if not missing:
+                numbers = np.stack([columns[name] for name in own], axis=1)
+                self._columns[event] = numbers.reshape(-1, *shape)
         about = f"{file}, {', '.join(self._columns)}"
         duration = float(self._times[-1] - self._times[0])
         super().__init__(structure, about, len(self._times), duration)
@@ -176,21 +181,6 @@ class TablePackets(Playback):
             packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
             if packet is not None:
                 yield time, packet
-
-    def _check_complete(
-        self, file: Path, columns: Mapping[str, Array], structure: Structure
-    ) -> None:
-        """Refuses an event of which only some numbers are there: the others would be made up."""
-        for event in self._columns:
-            wanted = column_names({event: structure.events[event]})
-            missing = [name for name in wanted if name not in columns]
-            if missing:
-                names = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
-                reason = (
-                    f"has {len(wanted) - len(missing)} of the {len(wanted)} numbers of {event}; "
-                    f"no column is called {names}"
-                )
-                raise CsvError(file, reason)
 
 
 def timed(
@@ -220,15 +210,6 @@ def timed(
         if not loop or not sent:
             return
         begin += playback.duration + pause
-
-
-def _of_event(
-    columns: Mapping[str, Array], event: str, shape: tuple[int, ...], count: int
-) -> Array:
-    """An event's numbers of all rows, (count, ...); NaN where the table has none."""
-    none = np.full(count, np.nan)
-    numbers = [columns.get(name, none) for name in column_names({event: shape})]
-    return np.stack(numbers, axis=1).reshape(count, *shape)
 
 
 def _identities(structure: Structure) -> dict[str, Array]:

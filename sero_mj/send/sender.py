@@ -1,11 +1,17 @@
-"""Sends packets at an exact rate, by UDP or through shared memory."""
+"""Sends packets at an exact rate, by UDP or through shared memory.
+
+`UdpSink` and `ShmWriter` are where they go; `PacketBuffer` makes them ahead of time, so that they
+leave on time; `send` keeps the rate.
+"""
 
 from __future__ import annotations
 
 import gc
 import itertools
+import math
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
@@ -13,8 +19,12 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from ..errors import SourceError
+from ..receive.shm_block import Block, block_path
+from ..receive.structure import Rows, Structure
 
 _SPIN = 2e-4  # s; sleeping is not exact to less than this, so the rest is waited for actively
+_COMPUTED = 1000.0  # packets/s; between them floating-point numbers go along straight lines
+_AHEAD = 0.25  # s
 
 
 class Sink(Protocol):
@@ -63,6 +73,178 @@ class UdpSink:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+class ShmWriter:
+    """Writes packets of one structure to a block of POSIX shared memory, each over the one before.
+
+    The block is made where there is none, and made larger where it is too small; one that this
+    writer has made goes with it.
+
+    Args:
+        block: name of the shared memory, `robot` or `/robot`.
+        structure: of the packets.
+        lock: event that is made odd before a packet is written and even when it is there (a
+            seqlock); what the packets have there is not used. Empty for none: readers then have to
+            guess whether a packet is whole.
+        offset: where in the block the packet begins, bytes.
+
+    Attributes:
+        place: kind and name in a few words, for people.
+
+    Raises:
+        SourceError: no block can have this name, or it may not be made or written.
+        UnknownName: the structure has no event `lock`.
+        ValueError: `lock` is several numbers.
+    """
+
+    def __init__(self, block: str, structure: Structure, lock: str = "", offset: int = 0) -> None:
+        self.place = f"shared memory {block}"
+        self._size, self._offset = structure.size, offset
+        self._lock = structure.field(lock) if lock else None
+        if self._lock is not None and self._lock.numbers != 1:
+            raise ValueError(f"lock '{lock}' has {self._lock.numbers} numbers; expected one")
+        try:
+            self.place = f"shared memory {block_path(block)}"
+            self._block, self._is_own = _open(block)
+            if self._block.size < offset + self._size:
+                self._block.resize(offset + self._size)
+            self._number = self._found_lock()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise SourceError("writer", f"{self.place}: {reason}") from error
+
+    def _found_lock(self) -> int:
+        """The lock's number that another writer has left, maybe in the middle of a packet."""
+        if self._lock is None:
+            return 0
+        field = self._lock
+        found = self._block.read(field.end - field.offset, self._offset + field.offset)
+        number = np.frombuffer(found, field.dtype)[0]
+        return int(number) if np.isfinite(number) and 0 <= number < _modulus(field.dtype) else 0
+
+    def put(self, packet: bytes) -> None:
+        """Writes a packet over the one before.
+
+        Raises:
+            OSError: the system refuses, because there is no memory left, say.
+            ValueError: the packet is not as long as the structure says.
+        """
+        if len(packet) != self._size:
+            raise ValueError(f"found {len(packet)} bytes; expected {self._size}")
+        block, offset, field = self._block, self._offset, self._lock
+        if field is None:
+            block.write(packet, offset)
+            return
+        modulus = _modulus(field.dtype)
+        odd = self._number | 1
+        self._number = (odd + 1) % modulus or 2  # 0 means that nothing has been written
+        before, after = (np.array(n, field.dtype).tobytes() for n in (odd, self._number))
+        # Three calls: each has had its effect when the next begins, for readers on every processor.
+        block.write(before, offset + field.offset)
+        block.write(packet[: field.offset] + before + packet[field.end :], offset)
+        block.write(after, offset + field.offset)
+
+    def close(self) -> None:
+        """Closes the block, and removes it where this writer has made it."""
+        if self._is_own:
+            self._block.unlink()
+        self._block.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class PacketBuffer:
+    """Packets of a motion at a high rate, made in the time that is left between two of them.
+
+    Up to 1 kHz every packet is computed; above, as many as that are, and those in between are
+    interpolated: an LWR's joint angles are then 1e-6 rad off at most.
+
+    Args:
+        packet_at: makes the packet of a time (s).
+        structure: of the packets.
+        rate: packets per second.
+        sequence: event that numbers the packets, from 1; empty for none.
+        time: event that says when a packet leaves; empty for none.
+        time_scale: s per unit of `time`.
+    """
+
+    def __init__(
+        self,
+        packet_at: Callable[[float], bytes],
+        structure: Structure,
+        *,
+        rate: float,
+        sequence: str = "",
+        time: str = "",
+        time_scale: float = 1.0,
+    ) -> None:
+        self._packet_at, self._rate = packet_at, rate
+        self._sequence = structure.field(sequence) if sequence else None
+        self._time = structure.field(time) if time else None
+        self._time_scale = time_scale
+        self._floats = [field for field in structure.fields if field.is_float]
+        self._step = max(math.ceil(rate / _COMPUTED), 1)
+        self._packets: deque[bytes] = deque()
+        self._first = 0  # the number of the first of them, from 0
+        self._made = 0
+        self._last: Rows | None = None
+        self._takes = 0.0  # s to make some more
+
+    def at(self, t: float) -> bytes:
+        """Returns the packet of time t (s); times are those of packets, and go up."""
+        number = round(t * self._rate)
+        while self._made <= number:
+            self._make()
+        while self._first < number:
+            self._packets.popleft()
+            self._first += 1
+        return self._packets[0]
+
+    def idle(self, left: float) -> bool:
+        """Makes packets if that takes less than the time left (s); returns whether it has."""
+        if left < 1.5 * self._takes or len(self._packets) > _AHEAD * self._rate:
+            return False
+        self._make()
+        return True
+
+    def _make(self) -> None:
+        """Computes one packet and interpolates those up to the next."""
+        start = time.perf_counter()
+        step, made = self._step, self._made
+        here = self._compute(made) if self._last is None else self._last
+        rows = np.repeat(here[None], step, axis=0)
+        if step > 1:
+            self._last = self._compute(made + step)
+            share = np.arange(step)[:, None] / step
+            for field in self._floats:
+                part = slice(field.offset, field.end)
+                low, high = here[part].view(field.dtype), self._last[part].view(field.dtype)
+                with np.errstate(invalid="ignore", over="ignore"):
+                    between = low + share * (high - low)
+                rows[:, part].view(field.dtype)[:] = between
+        numbers = np.arange(made, made + step)
+        if self._sequence is not None:
+            field = self._sequence
+            # As a counter in C does, it wraps.
+            counted = (numbers + 1).astype("<i8").astype(field.dtype)
+            rows[:, field.offset : field.end].view(field.dtype)[:, 0] = counted
+        if self._time is not None:
+            field, stamps = self._time, numbers / self._rate / self._time_scale
+            if not field.is_float:
+                stamps = np.rint(stamps).astype("<i8")
+            rows[:, field.offset : field.end].view(field.dtype)[:, 0] = stamps.astype(field.dtype)
+        self._packets.extend(row.tobytes() for row in rows)
+        self._made += step
+        took = time.perf_counter() - start
+        self._takes = took if not self._takes else 0.9 * self._takes + 0.1 * took
+
+    def _compute(self, number: int) -> Rows:
+        return np.frombuffer(self._packet_at(number / self._rate), np.uint8)
 
 
 @dataclass
@@ -161,3 +343,22 @@ def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> floa
     while (late := time.perf_counter() - when) < 0:
         pass
     return late
+
+
+def _open(name: str) -> tuple[Block, bool]:
+    """The block, and whether it was made just now."""
+    while True:  # another writer may make or remove it meanwhile
+        try:
+            return Block(name, writable=True), False
+        except FileNotFoundError:
+            try:
+                return Block(name, writable=True, create=True), True
+            except FileExistsError:
+                continue
+
+
+def _modulus(dtype: np.dtype[np.generic]) -> int:
+    """Up to where a lock of this type can count exactly."""
+    if dtype.kind == "f":
+        return 2**53 if dtype.itemsize == 8 else 2**24
+    return int(2 ** (8 * dtype.itemsize - (dtype.kind == "i")))

@@ -1,0 +1,185 @@
+"""A motion as a robot would make it, and what can be measured during it.
+
+It is smooth, within the robot's limits, and comes with the torques that it takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble.robot import SerialRobot
+from ..assemble.scene import Scene
+from ..assemble.world import World
+from ..receive.fri import ALL_DRIVES
+
+Array = NDArray[np.float64]
+
+LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
+_AMPLITUDE = 0.4  # of half the joint's range
+_BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
+_DEFAULT_RANGE = (-1.0, 1.0)  # rad or m, for joints without limits
+_LONGEST_SWING = 1.1  # rad
+_PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
+_FRI_LEAD = 0.3  # s; much, so that the commanded position is seen beside the measured one
+_FORCE = 40.0  # N; as when somebody leans on the tool
+_MOMENT = 4.0  # Nm
+_ROOM_TEMPERATURE, _WARM_UP = 28.0, 14.0  # C
+_JOINT_IMPEDANCE = 3
+
+
+class SineMotion:
+    """Every joint swings with its own period; velocities stay below the limits.
+
+    Args:
+        robot: whose limits to keep.
+        amplitude: scales the swing; 0 stands still.
+    """
+
+    def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
+        limits = robot.position_limits
+        low, high = (limits if limits is not None else np.tile(_DEFAULT_RANGE, (robot.n, 1))).T
+        half = (high - low) / 2
+        sign = np.where(np.arange(robot.n) % 2 == 0, 1.0, -1.0)
+        self._centre = (low + high) / 2 + sign * _BEND * half
+        swing = np.minimum(_AMPLITUDE * half, _LONGEST_SWING) * min(max(amplitude, 0.0), 1.0)
+        self._omega = 2 * np.pi / np.resize(_PERIODS, robot.n)
+        self._phase = 0.7 * np.arange(robot.n)
+        if robot.velocity_limits is not None:
+            swing = np.minimum(swing, 0.8 * robot.velocity_limits / self._omega)
+        self._swing = swing
+
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """Joint positions, velocities and accelerations (n,) at time t (s)."""
+        angle = self._omega * t + self._phase
+        sin, cos = np.sin(angle), np.cos(angle)
+        return (
+            self._centre + self._swing * sin,
+            self._swing * self._omega * cos,
+            -self._swing * self._omega**2 * sin,
+        )
+
+
+class InverseDynamics:
+    """Joint torques of one robot from its motion, by MuJoCo's inverse dynamics.
+
+    Masses are those of the robot's file; where it has none, they follow from the volume of the
+    links at the density of water, so the torques are then an estimate.
+
+    Attributes:
+        world: of the robot alone.
+        data: its state, as the last motion left it.
+    """
+
+    def __init__(self, robot: SerialRobot) -> None:
+        self.world = World(Scene(robots=[robot], floor=False))
+        self.data = self.world.make_data()
+        self.world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+    def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Joint torques that make the motion.
+
+        Args:
+            position: of the joints, (n,), rad or m.
+            velocity: of the joints, (n,), rad/s or m/s.
+            acceleration: of the joints, (n,), rad/s2 or m/s2.
+
+        Returns:
+            torques, (n,), Nm or N.
+        """
+        data = self.data
+        data.qpos[:], data.qvel[:], data.qacc[:] = position, velocity, acceleration
+        mujoco.mj_inverse(self.world.model, data)
+        return np.array(data.qfrc_inverse)
+
+
+class RobotSignals:
+    """The measured signals of one robot during a motion.
+
+    Args:
+        robot: that moves.
+        amplitude: of the motion, 0 stands still, to 1.
+    """
+
+    def __init__(self, robot: SerialRobot, amplitude: float) -> None:
+        self._robot = robot
+        self._motion = SineMotion(robot, amplitude)
+        self._dynamics = InverseDynamics(robot)
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+        position, velocity, acceleration = self._motion.at(t)
+        torques = self._dynamics.torques(position, velocity, acceleration)
+        return {
+            "joint_angles": position,
+            "commanded_angles": self._motion.at(t + LEAD)[0],
+            "torques": torques,
+            "commanded_torques": torques,  # a perfect controller: the error is zero
+            "joint_accelerations": acceleration,
+            "billboard_values": velocity,
+            "flange_check": self._robot.fwd_kin_base_to_flange(position),
+            # Of the robot's own inputs nothing is known; temperatures in degrees, say.
+            "further": 30.0 + 5.0 * np.sin(0.2 * t + np.arange(self._robot.n)),
+        }
+
+
+class FriSignals:
+    """Values of FRI's events at any time, consistent with each other.
+
+    The flange frame is computed from the DH table and the rest by MuJoCo, so that a flange check
+    compares two computations. The measured torques are what the motion takes less what the
+    external force does; gravity torques hold the robot. FRI gives the wrench and the Jacobian in
+    the task frame of the controller's stiffness; here that is the flange's frame.
+
+    Args:
+        robot: seven joints.
+        amplitude: of the motion, 0 stands still, to 1.
+    """
+
+    def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
+        self._robot = robot
+        self._motion = SineMotion(robot, amplitude)
+        self._dynamics = InverseDynamics(robot)
+        frames = self._dynamics.world.frames
+        self._site = int(frames.site[frames.names.index(f"{robot.name}/flange")])
+
+    def at(self, t: float) -> Mapping[str, Array]:
+        """Returns event name to value at time t (s)."""
+        model, data = self._dynamics.world.model, self._dynamics.data
+        position, velocity, acceleration = self._motion.at(t)
+        commanded = self._motion.at(t + _FRI_LEAD)[0]
+        gravity = self._dynamics.torques(position, np.zeros(7), np.zeros(7))
+        needed = self._dynamics.torques(position, velocity, acceleration)
+        jacobian = np.zeros((2, 3, 7))
+        mujoco.mj_jacSite(model, data, jacobian[0], jacobian[1], self._site)
+        turned = data.site_xmat[self._site].reshape(3, 3).T  # the world's axes in the flange's
+        jacobian = (turned @ jacobian).reshape(6, 7)
+        mass = np.zeros((7, 7))
+        mujoco.mj_fullM(model, data, mass)
+        force = _FORCE * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
+        moment = _MOMENT * np.array([np.sin(0.6 * t), np.cos(0.7 * t), np.sin(0.8 * t)])
+        external = jacobian.T @ np.concatenate([force, moment])
+        return {
+            "power": np.array([ALL_DRIVES]),
+            "control": np.array([_JOINT_IMPEDANCE]),
+            "temperatures": self._temperatures(t),
+            "joint_angles": position,
+            "flange_frame": self._robot.fwd_kin_base_to_flange(position),
+            "commanded_angles": commanded,
+            "commanded_frame": self._robot.fwd_kin_base_to_flange(commanded),
+            "torques": needed - external,
+            "external_torques": external,
+            "tcp_force": force,
+            "tcp_moment": moment,
+            "jacobian": jacobian.ravel(),
+            "mass_matrix": mass.ravel(),
+            "gravity_torques": gravity,
+        }
+
+    def _temperatures(self, t: float) -> Array:
+        """Drives warm up within minutes, those near the base more."""
+        warmth = 1.0 - 0.6 * float(np.exp(-t / 300.0))
+        return np.asarray(_ROOM_TEMPERATURE + _WARM_UP * warmth * np.linspace(1.0, 0.6, 7))
