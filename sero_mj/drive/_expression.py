@@ -21,8 +21,11 @@ from __future__ import annotations
 
 import ast
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
+from math import isfinite
+from operator import add
 from typing import Any, NoReturn
 
 import numpy as np
@@ -30,7 +33,7 @@ from numpy.typing import NDArray
 
 from ..assemble.scene import NOT, Token, tokens_of
 from ..errors import RouteError
-from ._units import LENGTH, Exponents, describe
+from ._units import LENGTH, NONE, Dimension, describe
 from .route import Affine, Origin, Term, make_affine
 
 _MAX_DEPTH = 40  # brackets within each other
@@ -60,13 +63,13 @@ class Expression:
     @property
     def name(self) -> str | None:
         """The name that is all there is, else None."""
-        word = self.words[first_word(self.tree)]
+        word = self.words[_first_word(self.tree)]
         return word.text if isinstance(self.tree, ast.Name) and word.kind == "name" else None
 
     def text_of(self, node: ast.expr) -> str:
         """A part of the text."""
-        last = self.words[word_after(node) - 1]
-        return self.text[self.words[first_word(node)].at : last.at + len(last.text)]
+        last = self.words[_word_after(node) - 1]
+        return self.text[self.words[_first_word(node)].at : last.at + len(last.text)]
 
     def refuse(self, word: int, reason: str, length: int = 1) -> NoReturn:
         """Raises a RouteError that points at a word.
@@ -181,17 +184,47 @@ def _expected(before: Sequence[str], found: Token) -> str:
     return f"expected +, -, * or / between spaces{' before it' if named else end}"
 
 
-def first_word(node: ast.expr) -> int:
+def _first_word(node: ast.expr) -> int:
     """Index of a part's first word."""
     return node.col_offset // 2
 
 
-def word_after(node: ast.expr) -> int:
+def _word_after(node: ast.expr) -> int:
     """Index of the word behind a part."""
     return (node.end_col_offset or 0) // 2
 
 
-Array = NDArray[np.float64]
+Numbers = NDArray[Any]  # of `_Number`
+
+
+@dataclass(frozen=True, slots=True)
+class _Number:
+    """A constant plus multiples of received numbers: origin, index and factor of each."""
+
+    offset: float
+    unit: Dimension = NONE
+    terms: tuple[tuple[Origin, int, float], ...] = ()
+
+    def plus(self, other: _Number) -> _Number:
+        unit = self.unit if any(self.unit) else other.unit
+        return _Number(self.offset + other.offset, unit, self.terms + other.terms)
+
+    def times(self, constant: _Number) -> _Number:
+        unit = tuple(map(add, self.unit, constant.unit))
+        terms = tuple((origin, index, by * constant.offset) for origin, index, by in self.terms)
+        return _Number(self.offset * constant.offset, unit, terms)
+
+    def inverse(self) -> _Number:
+        """One over a constant."""
+        return _Number(1.0 / self.offset, tuple(-exponent for exponent in self.unit))
+
+
+_MINUS_ONE = _Number(-1.0)
+
+
+def _each(function: Callable[..., _Number], *operands: Any) -> Numbers:
+    """Applies a function to every entry, by numpy's rules for shapes."""
+    return np.asarray(np.frompyfunc(function, len(operands), 1)(*operands), dtype=object)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,16 +232,14 @@ class Value:
     """An array of constants plus multiples of received numbers.
 
     Attributes:
-        entries: an array of the value's shape, with fields: `offset`, the constant; `unit`, the
-            exponents of its unit (4); `index`, which of the received numbers are added (k), -1 for
-            none; `factor`, what each is multiplied by (k).
+        entries: an array of `_Number`, of the value's shape.
         is_frames: whether it is 4 x 4 frames.
-        origins: what the numbers are counted through, each with how many it has.
+        sizes: how many numbers its origins have.
     """
 
-    entries: NDArray[np.void]
+    entries: Numbers
     is_frames: bool = False
-    origins: Mapping[Origin, int] = field(default_factory=dict)
+    sizes: Mapping[Origin, int] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -216,64 +247,51 @@ class Value:
         return self.entries.shape
 
     @property
-    def offset(self) -> Array:
-        """The constants, of the value's shape."""
-        return np.asarray(self.entries["offset"])
-
-    @property
-    def dimensions(self) -> Exponents:
-        """Exponents of the unit of each entry, (*shape, 4)."""
-        return np.asarray(self.entries["unit"])
+    def units(self) -> list[Dimension]:
+        """Of every entry, row by row."""
+        return [entry.unit for entry in self.entries.flat]
 
     @property
     def is_constant(self) -> bool:
         """Whether nothing received is in it."""
-        return not self.entries["index"].shape[-1]
+        return not any(entry.terms for entry in self.entries.flat)
 
     def compile(self, count: int) -> Affine:
         """Returns what runs with every packet; a constant number is repeated `count` times."""
         entries = np.broadcast_to(self.entries.ravel(), count)
-        origins, starts = list(self.origins), np.cumsum([0, *self.origins.values()])
         terms = []
-        for index, factor in zip(entries["index"].T, entries["factor"].T, strict=True):
-            owners = np.searchsorted(starts, index, side="right") - 1
-            for owner in np.unique(owners[index >= 0]).tolist():
-                at = np.flatnonzero(owners == owner)
-                take = index[at] - starts[owner]
-                terms.append(Term(origins[owner], at, take, factor[at]))
-        return make_affine(np.array(entries["offset"]), terms, self.origins)
+        for column in zip_longest(*(entry.terms for entry in entries)):
+            by_origin: dict[Origin, list[tuple[int, int, float]]] = {}
+            for at, term in enumerate(column):
+                if term is not None:
+                    origin, take, times = term
+                    by_origin.setdefault(origin, []).append((at, take, times))
+            for origin, rows in by_origin.items():
+                terms.append(Term(origin, *map(np.array, zip(*rows, strict=True))))
+        return make_affine(np.array([entry.offset for entry in entries]), terms, self.sizes)
 
 
-def constant(number: float, dimension: tuple[int, ...] = (0, 0, 0, 0)) -> Value:
+def constant(number: float, unit: Dimension = NONE) -> Value:
     """A number, with the exponents of its unit."""
-    entries = _entries((), 0)
-    entries["offset"], entries["unit"] = number, dimension
-    return Value(entries)
+    return Value(np.array(_Number(number, unit), dtype=object))
 
 
-def numbers_of(origin: Origin, shape: tuple[int, ...], dimensions: Exponents | None) -> Value:
+def numbers_of(
+    origin: Origin, shape: tuple[int, ...], units: Sequence[Dimension] | None = None
+) -> Value:
     """All numbers of an event or output.
 
     Args:
         origin: which.
         shape: of its array.
-        dimensions: exponents of their units, (count, 4); None for plain numbers.
+        units: exponents of the unit of each; None for plain numbers.
     """
     count = int(np.prod(shape))
-    entries = _entries((count,), 1)
-    entries["index"][:, 0], entries["factor"] = np.arange(count), 1.0
-    if dimensions is not None:
-        entries["unit"] = dimensions
-    return Value(entries.reshape(shape), len(shape) == 3, {origin: count})
-
-
-def _entries(shape: tuple[int, ...], width: int) -> NDArray[np.void]:
-    """Zeros, each entry with room for so many received numbers."""
-    fields: list[Any] = [("offset", np.float64), ("unit", np.int64, (4,))]
-    fields += [("index", np.intp, (width,)), ("factor", np.float64, (width,))]
-    entries = np.zeros(shape, fields)
-    entries["index"] = -1
-    return entries
+    numbers = [
+        _Number(0.0, unit, ((origin, i, 1.0),)) for i, unit in enumerate(units or [NONE] * count)
+    ]
+    entries = np.array(numbers, dtype=object).reshape(shape)
+    return Value(entries, len(shape) == 3, {origin: count})
 
 
 def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
@@ -286,18 +304,13 @@ def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
     Raises:
         RouteError: points at what has no meaning, and says why.
     """
-    origins: dict[Origin, int] = {}
-    numbered = {}
-    for name, value in names.items():
-        entries = value.entries.copy()
-        entries["index"] += sum(origins.values())
-        numbered[name] = replace(value, entries=entries)
-        origins |= value.origins
-    with np.errstate(all="ignore"):
-        value = _Evaluator(expression, numbered).evaluate(expression.tree)
-    if not (np.isfinite(value.offset).all() and np.isfinite(value.entries["factor"]).all()):
-        raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
-    return replace(value, origins=origins)
+    with np.errstate(all="ignore"):  # what is not finite is refused below
+        value = _Evaluator(expression, names).evaluate(expression.tree)
+    for entry in value.entries.flat:
+        if not all(map(isfinite, (entry.offset, *(times for _, _, times in entry.terms)))):
+            raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
+    sizes = {origin: size for each in names.values() for origin, size in each.sizes.items()}
+    return replace(value, sizes=sizes)
 
 
 class _Evaluator:
@@ -326,107 +339,82 @@ class _Evaluator:
                 case ast.UnaryOp(op=ast.USub()):
                     if value.is_frames:
                         self._refuse_frames(outer)
-                    value = _scaled(value, np.float64(-1.0))
+                    value = Value(_each(_Number.times, value.entries, _MINUS_ONE))
         return value
 
     def _operand(self, node: ast.expr) -> Value:
         if isinstance(node, ast.List):
-            return self._join(node)
-        word = self._expression.words[first_word(node)]
+            values = [self.evaluate(item) for item in node.elts]
+            if any(value.is_frames for value in values):
+                self._refuse_frames(node)
+            return Value(np.concatenate([value.entries.ravel() for value in values]))
+        word = self._expression.words[_first_word(node)]
         if word.kind == "name":
             return self._names[word.text]
-        if not np.isfinite(number := float(word.text)):
-            self._refuse(first_word(node), "expected a smaller number", len(word.text))
+        if not isfinite(number := float(word.text)):
+            self._refuse(_first_word(node), "expected a smaller number", len(word.text))
         return constant(number)
 
-    def _binary(self, node: ast.BinOp, left: Value, right: Value) -> Value:
-        at = word_after(node.left)  # but for brackets
-        while (sign := self._expression.words[at].text) == ")":
+    def _behind(self, node: ast.expr) -> int:
+        """Index of the sign behind an operand and its brackets."""
+        at = _word_after(node)
+        while self._expression.words[at].text == ")":
             at += 1
+        return at
+
+    def _binary(self, node: ast.BinOp, left: Value, right: Value) -> Value:
+        at = self._behind(node.left)
+        sign = self._expression.words[at].text
         if left.is_frames or right.is_frames:
             return self._scaled_frames(at, sign, left, right)
         try:
-            shape = np.broadcast_shapes(left.shape, right.shape)
+            pairs = np.broadcast(left.entries, right.entries)
         except ValueError:
             shapes = f"{_amount(left)} and {_amount(right)}"
             self._refuse(at, f"expected as many on both sides; there are {shapes}")
-        left, right = (
-            replace(value, entries=np.broadcast_to(value.entries, shape)) for value in (left, right)
-        )
-        if sign in "+-":
-            return self._sum(at, left, right if sign == "+" else _scaled(right, np.float64(-1.0)))
-        return self._product(at, sign, left, right)
-
-    def _sum(self, at: int, left: Value, right: Value) -> Value:
-        left_given, right_given = (np.any(v.dimensions, axis=-1) for v in (left, right))
-        other = np.any(left.dimensions != right.dimensions, axis=-1) & left_given & right_given
-        if np.any(other):
-            first = tuple(np.argwhere(other)[0])
-            units = [describe(value.dimensions[first]) for value in (left, right)]
-            reason = f"expected one unit on both sides; there are {units[0]} and {units[1]}"
-            self._refuse(at, reason)
-        parts = [left.entries, right.entries]
-        entries = _entries(left.shape, sum(part["index"].shape[-1] for part in parts))
-        entries["offset"] = left.offset + right.offset
-        entries["unit"] = np.where(
-            np.expand_dims(left_given, -1), left.dimensions, right.dimensions
-        )
-        for key in ("index", "factor"):
-            entries[key] = np.concatenate([part[key] for part in parts], axis=-1)
-        return Value(entries)
+        if sign in "*/":
+            return self._product(at, sign, left, right)
+        for one, other in pairs:
+            if any(one.unit) and any(other.unit) and one.unit != other.unit:
+                units = f"{describe(one.unit)} and {describe(other.unit)}"
+                self._refuse(at, f"expected one unit on both sides; there are {units}")
+        added = right.entries if sign == "+" else _each(_Number.times, right.entries, _MINUS_ONE)
+        return Value(_each(_Number.plus, left.entries, added))
 
     def _product(self, at: int, sign: str, left: Value, right: Value) -> Value:
-        factors, unit = right.offset, right.dimensions
+        factor = right.entries
         if sign == "/":
             if not right.is_constant:
                 self._refuse(at, "expected a constant behind it")
-            if not right.offset.all():
+            if not all(entry.offset for entry in factor.flat):
                 self._refuse(at, "expected no 0 behind it")
-            factors, unit = 1.0 / factors, -unit
+            factor = _each(_Number.inverse, factor)
         elif not (left.is_constant or right.is_constant):
             reason = "expected a constant on one side: a route adds multiples of what is received"
             self._refuse(at, reason)
         elif left.is_constant:
-            left, factors, unit = right, left.offset, left.dimensions
-        return _scaled(left, factors, unit)
+            left, factor = right, left.entries
+        return Value(_each(_Number.times, left.entries, factor))
 
     def _scaled_frames(self, at: int, sign: str, left: Value, right: Value) -> Value:
         """Frames whose positions are times a number: another unit of length."""
-        frames, factor = (right, left) if right.is_frames and sign == "*" else (left, right)
-        if sign in "+-" or not factor.is_constant or factor.shape or factor.is_frames:
+        frames, other = (right, left) if right.is_frames and sign == "*" else (left, right)
+        if sign in "+-" or not other.is_constant or other.shape or other.is_frames:
             reason = "expected nothing but a number or a length beside frames, as in frames * mm"
             self._refuse(at, reason)
-        size = float(factor.offset)
-        if not size > 0.0:
-            self._refuse(at, f"expected a number above 0 beside it; found {size:g}")
-        units = np.zeros((4, 4, 4), np.int64)
-        units[:3, 3] = factor.dimensions if sign == "*" else -factor.dimensions
-        given = np.any(frames.dimensions[..., :3, 3, :])
-        if units.any() and (given or tuple(units[0, 3]) != LENGTH):
-            reason = f"expected a length beside frames; found {describe(units[0, 3])}"
-            self._refuse(at, reason)
-        factors = np.ones((4, 4))
-        factors[:3, 3] = size if sign == "*" else 1.0 / size
-        return _scaled(frames, factors, units)
-
-    def _join(self, node: ast.List) -> Value:
-        values = [self.evaluate(item) for item in node.elts]
-        if any(value.is_frames for value in values):
-            self._refuse_frames(node)
-        parts = [value.entries.ravel() for value in values]
-        joined = _entries((sum(map(len, parts)),), max(p["index"].shape[-1] for p in parts))
-        start = 0
-        for part in parts:
-            here, width = joined[start : start + len(part)], part["index"].shape[-1]
-            here["offset"], here["unit"] = part["offset"], part["unit"]
-            here["index"][:, :width], here["factor"][:, :width] = part["index"], part["factor"]
-            start += len(part)
-        return Value(joined)
+        factor: _Number = other.entries.item()
+        if not factor.offset > 0.0:
+            self._refuse(at, f"expected a number above 0 beside it; found {factor.offset:g}")
+        factor = factor if sign == "*" else factor.inverse()
+        entries = frames.entries.copy()
+        given = any(any(entry.unit) for entry in entries[..., :3, 3].flat)
+        if any(factor.unit) and (given or factor.unit != LENGTH):
+            self._refuse(at, f"expected a length beside frames; found {describe(factor.unit)}")
+        entries[..., :3, 3] = _each(_Number.times, entries[..., :3, 3], factor)
+        return Value(entries, is_frames=True)
 
     def _pick(self, node: ast.Subscript, value: Value) -> Value:
-        bracket, name = word_after(node.value), self._expression.text_of(node.value)
-        while self._expression.words[bracket].text == ")":
-            bracket += 1
+        bracket, name = self._behind(node.value), self._expression.text_of(node.value)
         if not value.shape:
             self._refuse(bracket, f"expected none: {name} is a single number")
         if value.is_frames and len(value.shape) == 2:
@@ -441,16 +429,16 @@ class _Evaluator:
                     None if step is None else self._integer(step),
                 )
                 if step is not None and index.step == 0:
-                    self._refuse(first_word(step), "expected a step other than 0")
+                    self._refuse(_first_word(step), "expected a step other than 0")
             case ast.Tuple(elts=several):
                 last = value.shape[0] - 1
                 index = [self._position(each, value, name, last) for each in several]
             case _:
                 index = self._position(node.slice, value, name, value.shape[0] - 1)
-        entries = np.asarray(value.entries[index])
+        entries = np.asarray(value.entries[index], dtype=object)
         if not entries.size:
             self._refuse(bracket, "expected a slice with something in it")
-        return replace(value, entries=entries)
+        return Value(entries, value.is_frames)
 
     def _position(self, node: ast.expr | None, value: Value, name: str, last: int) -> int | None:
         """An index into the first axis, of which `last` is the greatest."""
@@ -461,29 +449,20 @@ class _Evaluator:
             many = _amount(value) if len(value.shape) == 1 else f"{length} rows"
             wanted = f"0 to {last}, or -1 to {-length} from the end"
             reason = f"expected {wanted}: {name} has {many}"
-            self._refuse(first_word(node), reason, len(str(number)))
+            self._refuse(_first_word(node), reason, len(str(number)))
         return number
 
     def _integer(self, node: ast.expr) -> int:
         if isinstance(node, ast.UnaryOp):
             return -self._integer(node.operand)
-        return int(self._expression.words[first_word(node)].text)
+        return int(self._expression.words[_first_word(node)].text)
 
     def _refuse_frames(self, node: ast.expr) -> NoReturn:
         reason = "expected no frames beside it: these cannot be indexed or combined"
-        self._refuse(first_word(node), reason)
+        self._refuse(_first_word(node), reason)
 
 
 def _amount(value: Value) -> str:
     if len(value.shape) > 1:
         return " x ".join(map(str, value.shape)) + " values"
-    return "1 value" if value.offset.size == 1 else f"{value.offset.size} values"
-
-
-def _scaled(value: Value, factors: Array | np.float64, unit: Exponents | int = 0) -> Value:
-    """The value times constants, with the exponents of their unit."""
-    entries = np.array(value.entries)
-    entries["offset"] *= factors
-    entries["factor"] *= np.asarray(factors)[..., None]
-    entries["unit"] += unit
-    return replace(value, entries=entries)
+    return "1 value" if value.entries.size == 1 else f"{value.entries.size} values"

@@ -7,14 +7,12 @@ are never taken for millimetres. All zero means a plain number, which fits anyth
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.inputs import Input
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 
-Exponents = NDArray[np.int64]
-Dimension = tuple[int, int, int, int]
+Dimension = tuple[int, ...]
 
 NONE: Dimension = (0, 0, 0, 0)
 LENGTH: Dimension = (1, 0, 0, 0)
@@ -76,31 +74,26 @@ _JOINTS: dict[str, tuple[Dimension, Dimension]] = {
 }
 
 
-def describe(dimension: Exponents) -> str:
+def describe(dimension: Dimension) -> str:
     """Says in words what four exponents mean: `an angle (rad)`, `m2 kg s-3`."""
-    exponents = [int(exponent) for exponent in dimension]
-    known = _NAMES.get((exponents[0], exponents[1], exponents[2], exponents[3]))
-    if known is not None:
-        return known
-    units = zip(("m", "kg", "s", "rad"), exponents, strict=True)
-    return " ".join(f"{unit}{'' if e == 1 else e}" for unit, e in units if e)
+    units = zip(("m", "kg", "s", "rad"), dimension, strict=True)
+    plain = " ".join(f"{unit}{'' if e == 1 else e}" for unit, e in units if e)
+    return _NAMES.get(dimension, plain)
 
 
-def dimension_of(scene: Scene, item: Input) -> Exponents:
-    """What the numbers of an input are, (count, 4); zero for what takes any unit.
+def units_of(scene: Scene, item: Input) -> list[Dimension]:
+    """The units of the numbers of an input; `NONE` for what takes any.
 
-    A robot's output has the dimension of the input of that name. An arrow with a `unit` of its
-    own shows what it gets, so it takes any.
+    A robot's output has the unit of the input of that name. An arrow with a `unit` of its own
+    shows what it gets, so it takes any.
     """
-    dimensions = np.zeros((item.count, 4), np.int64)
     if item.kind == "vector":
         arrow = scene.arrows[item.name]
-        dimensions[:] = _ARROWS[arrow.kind] if arrow.unit is None else NONE
-    elif item.kind in ("angles", "values") and item.key in _JOINTS:
+        return [_ARROWS[arrow.kind] if arrow.unit is None else NONE] * item.count
+    if item.kind in ("angles", "values") and item.key in _JOINTS:
         turning, sliding = _JOINTS[item.key]
-        revolute = robot_of(scene, item).dh.revolute
-        dimensions[revolute], dimensions[~revolute] = turning, sliding
-    return dimensions
+        return [turning if turns else sliding for turns in robot_of(scene, item).dh.revolute]
+    return [NONE] * item.count
 
 
 def robot_of(scene: Scene, item: Input) -> SerialRobot:

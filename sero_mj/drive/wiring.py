@@ -23,7 +23,7 @@ from ..assemble.scene import NOT, Scene, names_in
 from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
 from ..receive.source import SIGNALS, Source, make_source
 from ._expression import Expression, Value, constant, evaluate, numbers_of, parse
-from ._units import UNITS, Exponents, describe, dimension_of
+from ._units import UNITS, Dimension, describe, units_of
 from .route import FrameRoute, Origin, Route
 
 
@@ -167,26 +167,16 @@ def _number_route(
         value = evaluate(expression, names)
     except RouteError as error:
         raise DeclarationError([Problem("", str(error))]) from None
-    message = _misfit(value, text, item, dimension_of(scene, item))
+    message = _wrong_shape(value, text, item) or _wrong_unit(
+        value, text, item, units_of(scene, item)
+    )
     if message:
         raise DeclarationError([Problem("", message)])
     return Route(item, text, value.compile(item.count), expression.negated)
 
 
-def _misfit(value: Value, text: str, item: Input, taken: Exponents) -> str:
-    """Says why a value does not fit an input; empty when it does.
-
-    Args:
-        value: what the route computes.
-        text: its expression.
-        item: the input.
-        taken: the exponents of the input's units, (count, 4); zero takes any.
-    """
-    return _wrong_shape(value, text, item) or _wrong_unit(value, text, item, taken)
-
-
 def _wrong_shape(value: Value, text: str, item: Input) -> str:
-    count, shape = value.offset.size, value.shape
+    count, shape = value.entries.size, value.shape
     many = "1 value" if count == 1 else f"{count} values"
     if item.shape == (4, 4):
         if value.is_frames and count == 16:
@@ -202,14 +192,13 @@ def _wrong_shape(value: Value, text: str, item: Input) -> str:
     return ""
 
 
-def _wrong_unit(value: Value, text: str, item: Input, taken: Exponents) -> str:
-    found = value.dimensions.reshape(-1, 4)
+def _wrong_unit(value: Value, text: str, item: Input, taken: Sequence[Dimension]) -> str:
+    units = value.units
     for i, want in enumerate(taken):
-        have = found[i if len(found) > 1 else 0]
-        if have.any() and want.any() and (have != want).any():
-            where = ""
-            if (found != found[0]).any() or (taken != taken[0]).any():
-                where = f" at number {i}, counted from 0"
+        have = units[i if len(units) > 1 else 0]
+        if any(have) and any(want) and have != want:
+            differ = len({*units}) > 1 or len({*taken}) > 1
+            where = f" at number {i}, counted from 0" if differ else ""
             return f"{text} is {describe(have)}; {item.target} takes {describe(want)}{where}"
     return ""
 
@@ -391,7 +380,7 @@ class Names:
             return None
         events = {**self._sources[name].events, **SIGNALS}
         if event in events:
-            return numbers_of(Origin(name, event, True), tuple(events[event]), None)
+            return numbers_of(Origin(name, event, True), tuple(events[event]))
         spaces = _missing_spaces(event, events)
         return Problem("", f"no event '{event}' of {name}{spaces or did_you_mean(event, events)}")
 
@@ -400,7 +389,7 @@ class Names:
         if target in self._outputs:
             item = self._outputs[target]
             origin = Origin(name, key, False)
-            return numbers_of(origin, item.shape, dimension_of(self._scene, item))
+            return numbers_of(origin, item.shape, units_of(self._scene, item))
         keys = [item.key for item in self._outputs.values() if item.name == name]
         hint = _missing_spaces(key, keys)
         if not hint and name in self._scene.robots:
