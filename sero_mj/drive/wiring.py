@@ -22,9 +22,13 @@ from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
 from ..assemble.scene import NOT, Scene, names_in
 from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
 from ..receive.source import SIGNALS, Source, make_source
-from ._expression import Expression, Value, constant, evaluate, numbers_of, parse
+from ._expression import Value, constant, evaluate, numbers_of, parse
 from ._units import UNITS, Dimension, describe, units_of
 from .route import FrameRoute, Origin, Route
+
+FWD_KIN = "fwd_kin_base_to_flange"
+# What can be read of robots, doubles and arrows: what can be set, but for switches and poses.
+_READABLE = ("angles", "values", "vector")
 
 
 @dataclass
@@ -67,12 +71,10 @@ def wire(scene: Scene) -> Wiring:
         except DeclarationError as error:
             wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
     wiring.problems += _shared_places(wiring.sources)
-    inputs = list_inputs(scene)
-    names = Names(scene, wiring.sources, inputs)
+    checker = _RouteChecker(scene, wiring.sources)
     for target, origin in scene.routes.items():
         try:
-            item = _input(scene, inputs, target)
-            route = _route(scene, names, item, target, origin)
+            route = checker.check(target, origin)
         except DeclarationError as error:
             wiring.problems += [p.inside(f"routes.{target}") for p in error.problems]
             continue
@@ -80,15 +82,15 @@ def wire(scene: Scene) -> Wiring:
             wiring.routes.append(route)
         elif route is not None:
             wiring.frame_routes.append(route)
-    allow_blanks(wiring)
+    _allow_blanks(wiring)
     try:
-        wiring.later = routes_in_order(wiring.routes)
-    except DeclarationError as error:
-        wiring.problems += error.problems
+        wiring.later = _routes_in_order(wiring.routes)
+    except CycleError as error:
+        wiring.problems.append(_circle("values", error))
     try:
-        wiring.levels = levels_of_frames(scene, wiring.frame_routes)
-    except DeclarationError as error:
-        wiring.problems += error.problems
+        wiring.levels = _levels_of_frames(scene, wiring.frame_routes)
+    except CycleError as error:
+        wiring.problems.append(_circle("frames", error))
     return wiring
 
 
@@ -107,143 +109,31 @@ def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
     return problems
 
 
-def _input(scene: Scene, inputs: Mapping[str, Input], target: str) -> Input | Problem | None:
-    """The input that a route leads to, what is wrong with it, or None where that is known."""
-    if target in inputs:
-        return inputs[target]
-    name, _, key = target.partition(".")
-    keys = [item.key for item in inputs.values() if item.name == name]
-    if scene.is_broken(name):
-        near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
-        mistyped = near is not None and f"robots.{name}" in scene.broken and key not in ROBOT_INPUTS
-        return (
-            Problem("", f"no input '{key}' of {name}; did you mean '{near}'?") if mistyped else None
-        )
-    double = scene.doubles.get(name)
-    if double is not None and double.path is not None and key != "visible":
-        return Problem("", f"'{name}' shows a path; nothing can be routed to it")
-    if keys and (double is None or double.of in scene.robots):
-        return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
-    if double is not None:
-        return None
-    names = [item.name for item in inputs.values() if item.name != SCENE]
-    near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
-    return Problem("", f"no robot '{name}'{near}")
+def _allow_blanks(wiring: Wiring) -> None:
+    """Lets NaN through where it moves nothing, not even in the end: it blanks, or is not routed."""
+    routes = {route.to.target: route for route in wiring.routes}
+    todo = [target for target, route in routes.items() if route.to.kind not in BLANKABLE]
+    moving: dict[str, Route] = {}  # the routes to what moves, and to what these read
+    while todo:
+        target = todo.pop()
+        if target in routes and target not in moving:
+            moving[target] = routes[target]
+            todo += routes[target].outputs
+    finite = {origin for route in moving.values() for origin in route.value.origins}
+    for name, source in wiring.sources.items():
+        # What nobody looks at harms nobody, and its sender may send much that is not routed.
+        source.allow_nan({e for e in source.events if Origin(name, e, True) not in finite})
 
 
-def _route(
-    scene: Scene, names: Names, item: Input | Problem | None, target: str, origin: str
-) -> Route | FrameRoute | None:
-    """A checked route, or None where what is wrong with it is known already."""
-    problems = [item] if isinstance(item, Problem) else []
-    try:
-        expression = parse(origin)
-    except RouteError as error:
-        raise DeclarationError([*problems, Problem("", str(error))]) from None
-    if isinstance(item, Input) and expression.negated and item.kind != "toggle":
-        problems.append(Problem("", f"'{NOT}' is for switches; {target} takes {item.meaning}"))
-    name = expression.name
-    if name is not None and (names.is_frame(name) or names.is_fwd_kin(name)):
-        route = _frame_route(scene, names, problems, item, name)
-        if problems:
-            raise DeclarationError(problems)
-        return route
-    found = {name: names.find(name) for name in names_in(origin)}
-    problems += [value for value in found.values() if isinstance(value, Problem)]
-    if problems:
-        raise DeclarationError(problems)
-    known = {name: value for name, value in found.items() if isinstance(value, Value)}
-    if len(known) < len(found) or not isinstance(item, Input):
-        return None  # its own declaration is wrong and already reported
-    return _number_route(scene, item, expression, known)
-
-
-def _number_route(
-    scene: Scene, item: Input, expression: Expression, names: Mapping[str, Value]
-) -> Route:
-    text = expression.text.strip()
-    text = text.removeprefix(NOT).lstrip() if expression.negated else text
-    try:
-        value = evaluate(expression, names)
-    except RouteError as error:
-        raise DeclarationError([Problem("", str(error))]) from None
-    message = _wrong_shape(value, text, item) or _wrong_unit(
-        value, text, item, units_of(scene, item)
-    )
-    if message:
-        raise DeclarationError([Problem("", message)])
-    return Route(item, text, value.compile(item.count), expression.negated)
-
-
-def _wrong_shape(value: Value, text: str, item: Input) -> str:
-    count, shape = value.entries.size, value.shape
-    many = "1 value" if count == 1 else f"{count} values"
-    if item.shape == (4, 4):
-        if value.is_frames and count == 16:
-            return ""
-        found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
-        return f"{text} {found}; {item.target} takes {item.meaning}: 1M in the structure"
-    if value.is_constant and not shape:
-        return ""  # one number for all
-    if count != item.count:
-        return f"{text} has {many}; {item.target} takes {item.meaning}"
-    if value.is_frames:
-        return f"{text} is a 4 x 4 frame; {item.target} takes {item.meaning}"
-    return ""
-
-
-def _wrong_unit(value: Value, text: str, item: Input, taken: Sequence[Dimension]) -> str:
-    units = value.units
-    for i, want in enumerate(taken):
-        have = units[i if len(units) > 1 else 0]
-        if any(have) and any(want) and have != want:
-            differ = len({*units}) > 1 or len({*taken}) > 1
-            where = f" at number {i}, counted from 0" if differ else ""
-            return f"{text} is {describe(have)}; {item.target} takes {describe(want)}{where}"
-    return ""
-
-
-def _frame_route(
-    scene: Scene, names: Names, problems: list[Problem], item: Input | Problem | None, text: str
-) -> FrameRoute | None:
-    is_fwd_kin = names.is_fwd_kin(text)
-    if not is_fwd_kin and text not in scene.named_frames():
-        if scene.is_broken(text.partition("/")[0]):
-            return None
-        problems.append(Problem("", f"no frame '{text}'{names.frame_hint(text)}"))
-        return None
-    if not isinstance(item, Input):
-        return None
-    received = scene.frames.get(item.name)
-    if received is not None and received.relative_to != WORLD and not is_fwd_kin:
-        message = f"{text} is a pose in the world; set relative_to of {received.name} to 'world'"
-        problems.append(Problem("", message))
-    if item.shape != (4, 4):
-        message = f"{text} is a 4 x 4 frame; {item.target} takes {item.meaning}"
-        problems.append(Problem("", message))
-    return FrameRoute(item, text.partition(".")[0] if is_fwd_kin else text, is_fwd_kin)
-
-
-def routes_in_order(routes: Sequence[Route]) -> list[Route]:
-    """The routes that need more than one packet, each after those to what it reads.
-
-    Raises:
-        DeclarationError: values follow each other in a circle.
-    """
+def _routes_in_order(routes: Sequence[Route]) -> list[Route]:
+    """The routes that need more than one packet, each after those to what it reads."""
     later = {route.to.target: route for route in routes if route.direct is None}
     after = {target: {*later} & set(route.outputs) for target, route in later.items()}
-    try:
-        return [later[target] for target in TopologicalSorter(after).static_order()]
-    except CycleError as error:
-        raise _circle("values", error) from None
+    return [later[target] for target in TopologicalSorter(after).static_order()]
 
 
-def levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[str]]:
-    """What frames place, in an order in which everything is placed after what it follows.
-
-    Raises:
-        DeclarationError: frames follow each other in a circle.
-    """
+def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[str]]:
+    """What frames place, in an order in which everything is placed after what it follows."""
     frames = scene.named_frames()
     after: dict[str, set[str]] = {
         name: {double.of} for name, double in scene.doubles.items() if name not in scene.robots
@@ -259,10 +149,7 @@ def levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[st
             after.setdefault(name, set()).add(frames[received.relative_to].moves_with)
             placed.add(name)
     sorter = TopologicalSorter(after)
-    try:
-        sorter.prepare()
-    except CycleError as error:
-        raise _circle("frames", error) from None
+    sorter.prepare()
     levels = []
     while sorter.is_active():
         ready = sorter.get_ready()
@@ -273,91 +160,127 @@ def levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[st
     return levels
 
 
-def _circle(what: str, error: CycleError) -> DeclarationError:
+def _circle(what: str, error: CycleError) -> Problem:
     names = list(reversed(error.args[1]))[:-1]
     first = names.index(min(names))  # which one is found first is chance
     circle = " -> ".join([*names[first:], *names[:first], names[first]])
-    return DeclarationError([Problem("routes", f"{what} that follow each other: {circle}")])
+    return Problem("routes", f"{what} that follow each other: {circle}")
 
 
-def allow_blanks(wiring: Wiring) -> None:
-    """Lets NaN through where it moves nothing, not even in the end: it blanks, or is not routed."""
-    readers: dict[str, list[Route]] = {}
-    for route in wiring.routes:
-        for output in route.outputs:
-            readers.setdefault(output, []).append(route)
+class _RouteChecker:
+    """Finds what the targets and origins of routes name, and what is wrong with them."""
 
-    def blankable(route: Route) -> bool:
-        todo, seen = [route], {route.to.target}
-        while todo:
-            target = todo.pop().to
-            if target.kind not in BLANKABLE:
-                return False
-            for reader in readers.get(target.target, []):
-                if reader.to.target not in seen:
-                    seen.add(reader.to.target)
-                    todo.append(reader)
-        return True
-
-    for name, source in wiring.sources.items():
-        good: dict[str, bool] = {}
-        for route in wiring.routes:
-            for origin in route.value.origins:
-                if origin.is_event and origin.name == name:
-                    good[origin.key] = good.get(origin.key, True) and blankable(route)
-        blank = {e for e, blanks in good.items() if blanks and e in source.events}
-        # What nobody looks at harms nobody, and its sender may send much that is not routed.
-        source.allow_nan(blank | (source.events.keys() - good.keys()))
-
-
-FWD_KIN = "fwd_kin_base_to_flange"
-# What can be read of robots, doubles and arrows: what can be set, but for switches and poses.
-_READABLE = ("angles", "values", "vector")
-
-
-class Names:
-    """Everything that an origin can name.
-
-    Args:
-        scene: robots and routes.
-        sources: those of the scene's that are right.
-        inputs: all of the scene's, by `name.key`.
-    """
-
-    def __init__(
-        self, scene: Scene, sources: Mapping[str, Source], inputs: Mapping[str, Input]
-    ) -> None:
-        self._scene = scene
-        self._sources = sources
+    def __init__(self, scene: Scene, sources: Mapping[str, Source]) -> None:
+        self._scene, self._sources = scene, sources
+        self._inputs = list_inputs(scene)
         self._frames = scene.named_frames()
-        self._outputs = {target: item for target, item in inputs.items() if item.kind in _READABLE}
+        self._outputs = {key: item for key, item in self._inputs.items() if item.kind in _READABLE}
         self._owners = {item.name for item in self._outputs.values()}
+        self._events: dict[Origin, Value] = {}  # made once: an event may have 65,000 numbers
 
-    def is_frame(self, text: str) -> bool:
-        """Whether a name is that of a frame, and not of numbers."""
-        return "/" in text or text in self._frames
+    def check(self, target: str, origin: str) -> Route | FrameRoute | None:
+        """Returns a checked route, or None where what is wrong with it is reported elsewhere.
 
-    def is_fwd_kin(self, text: str) -> bool:
-        """Whether a name is that of a robot's forward kinematics."""
-        name, _, key = text.partition(".")
-        return key == FWD_KIN and name in self._scene.robots and name not in self._scene.sources
-
-    def frame_hint(self, text: str) -> str:
-        """A hint at what was meant by an unknown name of a frame."""
-        events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
-        spaces = _missing_spaces(text, [*UNITS, *self._outputs, *events])
-        return spaces or did_you_mean(text, self._frames)
-
-    def find(self, name: str) -> Value | Problem | None:
-        """What a name in an expression stands for.
-
-        Returns:
-            its numbers, what is wrong with it, or None where that is reported elsewhere.
+        Raises:
+            DeclarationError: what is wrong with the target, the origin, or both.
         """
+        item = self._input(target)
+        problems = [item] if isinstance(item, Problem) else []
+        try:
+            expression = parse(origin)
+        except RouteError as error:
+            raise DeclarationError([*problems, Problem("", str(error))]) from None
+        if isinstance(item, Input) and expression.negated and item.kind != "toggle":
+            problems.append(Problem("", f"'{NOT}' is for switches; {target} takes {item.meaning}"))
+        frame = expression.name
+        if frame is not None and self._is_frame(frame):
+            route = self._frame_route(problems, item, frame)
+            if problems:
+                raise DeclarationError(problems)
+            return route
+        found = {name: self._find(name) for name in names_in(origin)}
+        problems += [value for value in found.values() if isinstance(value, Problem)]
+        if problems:
+            raise DeclarationError(problems)
+        known = {name: value for name, value in found.items() if isinstance(value, Value)}
+        if len(known) < len(found) or not isinstance(item, Input):
+            return None
+        text = expression.text.strip()
+        text = text.removeprefix(NOT).lstrip() if expression.negated else text
+        try:
+            value = evaluate(expression, known)
+        except RouteError as error:
+            raise DeclarationError([Problem("", str(error))]) from None
+        message = _wrong_shape(value, item) or _wrong_unit(value, item, units_of(self._scene, item))
+        if message:
+            raise DeclarationError([Problem("", f"{text} {message}")])
+        return Route(item, text, value.compile(item.count), expression.negated)
+
+    def _input(self, target: str) -> Input | Problem | None:
+        """The input that a route leads to, what is wrong with it, or None where that is known."""
+        if target in self._inputs:
+            return self._inputs[target]
+        scene, (name, _, key) = self._scene, target.partition(".")
+        keys = [item.key for item in self._inputs.values() if item.name == name]
+        if scene.is_broken(name):
+            near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
+            mistyped = near is not None and key not in ROBOT_INPUTS
+            message = f"no input '{key}' of {name}; did you mean '{near}'?"
+            return Problem("", message) if mistyped and f"robots.{name}" in scene.broken else None
+        double = scene.doubles.get(name)
+        if double is not None and double.path is not None and key != "visible":
+            return Problem("", f"'{name}' shows a path; nothing can be routed to it")
+        if keys and (double is None or double.of in scene.robots):
+            return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
+        if double is not None:
+            return None
+        names = [item.name for item in self._inputs.values() if item.name != SCENE]
+        near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
+        return Problem("", f"no robot '{name}'{near}")
+
+    def _is_frame(self, name: str) -> bool:
+        """Whether a name is that of a frame, and not of numbers."""
+        return "/" in name or name in self._frames or self._is_fwd_kin(name)
+
+    def _is_fwd_kin(self, name: str) -> bool:
+        robot, _, key = name.partition(".")
+        return key == FWD_KIN and robot in self._scene.robots and robot not in self._scene.sources
+
+    def _no_frame(self, name: str) -> Problem | None:
+        """Says that there is no such frame; None where its robot is declared wrongly."""
+        if self._scene.is_broken(name.partition("/")[0]):
+            return None
+        events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
+        spaces = _missing_spaces(name, [*UNITS, *self._outputs, *events])
+        return Problem("", f"no frame '{name}'{spaces or did_you_mean(name, self._frames)}")
+
+    def _frame_route(
+        self, problems: list[Problem], item: Input | Problem | None, name: str
+    ) -> FrameRoute | None:
+        is_fwd_kin = self._is_fwd_kin(name)
+        if not is_fwd_kin and name not in self._frames:
+            if (problem := self._no_frame(name)) is not None:
+                problems.append(problem)
+            return None
+        if not isinstance(item, Input):
+            return None
+        received = self._scene.frames.get(item.name)
+        if received is not None and received.relative_to != WORLD and not is_fwd_kin:
+            fix = f"set relative_to of {received.name} to 'world'"
+            problems.append(Problem("", f"{name} is a pose in the world; {fix}"))
+        if item.shape != (4, 4):
+            message = f"{name} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+            problems.append(Problem("", message))
+        return FrameRoute(item, name.partition(".")[0] if is_fwd_kin else name, is_fwd_kin)
+
+    def _find(self, name: str) -> Value | Problem | None:
+        """What a name stands for, what is wrong with it, or None where that is known."""
         if name in UNITS:
             return constant(*UNITS[name])
-        if self.is_frame(name) or self.is_fwd_kin(name):
-            return self._frame(name)
+        if self._is_frame(name):
+            message = f"{name} is a 4 x 4 frame, which cannot be indexed or combined"
+            is_known = name in self._frames or self._is_fwd_kin(name)
+            return Problem("", message) if is_known else self._no_frame(name)
         owner, _, key = name.partition(".")
         if self._scene.declares("sources", owner):
             return self._event(owner, key)
@@ -368,28 +291,22 @@ class Names:
             return None
         return Problem("", f"no {self._unknown(owner, is_bare=not key)}")
 
-    def _frame(self, name: str) -> Problem | None:
-        if name in self._frames or self.is_fwd_kin(name):
-            return Problem("", f"{name} is a 4 x 4 frame, which cannot be indexed or combined")
-        if self._scene.is_broken(name.partition("/")[0]):
-            return None
-        return Problem("", f"no frame '{name}'{self.frame_hint(name)}")
-
     def _event(self, name: str, event: str) -> Value | Problem | None:
         if name not in self._sources:
             return None
         events = {**self._sources[name].events, **SIGNALS}
-        if event in events:
-            return numbers_of(Origin(name, event, True), tuple(events[event]))
-        spaces = _missing_spaces(event, events)
-        return Problem("", f"no event '{event}' of {name}{spaces or did_you_mean(event, events)}")
+        if event not in events:
+            hint = _missing_spaces(event, events) or did_you_mean(event, events)
+            return Problem("", f"no event '{event}' of {name}{hint}")
+        origin = Origin(name, event, True)
+        if origin not in self._events:
+            self._events[origin] = numbers_of(origin, tuple(events[event]))
+        return self._events[origin]
 
     def _output(self, name: str, key: str) -> Value | Problem:
-        target = f"{name}.{key}"
-        if target in self._outputs:
-            item = self._outputs[target]
-            origin = Origin(name, key, False)
-            return numbers_of(origin, item.shape, units_of(self._scene, item))
+        item = self._outputs.get(f"{name}.{key}")
+        if item is not None:
+            return numbers_of(Origin(name, key, False), item.shape, units_of(self._scene, item))
         keys = [item.key for item in self._outputs.values() if item.name == name]
         hint = _missing_spaces(key, keys)
         if not hint and name in self._scene.robots:
@@ -409,6 +326,34 @@ class Names:
             if near is not None:
                 return f"unit '{owner}'; did you mean '{near}'?"
         return f"source '{owner}'{did_you_mean(owner, sources)}"
+
+
+def _wrong_shape(value: Value, item: Input) -> str:
+    """Says why a value has not the shape that an input takes; empty where it has."""
+    count, shape = value.entries.size, value.shape
+    many = "1 value" if count == 1 else f"{count} values"
+    if item.shape == (4, 4):
+        if value.is_frames and count == 16:
+            return ""
+        found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
+        return f"{found}; {item.target} takes {item.meaning}: 1M in the structure"
+    if value.is_constant and not shape:
+        return ""  # one number for all
+    if count != item.count:
+        return f"has {many}; {item.target} takes {item.meaning}"
+    return f"is a 4 x 4 frame; {item.target} takes {item.meaning}" if value.is_frames else ""
+
+
+def _wrong_unit(value: Value, item: Input, taken: Sequence[Dimension]) -> str:
+    """Says which number has another unit than the input takes; empty where all fit."""
+    units = value.units
+    for i, want in enumerate(taken):
+        have = units[i if len(units) > 1 else 0]
+        if any(have) and any(want) and have != want:
+            differ = len({*units}) > 1 or len({*taken}) > 1
+            where = f" at number {i}, counted from 0" if differ else ""
+            return f"is {describe(have)}; {item.target} takes {describe(want)}{where}"
+    return ""
 
 
 def _missing_spaces(name: str, known: Iterable[str]) -> str:
