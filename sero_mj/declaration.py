@@ -22,16 +22,12 @@ from typing import (
 )
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from .errors import DeclarationError, Problem, did_you_mean
-from .frames import frame_from
-
-Array = NDArray[np.float64]
-
+from .frames import Array, frame_from
 
 LARGEST = 1e9  # no length, angle, torque or mass of a robot is larger in SI units
 

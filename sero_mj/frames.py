@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from .errors import did_you_mean
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 # A frame typed with four digits (0.7071) is meant to be a rotation; one off by more is a mistake.

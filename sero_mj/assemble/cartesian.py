@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from ..declaration import Array, Declaration, Frame, Name, Point, Rgba, of_shape
+from ..declaration import Declaration, Frame, Name, Point, Rgba, of_shape
+from ..frames import Array
 from .double import Double
 from .robot import SerialRobot
 from .surroundings import Object

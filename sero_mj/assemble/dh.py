@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..frames import rotation_about
+from ..frames import Array, Bools, rotation_about
 
-Array = NDArray[np.float64]
 Convention = Literal["craig", "standard"]
 Column = Literal["alpha", "a", "theta", "d"]
 COLUMNS: tuple[Column, ...] = ("alpha", "a", "theta", "d")
@@ -42,7 +41,7 @@ class DhTable:
     a: Array
     theta: Array
     d: Array
-    revolute: NDArray[np.bool_]
+    revolute: Bools
 
     @classmethod
     def from_rows(

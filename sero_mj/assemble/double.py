@@ -7,7 +7,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from ..declaration import Array, Declaration, Name, Rgba, Vector, of_shape
+from ..declaration import Declaration, Name, Rgba, Vector, of_shape
+from ..frames import Array
 from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
 
 # Green for commanded positions, as in the paper's section 4.2.

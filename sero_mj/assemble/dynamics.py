@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from ..declaration import Array, Declaration, numbers, of_shape
+from ..declaration import Declaration, numbers, of_shape
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
 _ROUNDING = 1e-6

@@ -13,10 +13,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import frames
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 from .double import DOUBLE_GROUP, PATH_FADE, Double
 from .inputs import moving
 from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
@@ -27,8 +27,6 @@ from .robot_parts import LinkMesh
 from .scene import Scene
 from .shapes import SHELL, generate_shapes
 from .surroundings import PALETTES, Object, Palette
-
-Array = NDArray[np.float64]
 
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
 # Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.

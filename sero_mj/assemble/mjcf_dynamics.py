@@ -11,15 +11,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from ..frames import Array, Bools
 from .dynamics import principal_moments
 from .mjcf_elements import MESH, hull_asset
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .shapes import housing_radii
-
-Array = NDArray[np.float64]
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
 HULL_GROUP = 4  # a group that is not shown: links are displayed by their meshes
@@ -152,7 +150,7 @@ def _add_hulls(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | Non
                     setattr(geom, key, value)
 
 
-def _links_near_base(robot: SerialRobot) -> NDArray[np.bool_]:
+def _links_near_base(robot: SerialRobot) -> Bools:
     """Returns which links are so close to the base that they may overlap its mount, (n + 1,)."""
     near = 2.5 * housing_radii(robot.dh, robot.flange_frame)[0]
     along = np.concatenate([[0.0], np.cumsum(np.abs(robot.dh.a) + np.abs(robot.dh.d))])

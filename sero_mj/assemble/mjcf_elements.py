@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 from ..paths import open_file, read_file
 from .shapes import LinkShape
 
@@ -127,8 +127,6 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes) -> str:
     spec.assets[file] = contents
     return file
 
-
-Array = NDArray[np.float64]
 
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 _CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

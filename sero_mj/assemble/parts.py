@@ -8,17 +8,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from ..frames import Array, Bools, Ints
 from .cartesian import WORLD, NamedFrame
 from .dh import DhTable
 from .double import Double
 from .robot import SerialRobot
 from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
 from .scene import Scene
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +182,8 @@ class DrawnDouble:
     double: str
     model: mujoco.MjModel
     data: mujoco.MjData
-    geoms: NDArray[np.bool_]
-    rgba: NDArray[np.float64]
+    geoms: Bools
+    rgba: Array
 
 
 _DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
@@ -224,7 +221,7 @@ class JointTable:
     names: list[str]
     owner: Ints
     of_robot: int
-    revolute: NDArray[np.bool_]
+    revolute: Bools
     centre_site: Ints
     qpos: Ints
     angle_slots: Ints
@@ -341,7 +338,7 @@ class FrameTable:
     site: Ints
     size: Array
     alpha: Array
-    shown: NDArray[np.bool_]
+    shown: Bools
     has: Ints
 
 
@@ -401,7 +398,7 @@ class ArrowTable:
     frames: Ints
     slots: Ints
     has: Ints
-    is_round: NDArray[np.bool_]
+    is_round: Bools
     scale: Array
     longest: Array
     radius: Array

@@ -17,8 +17,9 @@ from pydantic import (
 )
 
 from .. import paths
-from ..declaration import Array, Declaration, Frame, Name, Rgba, Vector, of_shape
+from ..declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
 from ..errors import DeclarationError
+from ..frames import Array
 from ..toml_file import key_lines, located, read_toml
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, is_overridden, merge_tables

@@ -11,16 +11,14 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import frames
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 from .dynamics import rotate_tensors
 from .mjcf_elements import MESH, hull_asset, mesh_asset, shape_geom
 from .robot import SerialRobot
 from .shapes import generate_shapes
-
-Array = NDArray[np.float64]
 
 _STEEL = 7800.0  # kg/m3; no link is denser
 # Lower bound: MuJoCo refuses bodies of smaller mass.

@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
-from ..declaration import Array, Declaration, Name, of_shape
+from ..declaration import Declaration, Name, of_shape
 from ..errors import DeclarationError, Problem, did_you_mean, nearest
+from ..frames import Array
 from .dh import COLUMNS, Column
 from .surroundings import Object, check_mesh_file
 

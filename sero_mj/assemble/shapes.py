@@ -11,11 +11,9 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..frames import Array
 from .dh import DhTable
-
-Array = NDArray[np.float64]
 
 SHELL = (0.93, 0.93, 0.91, 1.0)
 JOINT = (0.36, 0.38, 0.41, 1.0)

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from ..declaration import Array, Declaration, Frame, Name, Point, Rgba, Vector
+from ..declaration import Declaration, Frame, Name, Point, Rgba, Vector
+from ..frames import Array
 from .mjcf_elements import is_mjcf_object
 
 _MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"

@@ -18,11 +18,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem
-from ..frames import frame_from
+from ..frames import Bools, frame_from
 from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
@@ -44,8 +43,6 @@ from .world_view import WorldView
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
 
 
@@ -117,11 +114,11 @@ class World(WorldView):
         """Returns the state that decor reads: `data` itself."""
         return data
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
+    def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
         """Returns an empty list: doubles are compiled into the model."""
         return []
 
-    def geoms_in_view(self) -> NDArray[np.bool_]:
+    def geoms_in_view(self) -> Bools:
         """Returns all geoms but the floor, (ngeom,) bool."""
         return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
 

@@ -7,15 +7,12 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import UnknownName
-from ..frames import inverse
+from ..frames import Array, Bools, inverse
 from .inputs import Input
 from .parts import ArrowTable, DoublePart, DrawnDouble, FrameTable, JointTable, Owner, RobotPart
 from .scene import Scene
-
-Array = NDArray[np.float64]
 
 
 class WorldView(Protocol):
@@ -65,7 +62,7 @@ class WorldView(Protocol):
         `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat`, `userdata`.
         """
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
+    def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
         """Returns the doubles that decor draws because they are not compiled into the model.
 
         Args:
@@ -73,7 +70,7 @@ class WorldView(Protocol):
             shown: which doubles are switched on, (D,).
         """
 
-    def geoms_in_view(self) -> NDArray[np.bool_]:
+    def geoms_in_view(self) -> Bools:
         """Returns the geoms that a view of the whole scene includes, (ngeom,) bool."""
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:

@@ -9,19 +9,18 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..assemble.world_view import WorldView
 from ..foreign.model_world import ModelWorld
+from ..frames import Array
 from ..receive.intake import Counters
 from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
 from .place import Placer, Router, follow
 from .route import Route
 from .wiring import wire
 
-Array = NDArray[np.float64]
 Listener = Callable[[str, Packets], None]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -214,14 +213,14 @@ class Mirror:
             }
         return values
 
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> Array:
         """Returns a copy of everything that a picture of this moment needs."""
         state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
         mujoco.mj_getState(self.world.model, self.data, state, _STATE)
         return state
 
 
-def restore(world: World, data: mujoco.MjData, state: NDArray[np.float64]) -> None:
+def restore(world: World, data: mujoco.MjData, state: Array) -> None:
     """Puts a state into `data` and moves the frames.
 
     Args:

@@ -6,18 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.cartesian import WORLD
 from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE, OUT_OF_SIGHT
 from ..assemble.inputs import BLANKABLE
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
-from ..frames import frame, rotation_from_quat
+from ..frames import Array, Ints, frame, rotation_from_quat
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
-
-Array = NDArray[np.float64]
 
 
 class Placer:
@@ -130,7 +127,7 @@ def _place(data: mujoco.MjData, part: DoublePart, targets: Array, actual: Array)
     data.mocap_pos[part.mocap[~apart]] = OUT_OF_SIGHT
 
 
-def _set_poses(data: mujoco.MjData, mocap: NDArray[np.intp], poses: Array) -> None:
+def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
     data.mocap_pos[mocap] = poses[:, :3, 3]
     quats = np.empty((len(mocap), 4))
     for quat, rotation in zip(quats, poses[:, :3, :3].reshape(-1, 9), strict=True):

@@ -16,6 +16,7 @@ from .. import __version__
 from ..assemble.inputs import Input
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
+from ..frames import Array, Ints
 from ..receive.source import Source
 from ..record.recorder import SIGNALS_RATE, Recorder
 from ..record.recording_format import Signals
@@ -71,7 +72,7 @@ def _add(
 ) -> None:
     routed = None if scene is None else RoutedSignals(scene, routes, name, source.events)
 
-    def decode(packet: bytes) -> Mapping[str, NDArray[np.float64]] | None:
+    def decode(packet: bytes) -> Mapping[str, Array] | None:
         values = source.decode(packet)
         return values if values is None or routed is None else routed.of(values)
 
@@ -85,9 +86,7 @@ def _add(
         signals=None if routed is None else routed.signals,
     )
 
-    def tap(
-        rows: NDArray[np.uint8], lengths: NDArray[np.intp], arrivals: NDArray[np.float64]
-    ) -> None:
+    def tap(rows: NDArray[np.uint8], lengths: Ints, arrivals: Array) -> None:
         recorder.take(name, rows, arrivals, np.minimum(lengths, rows.shape[1]))
 
     source.record_to(tap)
@@ -99,7 +98,6 @@ def _files_of(scene: Scene) -> list[Path]:
     return [file for file in dict.fromkeys(files) if file is not None and file.is_file()]
 
 
-Array = NDArray[np.float64]
 Shapes = Mapping[str, tuple[int, ...]]
 
 # The last word of a per-joint quantity to what it is for one joint, and to its unit where the

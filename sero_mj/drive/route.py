@@ -13,13 +13,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.inputs import Input
+from ..frames import Array, Ints
 from ..receive.source import SIGNALS
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 
 class Origin(NamedTuple):

@@ -12,10 +12,11 @@ from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInf
 
 from ..assemble.cartesian import NamedFrame
 from ..assemble.double import Double
-from ..assemble.parts import Ints, RobotPart
+from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
-from ..declaration import Array, numbers
+from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
+from ..frames import Array, Ints
 from ._model_trees import GRAVITY, Sizes, Tree, without_scope
 
 # Fields that a user can set for a found robot; the others come from the model.

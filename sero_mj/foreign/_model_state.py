@@ -14,13 +14,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE, OUT_OF_SIGHT, PATH_FADE
 from ..assemble.parts import DoublePart, DrawnDouble
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
+from ..frames import Array, Bools, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +136,7 @@ class JointPoses:
     joints: Ints
     bodies: Ints
     parents: Ints
-    hinge: NDArray[np.bool_]
+    hinge: Bools
     start: Array
     second: Array
     anchor: Array
@@ -271,9 +268,7 @@ class ModelDoubles:
             for pose, share in zip(poses, fade, strict=False)
         ]
 
-    def _apart(
-        self, part: DoublePart, data: mujoco.MjData, pose: mujoco.MjData
-    ) -> NDArray[np.bool_]:
+    def _apart(self, part: DoublePart, data: mujoco.MjData, pose: mujoco.MjData) -> Bools:
         """Returns the geoms of links that do not coincide with the robot's, (ngeom,) bool."""
         model = self._model
         apart = np.linalg.norm(pose.xpos - data.xpos, axis=1) > HIDDEN_DISTANCE

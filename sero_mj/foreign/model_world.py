@@ -13,7 +13,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.cartesian import NamedFrame, SmartArrow
 from ..assemble.double import Double
@@ -24,15 +23,13 @@ from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName
-from ..frames import frame_from
+from ..frames import Array, Bools, Ints, frame_from
 from ._found_robot import FoundPart, body_labels, found_robot, list_found_frames
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import Tree, find_trees, measure, torque_limits
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 _FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
 _MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation for a model without a view
@@ -244,7 +241,7 @@ class ModelWorld(WorldView):
         positions, rotations = self._sites.read(data, doubles)
         return ModelState(data, self._userdata, positions, rotations, doubles)
 
-    def drawn_doubles(self, state: Any, shown: NDArray[np.bool_]) -> list[DrawnDouble]:
+    def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
         """Returns the doubles to draw, of those that are switched on, (D,)."""
         return [
             drawn
@@ -253,7 +250,7 @@ class ModelWorld(WorldView):
             for drawn in self._posed.drawn(state, name)
         ]
 
-    def geoms_in_view(self) -> NDArray[np.bool_]:
+    def geoms_in_view(self) -> Bools:
         """Returns the geoms of its robots, (ngeom,) bool: the surroundings may be large."""
         bases = [part.bodies[0] for part in self.robots.values()]
         of_robots = np.isin(self.model.body_rootid[self.model.geom_bodyid], bases)
