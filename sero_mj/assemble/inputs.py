@@ -82,30 +82,33 @@ class Input:
 
 def list_inputs(scene: Scene) -> dict[str, Input]:
     """Returns all inputs of a scene by `name.key`."""
-    inputs = []
+    inputs: list[Input] = []
+
+    def add(name: str, shape: tuple[int, ...], kind: InputKind, *keys: str) -> None:
+        inputs.extend(Input(name, key, shape, kind) for key in keys)
+
     for name, robot in scene.robots.items():
-        inputs.append(Input(name, "joint_angles", (robot.n,), "angles"))
-        inputs += [Input(name, key, (robot.n,), "values") for key in VALUE_INPUTS]
-        inputs += [Input(name, key, (robot.n,), "values") for key in robot.inputs]
-        inputs.append(Input(name, "base_frame", (4, 4), "pose"))
-        inputs.append(Input(name, "flange_check", (4, 4), "frame"))
-        inputs += [Input(name, key, (1,), "toggle") for key in OWNER_TOGGLES]
+        add(name, (robot.n,), "angles", "joint_angles")
+        add(name, (robot.n,), "values", *VALUE_INPUTS, *robot.inputs)
+        add(name, (4, 4), "pose", "base_frame")
+        add(name, (4, 4), "frame", "flange_check")
+        add(name, (1,), "toggle", *OWNER_TOGGLES)
     for name, double in scene.doubles.items():
         if double.of in scene.robots and double.path is None:
             robot = scene.robots[double.of]
-            inputs.append(Input(name, "joint_angles", (robot.n,), "angles"))
-            inputs += [
-                Input(name, key, (robot.n,), "values") for key in (*VALUE_INPUTS, *robot.inputs)
-            ]
-            inputs += [Input(name, key, (1,), "toggle") for key in OWNER_TOGGLES]
-        inputs.append(Input(name, "visible", (1,), "toggle"))
+            add(name, (robot.n,), "angles", "joint_angles")
+            add(name, (robot.n,), "values", *VALUE_INPUTS, *robot.inputs)
+            add(name, (1,), "toggle", *OWNER_TOGGLES)
+        add(name, (1,), "toggle", "visible")
     for name in scene.arrows:
-        inputs += [Input(name, "vector", (3,), "vector"), Input(name, "show", (1,), "toggle")]
+        add(name, (3,), "vector", "vector")
+        add(name, (1,), "toggle", "show")
     for name in scene.frames:
-        inputs += [Input(name, "frame", (4, 4), "frame"), Input(name, "show_axes", (1,), "toggle")]
-    movable = [item.name for item in scene.objects if item.shape != "axes"]
-    inputs += [Input(name, "frame", (4, 4), "pose") for name in [*movable, *scene.cameras]]
-    inputs += [Input(SCENE, key, (1,), "toggle") for key in SceneToggles.model_fields]
+        add(name, (4, 4), "frame", "frame")
+        add(name, (1,), "toggle", "show_axes")
+    for name in [*(item.name for item in scene.objects if item.shape != "axes"), *scene.cameras]:
+        add(name, (4, 4), "pose", "frame")
+    add(SCENE, (1,), "toggle", *SceneToggles.model_fields)
     return {item.target: item for item in inputs}
 
 
@@ -119,12 +122,12 @@ def moving(scene: Scene) -> set[str]:
     }
 
 
-def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int]]:
+def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]:
     """Allocates a slot in `userdata` for every input and source.
 
     Returns:
-        slots by name (`lwr.torques`, `sources.udp`), and for every input the index of the flag
-        that it was set.
+        slots by name (`lwr.torques`, `sources.udp`), for every input the index of the flag that it
+        was set, and the length of `userdata`.
     """
     lengths: dict[str, int] = {}
     inputs = list_inputs(scene)
@@ -137,4 +140,5 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int]]:
     for key, length in lengths.items():
         slots[key] = slice(start, start + length)
         start += length
-    return slots, {target: start + i for i, target in enumerate(inputs)}
+    flags = {target: start + i for i, target in enumerate(inputs)}
+    return slots, flags, start + len(flags)

@@ -17,6 +17,11 @@ from .robot import SerialRobot
 from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
 from .scene import Scene
 
+Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
+
+_DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
+_DOUBLE_ARROW_SIZE = 0.85  # both arrows are visible where a double coincides with its robot
+
 
 @dataclass(frozen=True, eq=False)
 class RobotPart:
@@ -51,11 +56,6 @@ class RobotPart:
     def scope(self) -> str:
         """Prefix of the names of its sites."""
         return f"{self.robot.name}/"
-
-    @property
-    def arrow_quantity(self) -> str:
-        """Quantity that its arrows initially show."""
-        return self.robot.arrow_quantity
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
@@ -154,11 +154,6 @@ class DoublePart:
         return self.of.reach
 
     @property
-    def arrow_quantity(self) -> str:
-        """Quantity that its arrows initially show."""
-        return self.double.arrow_quantity or self.robot.arrow_quantity
-
-    @property
     def billboard_lines(self) -> list[BillboardLine] | None:
         """Declared lines of its billboards, its own or those of its robot."""
         return self.double.billboard_lines or self.robot.billboard_lines
@@ -184,10 +179,6 @@ class DrawnDouble:
     data: mujoco.MjData
     geoms: Bools
     rgba: Array
-
-
-_DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
-_DOUBLE_ARROW_SIZE = 0.85  # both arrows are visible where a double coincides with its robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,83 +232,6 @@ class JointTable:
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
 
-def joint_table(
-    owners: Mapping[str, Owner],
-    slots: Mapping[str, slice],
-    flags: Mapping[str, int],
-    sites: Callable[[Sequence[str]], Ints],
-) -> JointTable:
-    """Builds the table of all joints of a compiled scene.
-
-    Args:
-        owners: robots, then doubles, by name.
-        slots: slice of every input in `userdata`.
-        flags: index in `userdata` of the flag that an input was set, by its name.
-        sites: returns the ids of sites (k,) by their names.
-    """
-    parts = list(owners.values())
-    robots = [part.robot for part in parts]
-    counts = [robot.n for robot in robots]
-
-    def gather(values: Iterable[Any], kind: Any = np.float64) -> Any:
-        """Returns one entry per joint, from one value or one array per owner."""
-        spread = [np.broadcast_to(v, n) for v, n in zip(values, counts, strict=True)]
-        return np.concatenate(spread or [np.empty(0)]).astype(kind)
-
-    def limits_of(field: str) -> Any:
-        limits = [getattr(robot, field) for robot in robots]
-        return gather([np.inf if limit is None else limit for limit in limits])
-
-    def slots_of(key: str) -> list[Any]:
-        found = [slots.get(f"{name}.{key}") for name in owners]
-        return [-1 if s is None else np.arange(s.start, s.stop) for s in found]
-
-    is_double = [isinstance(part, DoublePart) for part in parts]
-    keys = list(dict.fromkeys([*VALUE_INPUTS, *(key for robot in robots for key in robot.inputs)]))
-    doubled = [
-        np.arange(slots[f"{name}.joint_angles"].start, slots[f"{name}.joint_angles"].stop)
-        for name, part in owners.items()
-        if isinstance(part, DoublePart)
-    ]
-    qpos = [part.qpos for part in parts if isinstance(part, RobotPart)]
-    return JointTable(
-        names=[name for robot in robots for name in robot.names],
-        owner=gather(range(len(parts)), np.intp),
-        of_robot=sum(len(q) for q in qpos),
-        revolute=gather([part.dh.revolute for part in parts], bool),
-        centre_site=sites([f"{p.scope}centre{i + 1}" for p in parts for i in range(p.robot.n)]),
-        qpos=np.concatenate([*qpos, []]).astype(np.intp),
-        angle_slots=np.concatenate([*doubled, []]).astype(np.intp),
-        slots={key: gather(slots_of(key), np.intp) for key in keys},
-        has={
-            key: gather([flags.get(f"{name}.{key}", -1) for name in owners], np.intp)
-            for key in ("joint_angles", *keys)
-        },
-        torque_limit=limits_of("torque_limits"),
-        acceleration_limit=limits_of("acceleration_limits"),
-        arrow_quantity=gather([ARROW_QUANTITIES.index(p.arrow_quantity) for p in parts], np.intp),
-        arrow_dead_band=gather([robot.arrow_dead_band for robot in robots]),
-        arrow_radius=gather(
-            [
-                part.robot.arrow_radii * (_DOUBLE_ARROW_SIZE if double else 1.0)
-                for part, double in zip(parts, is_double, strict=True)
-            ]
-        ),
-        arrow_width_scale=gather([robot.arrow_width_scale for robot in robots]),
-        arrow_load=gather([robot.arrow_loads for robot in robots]),
-        arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
-    )
-
-
-def site_ids(model: mujoco.MjModel, names: Sequence[str]) -> Ints:
-    """Returns the ids of sites by their names."""
-    kind = mujoco.mjtObj.mjOBJ_SITE
-    return np.array([mujoco.mj_name2id(model, kind, name) for name in names], np.intp)
-
-
-Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
-
-
 @dataclass(frozen=True, eq=False)
 class FrameTable:
     """Arrays over all M named frames.
@@ -340,37 +254,6 @@ class FrameTable:
     alpha: Array
     shown: Bools
     has: Ints
-
-
-def frame_table(
-    scene: Scene, owners: Sequence[str], flags: dict[str, int], sites: Sites
-) -> FrameTable:
-    """Builds the table of all named frames of a compiled scene.
-
-    Args:
-        scene: the declaration.
-        owners: names of the robots and doubles with joints, in the world's order.
-        flags: index in `userdata` of the flag that an input was set, by its name.
-        sites: returns the ids of sites (k,) by their names.
-    """
-    rows = scene.named_frames().values()
-
-    def flag(row: NamedFrame) -> int:
-        if row.moves_with in scene.doubles:
-            return flags[f"{row.moves_with}.joint_angles"]
-        return flags[f"{row.moves_with}.frame"] if row.moves_with in scene.frames else -1
-
-    return FrameTable(
-        names=[row.name for row in rows],
-        owner=np.array(
-            [owners.index(row.shown_with) if row.shown_with else -1 for row in rows], np.intp
-        ),
-        site=sites([row.site for row in rows]),
-        size=np.array([row.size for row in rows], np.float64),
-        alpha=np.array([row.alpha for row in rows], np.float64),
-        shown=np.array([row.shown for row in rows], bool),
-        has=np.array([flag(row) for row in rows], np.intp),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,17 +288,116 @@ class ArrowTable:
     rgba: Array
 
 
-def arrow_table(
-    scene: Scene, slots: dict[str, slice], flags: dict[str, int], sites: Sites
-) -> ArrowTable:
-    """Builds the table of all smart arrows of a compiled scene.
+def make_tables(
+    scene: Scene,
+    owners: Mapping[str, Owner],
+    slots: Mapping[str, slice],
+    flags: Mapping[str, int],
+    sites: Sites,
+) -> tuple[JointTable, FrameTable, ArrowTable]:
+    """Builds the tables of all joints, named frames and smart arrows of a compiled scene.
 
     Args:
         scene: the declaration.
+        owners: robots, then doubles that have joints, by name.
         slots: slice of every input in `userdata`.
         flags: index in `userdata` of the flag that an input was set, by its name.
         sites: returns the ids of sites (k,) by their names.
     """
+    return (
+        _joint_table(owners, slots, flags, sites),
+        _frame_table(scene, list(owners), flags, sites),
+        _arrow_table(scene, slots, flags, sites),
+    )
+
+
+def _joint_table(
+    owners: Mapping[str, Owner],
+    slots: Mapping[str, slice],
+    flags: Mapping[str, int],
+    sites: Sites,
+) -> JointTable:
+    parts = list(owners.values())
+    robots = [part.robot for part in parts]
+    counts = [robot.n for robot in robots]
+
+    def gather(values: Iterable[Any], kind: Any = np.float64) -> Any:
+        """Returns one entry per joint, from one value or one array per owner."""
+        spread = [np.broadcast_to(v, n) for v, n in zip(values, counts, strict=True)]
+        return np.concatenate(spread or [np.empty(0)]).astype(kind)
+
+    def limits_of(field: str) -> Any:
+        limits = [getattr(robot, field) for robot in robots]
+        return gather([np.inf if limit is None else limit for limit in limits])
+
+    def slots_of(key: str) -> list[Any]:
+        found = [slots.get(f"{name}.{key}") for name in owners]
+        return [-1 if s is None else np.arange(s.start, s.stop) for s in found]
+
+    is_double = [isinstance(part, DoublePart) for part in parts]
+    quantities = [part.declared.arrow_quantity or part.robot.arrow_quantity for part in parts]
+    keys = list(dict.fromkeys([*VALUE_INPUTS, *(key for robot in robots for key in robot.inputs)]))
+    doubled = [
+        np.arange(slots[f"{name}.joint_angles"].start, slots[f"{name}.joint_angles"].stop)
+        for name, part in owners.items()
+        if isinstance(part, DoublePart)
+    ]
+    qpos = [part.qpos for part in parts if isinstance(part, RobotPart)]
+    return JointTable(
+        names=[name for robot in robots for name in robot.names],
+        owner=gather(range(len(parts)), np.intp),
+        of_robot=sum(len(q) for q in qpos),
+        revolute=gather([part.dh.revolute for part in parts], bool),
+        centre_site=sites([f"{p.scope}centre{i + 1}" for p in parts for i in range(p.robot.n)]),
+        qpos=np.concatenate([*qpos, []]).astype(np.intp),
+        angle_slots=np.concatenate([*doubled, []]).astype(np.intp),
+        slots={key: gather(slots_of(key), np.intp) for key in keys},
+        has={
+            key: gather([flags.get(f"{name}.{key}", -1) for name in owners], np.intp)
+            for key in ("joint_angles", *keys)
+        },
+        torque_limit=limits_of("torque_limits"),
+        acceleration_limit=limits_of("acceleration_limits"),
+        arrow_quantity=gather([ARROW_QUANTITIES.index(q) for q in quantities], np.intp),
+        arrow_dead_band=gather([robot.arrow_dead_band for robot in robots]),
+        arrow_radius=gather(
+            [
+                part.robot.arrow_radii * (_DOUBLE_ARROW_SIZE if double else 1.0)
+                for part, double in zip(parts, is_double, strict=True)
+            ]
+        ),
+        arrow_width_scale=gather([robot.arrow_width_scale for robot in robots]),
+        arrow_load=gather([robot.arrow_loads for robot in robots]),
+        arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
+    )
+
+
+def _frame_table(
+    scene: Scene, owners: Sequence[str], flags: Mapping[str, int], sites: Sites
+) -> FrameTable:
+    rows = scene.named_frames().values()
+
+    def flag(row: NamedFrame) -> int:
+        if row.moves_with in scene.doubles:
+            return flags[f"{row.moves_with}.joint_angles"]
+        return flags[f"{row.moves_with}.frame"] if row.moves_with in scene.frames else -1
+
+    return FrameTable(
+        names=[row.name for row in rows],
+        owner=np.array(
+            [owners.index(row.shown_with) if row.shown_with else -1 for row in rows], np.intp
+        ),
+        site=sites([row.site for row in rows]),
+        size=np.array([row.size for row in rows], np.float64),
+        alpha=np.array([row.alpha for row in rows], np.float64),
+        shown=np.array([row.shown for row in rows], bool),
+        has=np.array([flag(row) for row in rows], np.intp),
+    )
+
+
+def _arrow_table(
+    scene: Scene, slots: Mapping[str, slice], flags: Mapping[str, int], sites: Sites
+) -> ArrowTable:
     arrows = scene.arrows.values()
     frames = scene.named_frames()
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +20,12 @@ import numpy as np
 
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem
-from ..frames import Bools, frame_from
+from ..frames import Bools, Ints, frame_from
 from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults
-from .parts import (
-    DoublePart,
-    DrawnDouble,
-    RobotPart,
-    arrow_table,
-    frame_table,
-    joint_table,
-    site_ids,
-)
+from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
@@ -73,12 +64,10 @@ class World(WorldView):
             raise DeclarationError(scene.located(problems))
         _warn_of_lengths(scene)
         self.inputs = list_inputs(scene)
-        self.slots, self.flags = userdata_slots(scene)
+        self.slots, self.flags, count = userdata_slots(scene)
         self.dynamics = _dynamics(scene) if dynamic else {}
         root = build_spec(scene, self.dynamics if dynamic else None)
-        root.nuserdata = len(self.flags) + sum(
-            slot.stop - slot.start for slot in self.slots.values()
-        )
+        root.nuserdata = count
         self._spec = root
         self.model = _compile(root, scene)
         if dynamic:
@@ -93,10 +82,9 @@ class World(WorldView):
         self.doubles = self._find_doubles()
         single = {name: part for name, part in self.doubles.items() if part.path is None}
         self.owners = {**self.robots, **single}
-        sites = partial(site_ids, self.model)
-        self.joints = joint_table(self.owners, self.slots, self.flags, sites)
-        self.frames = frame_table(scene, list(self.owners), self.flags, sites)
-        self.arrows = arrow_table(scene, self.slots, self.flags, sites)
+        self.joints, self.frames, self.arrows = make_tables(
+            scene, self.owners, self.slots, self.flags, self._sites
+        )
         self.placed = {name: part.mocap for name, part in self.robots.items()}
         for name in [*scene.frames, *(item.name for item in scene.objects), *scene.cameras]:
             body = f"frame-{name}" if name in scene.frames else moved_body(name)
@@ -203,6 +191,9 @@ class World(WorldView):
 
     def _id(self, kind: Any, name: str) -> int:
         return int(mujoco.mj_name2id(self.model, kind, name))
+
+    def _sites(self, names: Sequence[str]) -> Ints:
+        return np.array([self._id(mujoco.mjtObj.mjOBJ_SITE, name) for name in names], np.intp)
 
     def _find_robots(self) -> dict[str, RobotPart]:
         parts = {}

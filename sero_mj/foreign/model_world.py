@@ -17,7 +17,7 @@ import numpy as np
 from ..assemble.cartesian import NamedFrame, SmartArrow
 from ..assemble.double import Double
 from ..assemble.inputs import BLANKABLE, list_inputs, userdata_slots
-from ..assemble.parts import DoublePart, DrawnDouble, arrow_table, frame_table, joint_table
+from ..assemble.parts import DoublePart, DrawnDouble, make_tables
 from ..assemble.scene import Scene, SceneToggles
 from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
@@ -117,10 +117,8 @@ class ModelWorld(WorldView):
             for target, item in list_inputs(self.scene).items()
             if item.kind != "pose" and not (item.kind == "angles" and item.name in self.robots)
         }
-        self.slots, self.flags = userdata_slots(self.scene)
-        self._userdata = np.zeros(
-            len(self.flags) + sum(slot.stop - slot.start for slot in self.slots.values())
-        )
+        self.slots, self.flags, count = userdata_slots(self.scene)
+        self._userdata = np.zeros(count)
         points = [arrow for arrow in self.scene.arrows.values() if arrow.site is not None]
         of = ["", *single]
         self._sites = Sites(
@@ -146,9 +144,9 @@ class ModelWorld(WorldView):
         def sites(names: Sequence[str]) -> Ints:
             return np.array([rows[key] for key in names], np.intp)
 
-        self.joints = joint_table(self.owners, self.slots, self.flags, sites)
-        self.frames = frame_table(self.scene, list(self.owners), self.flags, sites)
-        self.arrows = arrow_table(self.scene, self.slots, self.flags, sites)
+        self.joints, self.frames, self.arrows = make_tables(
+            self.scene, self.owners, self.slots, self.flags, sites
+        )
         self._posed = ModelDoubles(model, self.doubles)
         self._declare()
 
