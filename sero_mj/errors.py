@@ -20,7 +20,8 @@ that every place that meets the same fault says the same sentence.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 
@@ -84,6 +85,15 @@ class DeclarationError(SeroError, ValueError):
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = list(problems)
         super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+@contextmanager
+def collect(problems: list[Problem], key: str) -> Iterator[None]:
+    """Adds the problems of a `DeclarationError` in its context to a list, inside `key`."""
+    try:
+        yield
+    except DeclarationError as error:
+        problems += [problem.inside(key) for problem in error.problems]
 
 
 class UnknownName(SeroError, KeyError):

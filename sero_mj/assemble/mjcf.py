@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from .. import frames
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, collect
 from ..frames import Array
 from .double import DOUBLE_GROUP, PATH_FADE, Double
 from .inputs import moving
@@ -23,7 +23,6 @@ from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
 from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, mesh_asset, pose, shape_geom
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
-from .robot_parts import LinkMesh
 from .scene import Scene
 from .shapes import SHELL, generate_shapes
 from .surroundings import PALETTES, Object, Palette
@@ -33,7 +32,6 @@ OBJECT_GROUP, ROBOT_GROUP = 0, 1
 _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
-_STILL = {"contype": 0, "conaffinity": 0}  # a mirrored robot does not collide
 
 
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
@@ -48,7 +46,9 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     """
     root = mujoco.MjSpec()
     root.modelname = scene.name
-    _set_up(root)
+    root.compiler.degree = False
+    # A moving body needs a mass, also a link without geometry (in a wrist).
+    root.compiler.boundmass, root.compiler.boundinertia = 1e-3, 1e-6
     moved = moving(scene)
     _surroundings(root, scene, moved)
     if dynamics is not None:
@@ -57,22 +57,18 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     if problems:
         raise DeclarationError(scene.located(problems))
     for item in scene.objects:
-        try:
+        with collect(problems, f"objects.{item.name}"):
             if item.name in moved:
                 _add_object(root, _moved_body(root, item.name, item.frame), item, np.eye(4))
             else:
                 _add_object(root, root.worldbody, item, item.frame)
-        except DeclarationError as error:
-            problems += [problem.inside(f"objects.{item.name}") for problem in error.problems]
     for name, robot in scene.robots.items():
-        try:
+        with collect(problems, f"robots.{name}"):
             _add_robot(root, robot, None if dynamics is None else dynamics[name])
-        except DeclarationError as error:
-            problems += [problem.inside(f"robots.{name}") for problem in error.problems]
     if problems:
         raise DeclarationError(scene.located(problems))
     for double in scene.doubles.values():
-        add_double(root, double, scene.robots[double.of])
+        _add_double(root, double, scene.robots[double.of])
     _add_frames(root, scene)
     return root
 
@@ -87,7 +83,7 @@ def _add_frames(root: mujoco.MjSpec, scene: Scene) -> None:
 
 
 def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics | None) -> None:
-    piece = build_robot(robot)
+    piece = _robot_spec(robot)
     if dynamics is not None:
         add_dynamics(piece, robot, dynamics)
     base = _attach(root, root.worldbody, piece, robot.name, robot.base_frame)
@@ -131,13 +127,14 @@ def _clashes(scene: Scene) -> list[Problem]:
     return problems
 
 
-def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
+def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     """Returns one robot as an `MjSpec`; its world body is the robot's base."""
     root = mujoco.MjSpec()
     root.compiler.degree = False
-    geometry = _Geometry(root, robot)
+    problems: list[Problem] = []
+    geoms = _link_geoms(root, robot, problems)
     body = root.worldbody
-    geometry.add_link(body, 0)
+    _add_geoms(body, geoms[0])
     body.add_site(name="base", group=SITE_GROUP)
     table = robot.dh
     at_zero = table.link_transforms(np.zeros(robot.n))
@@ -149,21 +146,18 @@ def build_robot(robot: SerialRobot) -> mujoco.MjSpec:
             joint |= {"range": robot.position_limits[i], "limited": True}
         kind = mujoco.mjtJoint.mjJNT_HINGE if table.revolute[i] else mujoco.mjtJoint.mjJNT_SLIDE
         body.add_joint(name=robot.names[i], type=kind, **joint)
-        geometry.add_link(body, i + 1)
+        _add_geoms(body, geoms[i + 1])
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
         # Site of arrows and billboards; its z is the joint's axis in both conventions.
         body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(_joint_centre(robot, i)))
     flange = body.add_body(name="flange", **pose(robot.flange_frame))
     flange.add_site(name="flange_frame", group=SITE_GROUP)
-    problems: list[Problem] = []
+    wrong_children: list[Problem] = []
     for k, child in enumerate(robot.children):
-        try:
+        with collect(wrong_children, f"children.{k}"):
             _add_object(root, flange, child, child.frame)
-        except DeclarationError as error:
-            problems += [problem.inside(f"children.{k}") for problem in error.problems]
-    problems += geometry.problems
-    if problems:
-        raise DeclarationError(problems)
+    if wrong_children or problems:
+        raise DeclarationError(wrong_children + problems)
     return root
 
 
@@ -179,40 +173,27 @@ def _joint_centre(robot: SerialRobot, i: int) -> Array:
     return _joint_axis_frame(robot, i) @ frames.frame(position=robot.offsets[i])
 
 
-class _Geometry:
-    """Adds the visible geometry of a robot's links: mesh files, or shapes from the DH table."""
-
-    def __init__(self, root: mujoco.MjSpec, robot: SerialRobot) -> None:
-        self._root = root
-        self._robot = robot
-        self._grown = (
-            [] if robot.filenames else generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
-        )
-        self.problems: list[Problem] = []
-
-    def add_link(self, body: Any, i: int) -> None:
-        if self._grown:
-            for shape in self._grown[i]:
-                look = {"rgba": shape.rgba, "group": ROBOT_GROUP}
-                body.add_geom(**look, **shape_geom(shape), **_STILL)
-            return
-        for k, mesh in enumerate(self._robot.filenames[i]):
-            try:
-                self._add_mesh(body, f"link{i}_{k}", mesh)
-            except DeclarationError as error:
-                self.problems += [p.inside(f"filenames.{i}") for p in error.problems]
-
-    def _add_mesh(self, body: Any, name: str, mesh: LinkMesh) -> None:
-        path = Path(self._robot.directory) / mesh.file
-        asset = mesh_asset(self._root, name, path, self._robot.mesh_scale)
-        rgba = SHELL if mesh.color is None else self._robot.colors[mesh.color]
-        body.add_geom(type=MESH, meshname=asset, rgba=rgba, group=ROBOT_GROUP, **_STILL)
+def _link_geoms(
+    root: mujoco.MjSpec, robot: SerialRobot, problems: list[Problem]
+) -> list[list[dict[str, Any]]]:
+    """Returns the visible geoms of the base and every link: mesh files, or generated shapes."""
+    if not robot.filenames:
+        shapes = generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
+        return [[{"rgba": shape.rgba, **shape_geom(shape)} for shape in link] for link in shapes]
+    links: list[list[dict[str, Any]]] = [[] for _ in robot.filenames]
+    for i, meshes in enumerate(robot.filenames):
+        for k, mesh in enumerate(meshes):
+            with collect(problems, f"filenames.{i}"):
+                path = Path(robot.directory) / mesh.file
+                asset = mesh_asset(root, f"link{i}_{k}", path, robot.mesh_scale)
+                rgba = SHELL if mesh.color is None else robot.colors[mesh.color]
+                links[i].append({"type": MESH, "meshname": asset, "rgba": rgba})
+    return links
 
 
-def _set_up(root: mujoco.MjSpec) -> None:
-    root.compiler.degree = False
-    # A moving body needs a mass, also a link without geometry (in a wrist).
-    root.compiler.boundmass, root.compiler.boundinertia = 1e-3, 1e-6
+def _add_geoms(body: Any, geoms: list[dict[str, Any]]) -> None:
+    for geom in geoms:  # a mirrored robot does not collide
+        body.add_geom(group=ROBOT_GROUP, contype=0, conaffinity=0, **geom)
 
 
 def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> None:
@@ -322,16 +303,11 @@ def frame_names(double: Double, robot: SerialRobot) -> list[str]:
     return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
 
 
-def add_double(root: mujoco.MjSpec, double: Double, robot: SerialRobot) -> None:
+def _add_double(root: mujoco.MjSpec, double: Double, robot: SerialRobot) -> None:
     """Adds the bodies of a double, at zero joint angles.
 
     The world hides them after compilation. Compiled out of sight they would make MuJoCo scale
     near plane, far plane and shadows for a scene of a kilometre.
-
-    Args:
-        root: the scene, changed in place.
-        double: the declaration.
-        robot: the robot it copies.
     """
     rows = body_names(double, robot)
     fade = np.linspace(*PATH_FADE, len(rows)) if len(rows) > 1 else np.ones(1)

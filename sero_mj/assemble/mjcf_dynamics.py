@@ -61,13 +61,7 @@ def set_contact_defaults(model: mujoco.MjModel) -> None:
 
 
 def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics) -> None:
-    """Adds masses, joint properties and collision geoms to a robot that is not yet attached.
-
-    Args:
-        piece: what `build_robot` returned.
-        robot: its declaration.
-        dynamics: its dynamics.
-    """
+    """Adds masses, joint properties and collision geoms to a robot that is not yet attached."""
     for i in range(robot.n):
         body = piece.body(f"link{i + 1}")
         moments, axes = principal_moments(dynamics.tensors[i + 1])
@@ -158,12 +152,7 @@ def _links_near_base(robot: SerialRobot) -> Bools:
 
 
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
-    """Excludes collisions between links of one housing.
-
-    Args:
-        root: the scene, with the robot attached.
-        robot: its declaration.
-    """
+    """Excludes collisions between links of one housing, in a scene with the robot attached."""
     flange = root.body(f"{robot.name}/flange")
     tools = [flange.name, *(body.name for body in flange.find_all("body"))]
     bodies = [f"{robot.name}/", *(f"{robot.name}/link{i + 1}" for i in range(robot.n))]

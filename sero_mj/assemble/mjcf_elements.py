@@ -117,11 +117,6 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes) -> str:
     """Stores a file's contents in the assets of a spec and returns its name there.
 
     The name is unique across folders, so that specs can be attached to each other.
-
-    Args:
-        spec: changed in place.
-        path: of the file.
-        contents: of the file.
     """
     file = f"{path.stem}-{sha256(contents).hexdigest()[:16]}{path.suffix.lower()}"
     spec.assets[file] = contents
@@ -141,13 +136,7 @@ def pose(T: Array) -> dict[str, Array]:
 
 
 def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: float) -> str:
-    """Adds a mesh file to the assets and returns the mesh's name.
-
-    Args:
-        spec: changed in place.
-        name: of the mesh.
-        path: of the file.
-        scale: metres per unit of the file.
+    """Adds a mesh file to the assets and returns the mesh's name; `scale` is m per unit.
 
     Raises:
         DeclarationError: the file cannot be read.
@@ -163,13 +152,7 @@ def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: float) -> str:
 
 
 def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
-    """Adds a mesh to the assets and returns its name.
-
-    Args:
-        spec: changed in place.
-        name: of the mesh.
-        corners: its vertices, (k, 3), m.
-    """
+    """Adds a mesh of vertices (k, 3), m, to the assets and returns its name."""
     spec.add_mesh(name=name, uservert=corners.ravel(), inertia=_CONVEX)
     return name
 

@@ -8,120 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from .. import frames
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, collect
 from ..frames import Array
 from .dynamics import rotate_tensors
 from .mjcf_elements import MESH, hull_asset, mesh_asset, shape_geom
 from .robot import SerialRobot
 from .shapes import generate_shapes
-
-_STEEL = 7800.0  # kg/m3; no link is denser
-# Lower bound: MuJoCo refuses bodies of smaller mass.
-_LEAST_MASS = 1e-6  # kg
-
-
-@dataclass(frozen=True, eq=False)
-class LinkInertias:
-    """Masses of the base and every link, in the frames of the DH rows.
-
-    Attributes:
-        masses: (n + 1,), kg.
-        centers: (n + 1, 3), centres of mass, m.
-        tensors: (n + 1, 3, 3), about these, kg m2.
-    """
-
-    masses: Array
-    centers: Array
-    tensors: Array
-
-
-def link_hulls(robot: SerialRobot) -> list[Array | None]:
-    """Returns the convex hull of the meshes of the base and of every link, in its DH frame.
-
-    Returns:
-        n + 1 arrays of hull vertices (k, 3), m; None for a link without meshes.
-
-    Raises:
-        DeclarationError: a file cannot be read.
-        ValueError: MuJoCo cannot compile a mesh, for example a flat one.
-    """
-    hulls: list[Array | None] = [None] * (robot.n + 1)
-    if not robot.filenames:
-        return hulls
-    root = mujoco.MjSpec()
-    owners = []
-    for i, meshes in enumerate(robot.filenames):
-        for k, mesh in enumerate(meshes):
-            path = Path(robot.directory) / mesh.file
-            try:
-                asset = mesh_asset(root, f"link{i}_{k}", path, robot.mesh_scale)
-            except DeclarationError as error:
-                raise DeclarationError([p.inside(f"filenames.{i}") for p in error.problems]) from (
-                    error
-                )
-            root.worldbody.add_geom(type=MESH, meshname=asset)
-            owners.append(i)
-    model = root.compile()
-    clouds: list[list[Array]] = [[] for _ in hulls]
-    for mesh_id, i in enumerate(owners):
-        clouds[i].append(_corners(model, mesh_id))
-    for i, cloud in enumerate(clouds):
-        if cloud:
-            hulls[i] = _hull(np.concatenate(cloud))
-    return hulls
-
-
-def estimate_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertias:
-    """Estimates link masses from their shapes and the declared density.
-
-    Args:
-        robot: of n joints.
-        hulls: as returned by `link_hulls`; a link without one gets shapes generated from the
-            DH table.
-    """
-    density = min(robot.dynamics.density, _STEEL)
-    root = mujoco.MjSpec()
-    root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
-    generated = generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
-    for i, hull in enumerate(hulls):
-        body = root.worldbody.add_body(name=f"link{i}")
-        if hull is None:
-            for shape in generated[i]:
-                body.add_geom(density=density, **shape_geom(shape))
-        else:
-            asset = hull_asset(root, f"hull{i}", hull)
-            body.add_geom(type=MESH, meshname=asset, density=density)
-    model = root.compile()
-    tensors = np.empty((robot.n + 1, 3, 3))
-    for i in range(robot.n + 1):
-        axes = frames.rotation_from_quat(model.body_iquat[i + 1])
-        tensors[i] = axes @ np.diag(model.body_inertia[i + 1]) @ axes.T
-    return LinkInertias(model.body_mass[1:].copy(), model.body_ipos[1:].copy(), tensors)
-
-
-def _corners(model: mujoco.MjModel, mesh: int) -> Array:
-    """Returns the vertices of a mesh in its file's frame; MuJoCo stores them about its centre."""
-    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    axes = frames.rotation_from_quat(model.mesh_quat[mesh])
-    corners = model.mesh_vert[start : start + count].astype(np.float64)
-    return np.asarray(corners @ axes.T + model.mesh_pos[mesh])
-
-
-def _hull(cloud: Array) -> Array:
-    """Returns the vertices (k, 3) of the convex hull of points (m, 3)."""
-    root = mujoco.MjSpec()
-    root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", cloud))
-    model = root.compile()
-    # Layout of mesh_graph: number of corners and faces, an address and a vertex per corner, ...
-    graph = model.mesh_graph[model.mesh_graphadr[0] :]
-    count = int(graph[0])
-    return np.asarray(_corners(model, 0)[graph[2 + count : 2 + 2 * count]])
-
 
 GRAVITY = 9.81  # m/s2, MuJoCo's default
 
@@ -135,6 +33,17 @@ _COULOMB = 0.004
 _VISCOUS = 0.008
 _FIRST_MODE = 10.0  # Hz, motor against held link
 _DAMPING_RATIO = 0.03  # of that mode
+_STEEL = 7800.0  # kg/m3; no link is denser
+# Lower bound: MuJoCo refuses bodies of smaller mass.
+_LEAST_MASS = 1e-6  # kg
+
+
+class _Links(NamedTuple):
+    """Inertias of the base and every link, in the frames of the DH rows."""
+
+    masses: Array  # (n + 1,), kg
+    centers: Array  # (n + 1, 3), centres of mass, m
+    tensors: Array  # (n + 1, 3, 3), about these, kg m2
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +83,11 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
         ValueError: MuJoCo cannot compile a mesh.
     """
     declared = robot.dynamics
-    hulls = link_hulls(robot)
+    hulls = _link_hulls(robot)
     estimated = []
     links = _declared_links(robot)
     if links is None:
-        links = estimate_links(robot, hulls)
+        links = _estimated_links(robot, hulls)
         estimated.append("masses")
     limits = robot.torque_limits
     if limits is None:
@@ -202,20 +111,11 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
     stiffness = given("joint_stiffness", motor * (2 * np.pi * _FIRST_MODE) ** 2)
     damping = given("joint_damping", 2 * _DAMPING_RATIO * np.sqrt(stiffness * motor))
     return RobotDynamics(
-        links.masses,
-        links.centers,
-        links.tensors,
-        motor,
-        viscous,
-        coulomb,
-        stiffness,
-        damping,
-        tuple(estimated),
-        hulls,
+        *links, motor, viscous, coulomb, stiffness, damping, tuple(estimated), hulls
     )
 
 
-def _declared_links(robot: SerialRobot) -> LinkInertias | None:
+def _declared_links(robot: SerialRobot) -> _Links | None:
     declared = robot.dynamics
     if declared.masses is None or declared.centers_of_mass is None or declared.inertias is None:
         return None
@@ -229,10 +129,10 @@ def _declared_links(robot: SerialRobot) -> LinkInertias | None:
         to_link = np.swapaxes(robot.dh.frames(np.zeros(robot.n))[:, :3, :3], -1, -2)
         centers = (to_link @ centers[..., None])[..., 0]
         tensors = rotate_tensors(tensors, to_link)
-    return LinkInertias(scale * declared.masses, centers, tensors)
+    return _Links(scale * declared.masses, centers, tensors)
 
 
-def _holding_efforts(robot: SerialRobot, links: LinkInertias) -> Array:
+def _holding_efforts(robot: SerialRobot, links: _Links) -> Array:
     """Returns the efforts that hold the arm, stretched from each joint, against gravity, (n,)."""
     table, n = robot.dh, robot.n
     steps = np.hypot(table.a, table.d)  # from joint to joint
@@ -244,3 +144,71 @@ def _holding_efforts(robot: SerialRobot, links: LinkInertias) -> Array:
         lever = far + size[i + 1 :] if table.revolute[i] else 1.0
         efforts[i] = GRAVITY * (links.masses[i + 1 :] * lever).sum()
     return efforts
+
+
+def _link_hulls(robot: SerialRobot) -> list[Array | None]:
+    """Returns the vertices (k, 3), m, of the convex hull of every link's meshes, in its DH frame.
+
+    None for a link without meshes. Raises as `robot_dynamics` does.
+    """
+    hulls: list[Array | None] = [None] * (robot.n + 1)
+    if not robot.filenames:
+        return hulls
+    root = mujoco.MjSpec()
+    owners: list[int] = []
+    problems: list[Problem] = []
+    for i, meshes in enumerate(robot.filenames):
+        for k, mesh in enumerate(meshes):
+            path = Path(robot.directory) / mesh.file
+            with collect(problems, f"filenames.{i}"):
+                asset = mesh_asset(root, f"link{i}_{k}", path, robot.mesh_scale)
+                root.worldbody.add_geom(type=MESH, meshname=asset)
+                owners.append(i)
+            if problems:
+                raise DeclarationError(problems)
+    model = root.compile()
+    for i in set(owners):
+        cloud = [_corners(model, mesh) for mesh, owner in enumerate(owners) if owner == i]
+        hulls[i] = _hull(np.concatenate(cloud))
+    return hulls
+
+
+def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> _Links:
+    """Estimates inertias from the declared density and the hulls, or else generated shapes."""
+    density = min(robot.dynamics.density, _STEEL)
+    root = mujoco.MjSpec()
+    root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
+    generated = generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
+    for i, hull in enumerate(hulls):
+        body = root.worldbody.add_body(name=f"link{i}")
+        if hull is None:
+            for shape in generated[i]:
+                body.add_geom(density=density, **shape_geom(shape))
+        else:
+            asset = hull_asset(root, f"hull{i}", hull)
+            body.add_geom(type=MESH, meshname=asset, density=density)
+    model = root.compile()
+    tensors = np.empty((robot.n + 1, 3, 3))
+    for i in range(robot.n + 1):
+        axes = frames.rotation_from_quat(model.body_iquat[i + 1])
+        tensors[i] = axes @ np.diag(model.body_inertia[i + 1]) @ axes.T
+    return _Links(model.body_mass[1:].copy(), model.body_ipos[1:].copy(), tensors)
+
+
+def _corners(model: mujoco.MjModel, mesh: int) -> Array:
+    """Returns the vertices of a mesh in its file's frame; MuJoCo stores them about its centre."""
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    axes = frames.rotation_from_quat(model.mesh_quat[mesh])
+    corners = model.mesh_vert[start : start + count].astype(np.float64)
+    return np.asarray(corners @ axes.T + model.mesh_pos[mesh])
+
+
+def _hull(cloud: Array) -> Array:
+    """Returns the vertices (k, 3) of the convex hull of points (m, 3)."""
+    root = mujoco.MjSpec()
+    root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", cloud))
+    model = root.compile()
+    # Layout of mesh_graph: number of corners and faces, an address and a vertex per corner, ...
+    graph = model.mesh_graph[model.mesh_graphadr[0] :]
+    count = int(graph[0])
+    return np.asarray(_corners(model, 0)[graph[2 + count : 2 + 2 * count]])

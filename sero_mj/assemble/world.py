@@ -19,14 +19,13 @@ import mujoco
 import numpy as np
 
 from ..declaration import numbers
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, collect
 from ..frames import Bools, Ints, frame_from
 from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
-from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
@@ -271,12 +270,12 @@ def _warn_of_lengths(scene: Scene) -> None:
 
 
 def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:
-    found, problems = {}, []
+    found: dict[str, RobotDynamics] = {}
+    problems: list[Problem] = []
     for name, robot in scene.robots.items():
         try:
-            found[name] = robot_dynamics(robot)
-        except DeclarationError as error:
-            problems += [problem.inside(f"robots.{name}") for problem in error.problems]
+            with collect(problems, f"robots.{name}"):
+                found[name] = robot_dynamics(robot)
         except ValueError as error:  # raised by MuJoCo for the hull of a mesh
             raise _not_compiled(scene, error) from error
     if problems:
@@ -312,39 +311,31 @@ _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, m
 
 
 def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
-    problems = mesh_problems(scene)
+    problems = _mesh_problems(scene)
     if not problems:
         problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
     return DeclarationError(scene.located(problems))
 
 
-def mesh_problems(scene: Scene) -> list[Problem]:
+def _mesh_problems(scene: Scene) -> list[Problem]:
     """Compiles every mesh of a scene by itself and returns the problems, by robot and file."""
-    problems = []
+    meshes: list[tuple[str, str, str | None]] = []
     for name, robot in scene.robots.items():
-        for i, meshes in enumerate(robot.filenames):
-            for mesh in meshes:
-                path = Path(robot.directory) / mesh.file
-                problems += _problem(f"robots.{name}.filenames.{i}", path)
-        problems += _object_problems(f"robots.{name}.children", robot)
-    problems += _object_problems("objects", scene)
-    return problems
+        for i, link in enumerate(robot.filenames):
+            key = f"robots.{name}.filenames.{i}"
+            meshes += [(key, robot.directory, mesh.file) for mesh in link]
+        for k, item in enumerate(robot.children):
+            meshes.append((f"robots.{name}.children.{k}.mesh", item.directory, item.mesh))
+    for item in scene.objects:
+        meshes.append((f"objects.{item.name}.mesh", item.directory, item.mesh))
+    return [
+        problem
+        for key, folder, file in meshes
+        if file is not None and (problem := _mesh_problem(key, Path(folder) / file)) is not None
+    ]
 
 
-def _object_problems(key: str, owner: SerialRobot | Scene) -> list[Problem]:
-    problems = []
-    named = (
-        [(str(k), child) for k, child in enumerate(owner.children)]
-        if isinstance(owner, SerialRobot)
-        else [(item.name, item) for item in owner.objects]
-    )
-    for name, item in named:
-        if item.mesh is not None:
-            problems += _problem(f"{key}.{name}.mesh", Path(item.directory) / item.mesh)
-    return problems
-
-
-def _problem(key: str, path: Path) -> list[Problem]:
+def _mesh_problem(key: str, path: Path) -> Problem | None:
     file = f"mesh{path.suffix.lower()}"
     xml = (
         f'<mujoco><asset><mesh name="mesh" file="{file}" inertia="convex"/></asset>'
@@ -356,5 +347,5 @@ def _problem(key: str, path: Path) -> list[Problem]:
         reason = str(error).splitlines()[0].removeprefix("Error: ").replace(file, path.name)
         if path.suffix.lower() == ".stl" and b"facet normal" in path.read_bytes()[:1000]:
             reason = "it is an ASCII STL; save it as a binary one"
-        return [Problem(key, f"{path} is not a mesh that MuJoCo reads: {reason}")]
-    return []
+        return Problem(key, f"{path} is not a mesh that MuJoCo reads: {reason}")
+    return None
