@@ -9,8 +9,8 @@ from source_slots import set_source
 from sero_mj import World
 from sero_mj.load import load_scene
 from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
-from sero_mj.show.web.plots import decimate
-from sero_mj.show.window.torque_plot import TorquePlot, y_range
+from sero_mj.show.web._panels import decimate
+from sero_mj.show.window.hud import TorquePlot, y_range
 
 
 @pytest.fixture(scope="module")

@@ -362,11 +362,11 @@ def test_what_finds_no_room_is_on_the_next_page() -> None:
 @pytest.mark.parametrize("size", [(1280, 800), (640, 480), (320, 240)])
 @pytest.mark.parametrize("has_plot", [False, True])
 def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_plot: bool) -> None:
-    layout = arrange(size, 18, bar=29, line=23, has_plot=has_plot)
+    picture, plots = arrange(size, 18, 52, has_plot=has_plot)
     covered = np.zeros(size[::-1], int)
-    for rect in (layout.picture, *layout.plots):
+    for rect in (picture, *plots):
         assert rect.width > 0 and rect.height > 0
         covered[rect.bottom : rect.bottom + rect.height, rect.left : rect.left + rect.width] += 1
     assert (covered[52:] == 1).all()
     assert not covered[:52].any()
-    assert len(layout.plots) == (0 if not has_plot else 2 if size[0] > 1000 else 1)
+    assert len(plots) == (0 if not has_plot else 2 if size[0] > 1000 else 1)

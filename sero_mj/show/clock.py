@@ -35,7 +35,7 @@ class Clock:
         is_paused: whether it stands still.
         speed: shown s per real s.
         time: shown, s since the start.
-        end: of the time line, s; None where there is no end.
+        end: of the time line, s; None where a source has no end.
         step_size: of a single step, s.
         on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
             on in steps that are as fine at a low frame rate, so that a plot misses little.
@@ -50,12 +50,15 @@ class Clock:
         self.real_speed = 1.0
         self.on_moment: Callable[[], None] | None = None
         self.time = 0.0
-        self.end = None if self.is_live else end_of(mirror)
-        self.step_size = step_of(mirror)
+        sources = mirror.sources.values()
+        ends = [source.end for source in sources if source.end is not None]
+        is_endless = self.is_live or len(ends) < len(sources)
+        self.end = None if is_endless else max(ends, default=None)
+        steps = [source.step for source in sources if source.step is not None]
+        self.step_size = min(steps, default=_STEP)
         self._shown: float | None = None  # what the mirror stands at
         self._simulated = 0.0  # as far as it is simulated
-        sources = mirror.sources.values()
-        self._simulates = any(source.step is not None for source in sources)
+        self._simulates = bool(steps)
 
     @property
     def is_at_end(self) -> bool:
@@ -158,19 +161,6 @@ class Clock:
         if not self.is_live:
             end = float("inf") if self.end is None else self.end
             self.time = min(max(time, 0.0), end)
-
-
-def end_of(mirror: LiveWorld) -> float | None:
-    """How long its recordings and simulations play, s; None where nothing ends."""
-    ends = [source.end for source in mirror.sources.values()]
-    known = [end for end in ends if end is not None]
-    return max(known, default=None) if len(known) == len(ends) else None
-
-
-def step_of(mirror: LiveWorld) -> float:
-    """How long a single step is, s: that of the simulation, or a frame."""
-    steps = [source.step for source in mirror.sources.values() if source.step is not None]
-    return min(steps, default=_STEP)
 
 
 def time_text(time: float) -> str:

@@ -7,7 +7,7 @@ closest to the camera is returned.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import mujoco
 import numpy as np
@@ -25,15 +25,6 @@ PickedKind = Literal[
 
 TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
 _ARROW_HEAD = 1.75  # width of an arrow geom's head over that of its shaft, in MuJoCo's renderers
-_KINDS: dict[Kind, PickedKind] = {
-    Kind.ARROW: "arrow",
-    Kind.BILLBOARD: "billboard",
-    Kind.AXES: "axes",
-    Kind.NAME: "name",
-    Kind.VECTOR: "vector",
-    Kind.CARD: "card",
-    Kind.CHECK: "check",
-}
 _MOST_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
 _STEP = 1e-6  # m beyond the surface of one of them
 
@@ -137,7 +128,8 @@ def _pick_decor(
     kind = Kind(int(pen.kinds[index[nearest]]))
     item = int(pen.items[index[nearest]])
     name, owner = _name_of(world, kind, item)
-    return Picked(_KINDS[kind], name, owner, item, float(distance[nearest]))
+    what = cast("PickedKind", kind.name.lower())
+    return Picked(what, name, owner, item, float(distance[nearest]))
 
 
 def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:

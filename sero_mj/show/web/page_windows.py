@@ -15,8 +15,7 @@ from ..clock import SPEEDS, time_text
 from ..interaction import help_columns
 from ..live import LiveHost
 from ..status_line import Mood, clock_text, source_text
-from ._robot_panel import RobotPanel
-from .plots import TorquePlots
+from ._panels import RobotPanel, TorquePlots
 from .studio_decor import WebDecor
 
 _ONCE = int(imgui.Cond.FirstUseEver)

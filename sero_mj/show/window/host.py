@@ -27,8 +27,7 @@ from ..scene_decor import Pixel, SceneDecor
 from ..status_line import Piece, status_pieces
 from .capture import Capture
 from .glfw_window import GlWindow
-from .hud import Hud, Layout, TimeLine, arrange
-from .torque_plot import TorquePlot
+from .hud import Hud, TimeLine, TorquePlot, arrange
 
 _HINT = "H help"
 _MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
@@ -136,7 +135,6 @@ class Window(LiveHost):
         }
         self._plot = TorquePlot(world)
         self._help = help_columns()
-        self._layout = self._arrange(self.gl.size)
         self._line: TimeLine | None = None
         self._is_scrubbing = False
         self._last = self._end = time.monotonic()  # start and end of the last frame
@@ -189,19 +187,21 @@ class Window(LiveHost):
         message = self.camera.next_message()
         if message is not None:
             self.say(message[0], is_bad=message[1])
-        self._layout = self._arrange((width, height))
-        rect = self._layout.picture
+        hud = self._hud
+        bottom = hud.bar_height if self.shows_status else 0
+        bottom += hud.line_height if self._has_line else 0
+        size = (width, height)
+        rect, plots = arrange(size, hud.font.height, bottom, has_plot=self._has_plot)
         self.decor.update(self.data, self.navigator.camera, rect, self.gl.fit_font(rect.height))
         is_pointing = not (self._mouse.is_down or self.shows_help)
         self.point(self._pointer() if is_pointing else None)
         figures = self._plot.fill(self.history, self.joint) if self._has_plot else []
         pieces = status_pieces(self.mirror.sources.values(), self.clock, self.frame_rate)
-        self._line = None
-        if self._has_line:
-            end = float(self.clock.end or 0.0)
-            self._line = self._hud.time_line(width, self._layout.line_bottom, end)
+        end = float(self.clock.end or 0.0)
+        self._line = hud.time_line(width, end) if self._has_line else None
         self.work = time.monotonic() - begin
-        self._draw(figures, pieces, (width, height))
+        # A narrow window has only one.
+        self._draw(list(zip(plots, figures, strict=False)), pieces, size)
         self.gl.swap()
         self._end = time.monotonic()
         # Limits the frame rate where swapping does not wait for the screen's refresh.
@@ -209,27 +209,20 @@ class Window(LiveHost):
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
 
-    def _arrange(self, size: tuple[int, int]) -> Layout:
-        hud = self._hud
-        return arrange(
-            size,
-            hud.font.height,
-            bar=hud.bar_height if self.shows_status else 0,
-            line=hud.line_height if self._has_line else 0,
-            has_plot=self._has_plot,
-        )
-
     @property
     def _has_line(self) -> bool:
         return self.shows_status and bool(self.clock.end)
 
     def _draw(
-        self, figures: list[mujoco.MjvFigure], pieces: list[Piece], size: tuple[int, int]
+        self,
+        plots: list[tuple[mujoco.MjrRect, mujoco.MjvFigure]],
+        pieces: list[Piece],
+        size: tuple[int, int],
     ) -> None:
         width, height = size
-        hud, layout, now = self._hud, self._layout, time.monotonic()
+        hud, picture, now = self._hud, self.decor.rect, time.monotonic()
         self.decor.render(self.gl.context)
-        for rect, figure in zip(layout.plots, figures, strict=False):  # only one in a narrow window
+        for rect, figure in plots:
             mujoco.mjr_figure(rect, figure, self.gl.hud)
         if self.wants_picture or self.camera.wants(now):
             pixels = self.decor.pixels(self.gl.context)
@@ -238,14 +231,13 @@ class Window(LiveHost):
             self.camera.add(pixels, now)
             self.wants_picture = False
         if self.camera.is_filming:
-            hud.filming(f"filming {time_text(self.camera.seconds)}", layout.picture.width, height)
+            hud.filming(f"filming {time_text(self.camera.seconds)}", picture.width, height)
         if self._line is not None:
-            hud.draw_time_line(self._line, self.clock.time, width, layout.line_bottom)
+            hud.draw_time_line(self._line, self.clock.time, width)
         if self.shows_status:
             hud.status(pieces, _HINT, width)
         if self.notice.is_shown:
-            text, is_bad = self.notice.text, self.notice.is_bad
-            hud.message(text, layout.picture.width, layout.picture.bottom, is_bad=is_bad)
+            hud.message(self.notice.text, picture, is_bad=self.notice.is_bad)
         if self.shows_help:
             found = self.help_pages(size)
             hud.help(found[min(self.help_page, len(found) - 1)], width, height)

@@ -1,16 +1,22 @@
-"""What is in a window besides its picture: status line, time line, messages, help, and where."""
+"""What is in a window besides its picture: plots, status line, time line, messages, help."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
+from ...assemble.world_view import WorldView
 from ...decor.font import Font
 from ..status_line import Mood, Piece
+from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from .glfw_window import GlWindow
 
+Array = NDArray[np.float64]
 Rgba = tuple[float, float, float, float]
 BAR: Rgba = (0.07, 0.09, 0.12, 1.0)
 PANEL: Rgba = (0.07, 0.09, 0.12, 0.92)
@@ -39,51 +45,44 @@ _NARROW = 46.0  # line heights; in a narrower window the plot is below the pictu
 _LEAST_STRIP = 10.0  # minimum height, line heights
 _LEAST_PLOT = 20.0  # minimum width, line heights
 
-
-@dataclass(frozen=True)
-class Layout:
-    """The parts of a window.
-
-    Attributes:
-        picture: of the scene.
-        plots: from top to bottom; none, one or two.
-        line_bottom: lower edge of the time line's area, pixels.
-        bar: height of the status line, pixels; 0 for none.
-    """
-
-    picture: mujoco.MjrRect
-    plots: list[mujoco.MjrRect] = field(default_factory=list)
-    line_bottom: int = 0
-    bar: int = 0
+# Of the plots:
+_NAMES = ("measured", "commanded")
+# Light blue and orange: distinct for the colour-blind and on a dark background.
+_RGB = ((0.45, 0.78, 1.0), (1.0, 0.62, 0.18))
+_ERROR_RGB = (0.75, 0.88, 0.45)
+_LIMITS = (2, 3)  # indices of the limits among the lines of a figure
+_LIMIT_RGB = (0.85, 0.30, 0.30)
+# Fraction of the half range that the lines use; the legend is above it.
+_BELOW, _ABOVE = 0.55, 0.85
+# Of the grid, by the whole units that are in the range.
+_STEPS = {1: 5, 2: 4, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7, 8: 4, 9: 3, 10: 5}
+_HUGE = 1e5  # Nm or N, from which on numbers have an exponent
+_LEAST_RANGE = 1.0  # Nm or N
 
 
 def arrange(
-    size: tuple[int, int], text: int, *, bar: int = 0, line: int = 0, has_plot: bool = False
-) -> Layout:
-    """Returns the layout of a window.
+    size: tuple[int, int], text: int, bottom: int, *, has_plot: bool
+) -> tuple[mujoco.MjrRect, list[mujoco.MjrRect]]:
+    """Returns the places of the picture and of the plots, from top to bottom: none, one or two.
 
     Args:
         size: of the window, pixels.
         text: height of a line of text, pixels.
-        bar: height of the status line, pixels; 0 for none.
-        line: height of the time line, pixels; 0 for none.
+        bottom: height of status line and time line, pixels.
         has_plot: whether plots are shown.
     """
-    width, bottom = size[0], bar + line
-    height = max(size[1] - bottom, 1)
+    width, height = size[0], max(size[1] - bottom, 1)
     if not has_plot:
-        return Layout(mujoco.MjrRect(0, bottom, width, height), [], bar, bar)
+        return mujoco.MjrRect(0, bottom, width, height), []
     if width < _NARROW * text:
         strip = round(min(max(_STRIP_SHARE * height, _LEAST_STRIP * text), 0.5 * height))
         picture = mujoco.MjrRect(0, bottom + strip, width, max(height - strip, 1))
-        return Layout(picture, [mujoco.MjrRect(0, bottom, width, strip)], bar, bar)
+        return picture, [mujoco.MjrRect(0, bottom, width, strip)]
     beside = round(max(_PLOT_SHARE * width, _LEAST_PLOT * text))
     left, lower = width - beside, height // 2
-    plots = [
-        mujoco.MjrRect(left, bottom + lower, beside, height - lower),
-        mujoco.MjrRect(left, bottom, beside, lower),
-    ]
-    return Layout(mujoco.MjrRect(0, bottom, left, height), plots, bar, bar)
+    upper = mujoco.MjrRect(left, bottom + lower, beside, height - lower)
+    plots = [upper, mujoco.MjrRect(left, bottom, beside, lower)]
+    return mujoco.MjrRect(0, bottom, left, height), plots
 
 
 @dataclass(frozen=True)
@@ -142,15 +141,7 @@ class Hud:
         return round(self.font.height * 1.3)
 
     def box(self, left: float, bottom: float, width: float, height: float, rgba: Rgba) -> None:
-        """Fills a rectangle.
-
-        Args:
-            left: pixels.
-            bottom: pixels.
-            width: pixels.
-            height: pixels.
-            rgba: colour.
-        """
+        """Fills a rectangle."""
         rect = mujoco.MjrRect(round(left), round(bottom), round(width), round(height))
         mujoco.mjr_rectangle(rect, *rgba)
 
@@ -200,57 +191,31 @@ class Hud:
             lines.append((right, base, hint, _DIM))
         self.panel((0, 0, width, self.bar_height), lines, BAR)
 
-    def time_line(self, width: int, bottom: float, end: float) -> TimeLine:
-        """Returns the geometry of the time line.
-
-        Args:
-            width: of the window, pixels.
-            bottom: lower edge of its area, pixels.
-            end: time at its right end, s.
-        """
+    def time_line(self, width: int, end: float) -> TimeLine:
+        """Returns the geometry of the time line in a window of that width; `end` in s."""
         h = self.font.height
-        return TimeLine(h, bottom + 0.5 * h, width - 2 * h, round(0.3 * h), end)
+        return TimeLine(h, self.bar_height + 0.5 * h, width - 2 * h, round(0.3 * h), end)
 
-    def draw_time_line(self, line: TimeLine, time: float, width: int, bottom: float) -> None:
-        """Draws the time line in its area.
-
-        Args:
-            line: its geometry.
-            time: current time, s.
-            width: of the window, pixels.
-            bottom: lower edge of its area, pixels.
-        """
-        self.box(0, bottom, width, self.line_height, BAR)
+    def draw_time_line(self, line: TimeLine, time: float, width: int) -> None:
+        """Draws the time line and its handle at a time, s, in a window of that width."""
+        self.box(0, self.bar_height, width, self.line_height, BAR)
         x = line.x_of(time)
         self.box(line.left, line.bottom, line.width, line.height, _TRACK)
         self.box(line.left, line.bottom, x - line.left, line.height, _DONE)
         half = 0.8 * line.height
         self.box(x - half, line.bottom - half, 2 * half, line.height + 2 * half, _HANDLE)
 
-    def message(self, text: str, width: int, bottom: float, *, is_bad: bool = False) -> None:
-        """Shows a message in the centre, above the status line.
-
-        Args:
-            text: the message.
-            width: of the window, pixels.
-            bottom: lower edge, pixels.
-            is_bad: whether it reports an error.
-        """
+    def message(self, text: str, rect: mujoco.MjrRect, *, is_bad: bool = False) -> None:
+        """Shows a message at the lower edge of the picture's rectangle; red for an error."""
         h = self.font.height
-        text = _shortened(text, self.font, width - 4 * h)
+        text = _shortened(text, self.font, rect.width - 4 * h)
         wide = self.font.width(text) + 2 * _PAD * h * 1.6
-        left = (width - wide) / 2
+        left = (rect.width - wide) / 2
         lines = [(0.7 * h, 0.54 * h, text, _TEXT)]
-        self.panel((left, bottom + 0.8 * h, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
+        self.panel((left, rect.bottom + 0.8 * h, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
 
     def filming(self, text: str, width: int, top: float) -> None:
-        """Shows that a film is being recorded.
-
-        Args:
-            text: duration of the film.
-            width: of the window, pixels.
-            top: upper edge, pixels.
-        """
+        """Shows that a film is being recorded, in a picture of that width and upper edge."""
         h = self.font.height
         wide = self.font.width(text) + 2.2 * h
         left, bottom = (width - wide) / 2, top - 2.0 * h
@@ -263,13 +228,7 @@ class Hud:
         return int((size[1] - 2.6 * h) / (_HELP_LINE * h)), int((size[0] - h) / (_HELP_COLUMN * h))
 
     def help(self, columns: Sequence[Sequence[tuple[str, str]]], width: int, height: int) -> None:
-        """Draws the help.
-
-        Args:
-            columns: rows of input and effect; a row without effect is a heading.
-            width: of the window, pixels.
-            height: of the window, pixels.
-        """
+        """Draws a page of the help in a window; see `interaction.help_columns`."""
         font = self.font
         h, line = font.height, _HELP_LINE * font.height
         sizes = []
@@ -299,3 +258,91 @@ def _shortened(text: str, font: Font, width: float) -> str:
     while len(text) > 4 and font.width(text) > width:
         text = text[:-4] + "..."
     return text
+
+
+def y_range(values: Array, limit: float) -> tuple[float, float, int]:
+    """Returns lower and upper end of the plot, Nm or N, and the number of grid steps.
+
+    Args:
+        values: all values of the plot, Nm or N, NaN for no data.
+        limit: of the torque, inf for none; it is in the range when torques come close to it.
+    """
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    if np.isfinite(limit) and max(abs(low), abs(high)) > 0.8 * limit:
+        high, low = (max(high, limit), low) if high > -low else (high, min(low, -limit))
+    span, middle = max(high - low, _LEAST_RANGE), (low + high) / 2
+    low, high = middle - _BELOW * span, middle + _ABOVE * span
+    for _ in range(2):  # repeated if rounding has made it longer than ten units
+        # `mjr_figure` always widens a range to whole powers of ten.
+        unit = 10.0 ** np.floor(np.log10((high - low) * (1 + 1e-9)))
+        low, high = float(np.floor(low / unit) * unit), float(np.ceil(high / unit) * unit)
+    return low, high, _STEPS.get(round((high - low) / unit), 5)
+
+
+def make_figure(rgb: tuple[tuple[float, float, float], ...]) -> mujoco.MjvFigure:
+    """Returns an empty figure whose first lines have these colours; limits are red."""
+    figure = mujoco.MjvFigure()
+    mujoco.mjv_defaultFigure(figure)
+    figure.flg_legend, figure.flg_extend = 1, 0
+    figure.flg_ticklabel[:] = 1
+    figure.gridsize[0] = 5
+    figure.gridrgb[:] = 0.32, 0.36, 0.42
+    figure.figurergba[:] = 0.07, 0.09, 0.12, 1.0
+    figure.panergba[:] = 0.10, 0.12, 0.16, 1.0
+    figure.legendrgba[:] = 0.07, 0.09, 0.12, 0.6
+    figure.textrgb[:] = 0.88, 0.90, 0.93
+    figure.linewidth, figure.gridwidth = 2.5, 1.0
+    figure.xformat = "%.0f"
+    figure.range[0] = -SPAN, 0.0
+    figure.linergb[: len(rgb)] = rgb
+    figure.linergb[_LIMITS[0] : _LIMITS[1] + 1] = _LIMIT_RGB
+    return figure
+
+
+class TorquePlot:
+    """Fills figures with the history of one joint: torques, and their error."""
+
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        self.torques, self.error = make_figure(_RGB), make_figure((_ERROR_RGB,))
+
+    def fill(self, history: TorqueHistory, joint: int) -> list[mujoco.MjvFigure]:
+        """Returns the figures of a joint of the world."""
+        joints = self._world.joints
+        times, values = history.of(joint)
+        limit = float(joints.torque_limit[joint])
+        what, unit = ("torque", "Nm") if joints.revolute[joint] else ("force", "N")
+        bound = f", limit {limit:g}" if np.isfinite(limit) else ""
+        name = joint_name(self._world, joint)
+        self.torques.title = f"{name}: {what} [{unit}] over time [s]{bound}"
+        _set_lines(self.torques, times, dict(zip(_NAMES, values, strict=True)), limit)
+        self.error.title = f"error [{unit}] over time [s]"
+        _set_lines(self.error, times, {"commanded - measured": values[1] - values[0]}, np.inf)
+        return [self.torques, self.error]
+
+
+def _set_lines(
+    figure: mujoco.MjvFigure, times: Array, lines: dict[str, Array], limit: float
+) -> None:
+    low, high, steps = y_range(np.concatenate(list(lines.values())), limit)
+    figure.range[1] = low, high
+    figure.gridsize[1] = steps + 1
+    places = -int(np.floor(np.log10((high - low) / steps * 1.001)))
+    figure.yformat = "%.3g" if max(-low, high) >= _HUGE else f"%.{max(0, places)}f"
+    figure.linepnt[:] = 0
+    spare = iter(range(_LIMITS[-1] + 1, len(figure.linepnt)))  # for pieces after a gap
+    for line, (name, values) in enumerate(lines.items()):
+        pieces = split_at_gaps(times, values)
+        figure.linename[line] = name if pieces else ""
+        for piece, at in zip(reversed(pieces), itertools.chain([line], spare), strict=False):
+            count = len(piece)
+            figure.linepnt[at] = count
+            figure.linergb[at] = figure.linergb[line]
+            points = figure.linedata[at]
+            points[0 : 2 * count : 2] = times[piece]
+            points[1 : 2 * count : 2] = values[piece]
+    for line, bound in zip(_LIMITS, (limit, -limit), strict=True):
+        if np.isfinite(limit) and low <= bound <= high:
+            figure.linepnt[line] = 2
+            figure.linedata[line][:4] = -SPAN, bound, 0.0, bound
