@@ -21,7 +21,6 @@ from .input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME
 from .picking import Picked
 
 Gesture = Literal["click", "shift", "double"]
-GESTURES: tuple[Gesture, ...] = ("click", "shift", "double")
 Action = Callable[[WorldView, Toggles, Picked], None]
 Rows = Callable[[WorldView, Picked], Any]  # returns indices of the joints or frames of an action
 
@@ -327,7 +326,7 @@ _KEY_NAMES = {
     "right": "right arrow",
     **{f"f{number}": f"F{number}" for number in range(1, 13)},
 }
-_GESTURES: dict[Gesture, str] = {"click": "click", "double": "double"}
+_IN_HELP: tuple[Gesture, ...] = ("click", "double")
 _KINDS = {
     "link": "link",
     "arrow": "round arrow",
@@ -348,9 +347,7 @@ def help_columns(*, on_page: bool = False) -> list[list[Row]]:
     """
     of_host = HOST_KEYS
     if on_page:
-        of_host = {
-            key: description for key, description in HOST_KEYS.items() if key not in OF_BROWSER
-        }
+        of_host = {key: action for key, action in HOST_KEYS.items() if key not in OF_BROWSER}
         of_host |= {"t": ("panel", "panel on or off"), "h": ("help", "this help")}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]
@@ -361,10 +358,9 @@ def help_columns(*, on_page: bool = False) -> list[list[Row]]:
     shown += [(key, words) for key, (words, _) in KEYS.items()]
     shown += [("", ""), ("Clicks", "")]
     for kind, name in _KINDS.items():
-        for gesture, word in _GESTURES.items():
-            entry = CLICKS.get((gesture, kind))
-            if entry is not None:
-                shown.append((f"{word} {name}", entry[0]))
+        for gesture in _IN_HELP:
+            if (gesture, kind) in CLICKS:
+                shown.append((f"{gesture} {name}", CLICKS[gesture, kind][0]))
     shown += [
         ("double click background", "what the scene declares"),
         ("Shift+click", "the same for the whole robot"),

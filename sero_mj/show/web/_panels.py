@@ -133,9 +133,7 @@ class RobotPanel:
         if not doubles or not imgui.CollapsingHeader("Transparent doubles", _OPEN):
             return
         for i, name in enumerate(doubles):
-            changed, on = imgui.Checkbox(f"{name}##double", bool(self._toggles.doubles[i]))
-            if changed:
-                self._toggles.doubles[i] = on
+            self._check(f"{name}##double", self._toggles.doubles, slice(i, i + 1))
 
     @staticmethod
     def _check(words: str, array: NDArray[np.bool_], rows: slice | NDArray[np.intp]) -> None:

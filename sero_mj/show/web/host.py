@@ -136,14 +136,7 @@ class WebHost(LiveHost):
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Serves one frame, if it is due.
-
-        Args:
-            wait: whether to wait until it is due; otherwise returns at once.
-
-        Returns:
-            whether the page is still served.
-        """
+        """Serves one frame, see `LiveHost.frame`; without waiting only if it is due."""
         if not self.is_open:
             return False
         if not (wait or self.is_due):

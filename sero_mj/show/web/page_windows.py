@@ -23,14 +23,18 @@ _ALWAYS = int(imgui.Cond.Always)
 _MARGIN = 12.0
 _WIDTH = 318.0
 _TOP = 34.0  # below Studio's menu bar
-_BAR_FLAGS = int(imgui.WindowFlags.NoTitleBar) | int(imgui.WindowFlags.NoResize)
-_BAR_FLAGS |= int(imgui.WindowFlags.NoScrollbar) | int(imgui.WindowFlags.NoDocking)
-_BAR_FLAGS |= int(imgui.WindowFlags.NoMove) | int(imgui.WindowFlags.NoSavedSettings)
-_HANDLE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
-_HANDLE_FLAGS |= int(imgui.WindowFlags.NoBackground) | int(imgui.WindowFlags.NoFocusOnAppearing)
-_NOTE_FLAGS = _BAR_FLAGS | int(imgui.WindowFlags.AlwaysAutoResize)
-_NOTE_FLAGS |= int(imgui.WindowFlags.NoInputs) | int(imgui.WindowFlags.NoFocusOnAppearing)
-_PANEL_FLAGS = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
+
+
+def _flags(*names: str) -> int:
+    return sum(int(getattr(imgui.WindowFlags, name)) for name in names)
+
+
+_BAR_FLAGS = _flags(
+    "NoTitleBar", "NoResize", "NoScrollbar", "NoDocking", "NoMove", "NoSavedSettings"
+)
+_HANDLE_FLAGS = _BAR_FLAGS | _flags("AlwaysAutoResize", "NoBackground", "NoFocusOnAppearing")
+_NOTE_FLAGS = _BAR_FLAGS | _flags("AlwaysAutoResize", "NoInputs", "NoFocusOnAppearing")
+_PANEL_FLAGS = _flags("AlwaysAutoResize", "NoSavedSettings")
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 # Studio 4.0's client clips labels that are closer to the left and upper edge of the page.
 _CUT_OFF = 68.0, 64.0  # pixels
@@ -248,9 +252,8 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.SetNextWindowPos(
             imgui.Vec2(size.x / 2, size.y / 2), int(imgui.Cond.Appearing), imgui.Vec2(0.5, 0.5)
         )
-        flags = int(imgui.WindowFlags.AlwaysAutoResize) | int(imgui.WindowFlags.NoSavedSettings)
         host = self._host
-        _, host.shows_help = imgui.Begin("Mouse and keys###help", host.shows_help, flags)
+        _, host.shows_help = imgui.Begin("Mouse and keys###help", host.shows_help, _PANEL_FLAGS)
         if imgui.BeginTable("##help", 2):
             imgui.TableNextRow()
             for column in help_columns(on_page=True):

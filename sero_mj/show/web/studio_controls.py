@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import string
 import time
 
 from mujoco.studio import app as studio_app
@@ -12,7 +13,6 @@ from ..clock import Clock
 from ..input import LEFT, RIGHT, Clicked, Event, Mouse
 from ..live import LiveHost
 
-_FIRST_LETTER, _FIRST_DIGIT = ord("a"), ord("0")
 _BUTTONS = ((LEFT, imgui.MouseButton.Left), (RIGHT, imgui.MouseButton.Right))
 # Names of keys here and in Studio; keys that browsers reserve (F1, F3, F11) are omitted.
 _NAMED = {
@@ -30,8 +30,8 @@ _NAMED = {
     "right": imgui.Key.RightArrow,
     "f1": imgui.Key.F1,
 }
-_LETTERS = {chr(_FIRST_LETTER + i): getattr(imgui.Key, chr(ord("A") + i)) for i in range(26)}
-_DIGITS = {chr(_FIRST_DIGIT + i): getattr(imgui.Key, f"N{i}") for i in range(10)}
+_LETTERS = {letter.lower(): getattr(imgui.Key, letter) for letter in string.ascii_uppercase}
+_DIGITS = {digit: getattr(imgui.Key, f"N{digit}") for digit in string.digits}
 _HELD = (".", ",", "-", "=", "left", "right", "[", "]")  # repeated while they are held down
 KEYS = {**_NAMED, **_LETTERS, **_DIGITS}
 _RUNS = sim.PauseState.UNPAUSED

@@ -138,12 +138,7 @@ class Window(LiveHost):
         self._line: TimeLine | None = None
         self._is_scrubbing = False
         self._last = self._end = time.monotonic()  # start and end of the last frame
-        self._interval = 1.0 / self.gl.refresh_rate
-
-    @property
-    def frame_rate(self) -> float:
-        """Frames/s, averaged over the last frames."""
-        return 1.0 / max(self._interval, 1e-6)
+        self._interval = 1.0 / self.gl.refresh_rate  # s, averaged over the last frames
 
     @property
     def is_open(self) -> bool:
@@ -162,14 +157,7 @@ class Window(LiveHost):
         return time.monotonic() - self._end >= max(1.0 / self.gl.refresh_rate - 1e-3 - took, took)
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Shows one frame.
-
-        Args:
-            wait: whether to wait until the screen is ready for the next one.
-
-        Returns:
-            whether the window is still open.
-        """
+        """Shows one frame, see `LiveHost.frame`."""
         begin = time.monotonic()
         passed, self._last = begin - self._last, begin
         self._interval += 0.1 * (passed - self._interval)
@@ -196,7 +184,8 @@ class Window(LiveHost):
         is_pointing = not (self._mouse.is_down or self.shows_help)
         self.point(self._pointer() if is_pointing else None)
         figures = self._plot.fill(self.history, self.joint) if self._has_plot else []
-        pieces = status_pieces(self.mirror.sources.values(), self.clock, self.frame_rate)
+        frame_rate = 1.0 / max(self._interval, 1e-6)
+        pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         end = float(self.clock.end or 0.0)
         self._line = hud.time_line(width, end) if self._has_line else None
         self.work = time.monotonic() - begin
