@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import Scene, SerialRobot, World
+from sero_mj.control.controller import Sensed, Target
 from sero_mj.control.controllers import controller_from, make_controller
 from sero_mj.control.observer import MomentumObserver
 from sero_mj.control.robot_model import RobotModel
-from sero_mj.control.state import Sensed, Target
 
 STEP = 1e-3  # s
 TABLES: tuple[dict[str, object], ...] = (

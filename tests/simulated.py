@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.control.controller import Sensed
 from sero_mj.control.robot_model import RobotModel
-from sero_mj.control.state import Sensed
 
 Array = NDArray[np.float64]
 

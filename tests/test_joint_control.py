@@ -14,11 +14,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
+from sero_mj.control.controller import Sensed, Target
 from sero_mj.control.controllers import LimitedController
-from sero_mj.control.damping import design_damping, unstable_joint
-from sero_mj.control.joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
+from sero_mj.control.joint_control import (
+    GravityCompensation,
+    JointImpedance,
+    JointPosition,
+    Torque,
+    design_damping,
+    unstable_joint,
+)
 from sero_mj.control.robot_model import RobotModel
-from sero_mj.control.state import Sensed, Target
 from sero_mj.errors import DeclarationError, SimulationError
 
 Array = NDArray[np.float64]

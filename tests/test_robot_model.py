@@ -35,16 +35,14 @@ def test_bias_and_mass_are_those_of_the_whole_pipeline(seed: int) -> None:
     data.qpos[:], data.qvel[:] = q, dq
     mujoco.mj_forward(model, data)
     MODEL.update(q, dq)
-    np.testing.assert_allclose(MODEL.bias(), data.qfrc_bias, atol=1e-11)
+    np.testing.assert_allclose(MODEL.coriolis() + MODEL.gravity(), data.qfrc_bias, atol=1e-11)
     full = np.zeros((7, 7))
     mujoco.mj_fullM(model, data, full)
     np.testing.assert_allclose(MODEL.mass(), full, atol=1e-13)
-    np.testing.assert_allclose(MODEL.link_mass(), full - np.diag(MOTORS), atol=1e-13)
-    np.testing.assert_allclose(MODEL.link_momentum(), MODEL.link_mass() @ dq, atol=1e-12)
+    np.testing.assert_allclose(MODEL.link_momentum(), (full - np.diag(MOTORS)) @ dq, atol=1e-12)
     data.qvel[:] = 0
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(MODEL.gravity(), data.qfrc_bias, atol=1e-11)
-    np.testing.assert_allclose(MODEL.coriolis() + MODEL.gravity(), MODEL.bias(), atol=1e-11)
 
 
 def mass_at(q: Array) -> Array:
@@ -71,8 +69,10 @@ def test_coriolis_terms_are_those_of_the_christoffel_symbols(seed: int) -> None:
     MODEL.update(q, dq)
     np.testing.assert_allclose(MODEL.coriolis(), matrix @ dq, atol=1e-7)
     acceleration = state(seed + 2)[1]
-    inverse = MODEL.mass() @ acceleration + matrix @ other + MODEL.gravity()
-    np.testing.assert_allclose(MODEL.inverse_dynamics(other, acceleration), inverse, atol=1e-7)
+    inverse = (MODEL.mass() - np.diag(MOTORS)) @ acceleration + matrix @ other + MODEL.gravity()
+    found, less = np.zeros((2, 7))
+    MODEL.write_inverse_dynamics(other, acceleration, found, less)
+    np.testing.assert_allclose(found - less, inverse, atol=1e-7)
     np.testing.assert_allclose(MODEL.transposed_coriolis(), matrix.T @ dq, atol=1e-7)
     np.testing.assert_allclose(MODEL.coriolis(), matrix @ dq, atol=1e-7)  # in any order
 
@@ -91,9 +91,6 @@ def test_the_jacobian_is_the_slope_of_the_flange(seed: int) -> None:
     np.testing.assert_allclose(twist[:3], (after - before)[:3, 3] / (2 * step), atol=1e-7)
     turn = (after - before)[:3, :3] @ MODEL.flange_rotation.T / (2 * step)
     np.testing.assert_allclose(twist[3:], [turn[2, 1], turn[0, 2], turn[1, 0]], atol=1e-7)
-    J = MODEL.jacobian()
-    expected = np.sqrt(max(np.linalg.det(J @ J.T), 0.0))
-    assert MODEL.manipulability() == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_declared_robot_has_a_model() -> None:
@@ -102,7 +99,6 @@ def test_a_declared_robot_has_a_model() -> None:
     assert robot.joint_names == lwr_robot().names
     robot.update(np.zeros(7), np.zeros(7))
     assert robot.flange_position[2] == pytest.approx(0.31 + 0.4 + 0.39 + 0.078)
-    assert robot.manipulability() == pytest.approx(0.0, abs=1e-9)  # stretched
 
 
 def test_what_is_no_robot_is_refused() -> None:
@@ -133,4 +129,3 @@ def test_other_things_in_the_model_are_left_out_and_other_joints_rigid() -> None
     np.testing.assert_allclose(robot.jacobian()[:, 0], [0, 0, -1.4, 0, 1, 0], atol=1e-12)
     with pytest.raises(ValueError, match=r"^found joints \[0, 1\]; expected those of one robot"):
         RobotModel(model, [0, 1], site=0)
-    assert robot.link_mass()[0, 0] == pytest.approx(robot.mass()[0, 0] - 0.5)

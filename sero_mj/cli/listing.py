@@ -100,9 +100,8 @@ def _print_scenario_fields() -> None:
 
 def scenario_tables() -> dict[str, type[Declaration]]:
     """The tables that a scenario file has beside those of a scene, by their headers."""
-    from ..control.cartesian_laws import CARTESIAN_LAWS
     from ..control.controllers import CONTROLLERS
-    from ..control.laws import LAWS
+    from ..control.plan import LAWS
     from ..runs.monitor import Monitor
     from ..simulate.disturbances import DISTURBANCES
     from ..simulate.expect import Expect
@@ -112,7 +111,7 @@ def scenario_tables() -> dict[str, type[Declaration]]:
 
     kinds: dict[str, Mapping[str, type[Declaration]]] = {
         "controllers.ROBOT": CONTROLLERS,
-        "targets.ROBOT": {**LAWS, **CARTESIAN_LAWS},
+        "targets.ROBOT": LAWS,
         "disturbances.NAME": DISTURBANCES,
         "faults.NAME": FAULTS,
     }

@@ -11,10 +11,17 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from ..declaration import numbers
-from .controller import DEFAULT_RATIO, ControllerDeclaration, PerJoint, Ratio, within
-from .damping import design_damping, too_stiff, unstable_joint
+from .controller import (
+    DEFAULT_RATIO,
+    ControllerDeclaration,
+    PerJoint,
+    Ratio,
+    Sensed,
+    Target,
+    within,
+)  # fmt: skip
+from .joint_control import design_damping, too_stiff, unstable_joint
 from .robot_model import RobotModel
-from .state import Sensed, Target
 
 Array = NDArray[np.float64]
 

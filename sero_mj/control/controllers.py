@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from ..declaration import by_kind
 from ..errors import DeclarationError, Problem, SimulationError
 from .cartesian_control import CartesianImpedance
-from .controller import Controller, ControllerDeclaration
+from .controller import Controller, ControllerDeclaration, Sensed, Target
 from .joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
 from .robot_model import RobotModel
-from .state import Sensed, Target
 
 Array = NDArray[np.float64]
 
@@ -165,7 +164,7 @@ def controller_from(table: Any) -> ControllerDeclaration:
     Raises:
         DeclarationError: there is no such kind, or fields are wrong.
     """
-    return by_kind(table, CONTROLLERS, ControllerDeclaration)
+    return by_kind(table, CONTROLLERS, ControllerDeclaration)  # type: ignore[type-abstract]
 
 
 def make_controller(

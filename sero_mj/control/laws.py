@@ -1,22 +1,26 @@
-"""Target motions in joint space: constant, way points, sine, chirp, step, recorded."""
+"""Target motions: of the joints, and of the flange.
+
+Way points, for both, are in `way_points.py`; all kinds by name are in `plan.py`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ..assemble.robot import SerialRobot
-from ..declaration import Declaration, Vector, by_kind, of_shape
+from ..declaration import Declaration, Frame, Vector, of_shape
 from ..errors import DeclarationError, Problem
-from .controller import MaybePerJoint, PerJoint, within
-from .time_laws import TimeLaw, along, quintic, schedule, trapezoid_blend
+from .controller import MaybePerJoint, PerJoint, per_joint, within
 
 Array = NDArray[np.float64]
+Samples = tuple[Array, Array, Array]
+Rows = Annotated[Array | None, of_shape(None, None)]
 
 _SLACK = 1e-9  # of limits, for targets that go just up to them
 
@@ -45,13 +49,34 @@ class Motion:
         )
 
 
-class Law(Declaration):
+@dataclass(frozen=True, eq=False)
+class CartesianMotion:
+    """A target motion of the flange, a row for every time.
+
+    Attributes:
+        times: (T,), s.
+        poses: (T, 4, 4), T_world_flange, m.
+        twists: (T, 6), in world axes, m/s, then rad/s.
+        accelerations: (T, 6), in world axes, m/s2, then rad/s2.
+    """
+
+    times: Array
+    poses: Array
+    twists: Array
+    accelerations: Array
+
+
+class Law(Declaration, ABC):
+    """Base of the declarations of target motions."""
+
+
+class JointLaw(Law):
     """Base of the declarations of target motions in joint space."""
 
     in_degrees: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="after")
-    def _from_degrees(self) -> Law:
+    def _from_degrees(self) -> JointLaw:
         for key in self.in_degrees:
             value = getattr(self, f"{key}_deg")
             if value is None:
@@ -83,6 +108,7 @@ class Law(Declaration):
             raise DeclarationError(problems)
         return motion
 
+    @abstractmethod
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
         """The motion of a whole run, whose limits are not checked.
 
@@ -91,7 +117,6 @@ class Law(Declaration):
             robot: whose joints move.
             start: (n,), rad or m, where it stands at first.
         """
-        raise NotImplementedError
 
     def per_joint(self, key: str, n: int) -> Array:
         """A field of one number for all joints or of n, as (n,).
@@ -103,10 +128,7 @@ class Law(Declaration):
         degrees = f" or {key}_deg" if key in self.in_degrees else ""
         if value is None:
             raise DeclarationError([Problem(key, f"is required; expected {key}{degrees}")])
-        if len(value) not in (1, n):
-            message = f"found {len(value)} entries; expected {n}, one per joint, or one for all"
-            raise DeclarationError([Problem(key, message)])
-        return np.array(np.broadcast_to(value, n))
+        return per_joint(key, value, n)
 
     def rows(self, key: str, n: int) -> Array:
         """A field of rows of n joint angles, (m, n).
@@ -149,146 +171,26 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
     return problems
 
 
-_NOTHING = 1e-12  # s: ways that no joint needs more for are none
-_Rows = Annotated[Array | None, of_shape(None, None)]
+class CartesianLaw(Law):
+    """Base of the declarations of target motions of the flange."""
 
+    @abstractmethod
+    def sample(self, times: Array, start: Array) -> CartesianMotion:
+        """The motion of a whole run.
 
-def rising(times: Array | None) -> Array | None:
-    """Returns times that rise and start at zero or later.
+        Args:
+            times: (T,), s, rising.
+            start: T_world_flange (4, 4), m, at first.
 
-    Raises:
-        ValueError: they do not.
-    """
-    if times is not None:
-        if not len(times) or times[0] < 0:
-            raise ValueError(f"found {times.tolist()}; expected times from 0 s on")
-        if (np.diff(times) <= 0).any():
-            raise ValueError(f"found {times.tolist()}; expected times that rise")
-    return times
-
-
-def _positive(values: Array | None) -> Array | None:
-    if values is not None and (values <= 0).any():
-        raise ValueError(f"found {values[values <= 0][0]:g}; expected positive numbers")
-    return values
-
-
-Arrivals = Annotated[Vector | None, AfterValidator(rising)]
-
-
-class WayPoints(Law):
-    """Goes to one point after the other; all joints start and arrive together.
-
-    Either `times` say when it arrives, or it goes as fast as `speed` allows.
-
-    Attributes:
-        way_points: (m, n), rad or m.
-        way_points_deg: the same in degrees.
-        times: (m,), s, when it arrives; a first of 0 is where it starts.
-        speed: share of the robot's velocity limits, 0 to 1.
-        accelerations: rad/s2 or m/s2 per joint; the robot's `acceleration_limits` by default.
-        time_law: `quintic` (no jumps in acceleration) or `trapezoidal` (faster).
-        dwell: s at each point, where there are no `times`.
-    """
-
-    kind: Literal["way_points"] = "way_points"
-    way_points: _Rows = None
-    way_points_deg: _Rows = None
-    times: Arrivals = None
-    speed: float | None = Field(None, gt=0, le=1)
-    accelerations: Annotated[MaybePerJoint, AfterValidator(_positive)] = None
-    time_law: TimeLaw = "quintic"
-    dwell: float = Field(0.0, ge=0)
-    in_degrees: ClassVar[tuple[str, ...]] = ("way_points",)
-
-    @model_validator(mode="after")
-    def _one_of_two(self) -> WayPoints:
-        if (self.times is None) == (self.speed is None):
-            found = "neither" if self.times is None else "both"
-            raise ValueError(f"found {found} of times and speed; expected one of them")
-        return self
-
-    def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """Straight lines in joint space."""
-        points = np.vstack([start, self.rows("way_points", robot.n)])
-        if self.times is not None:
-            points, starts, durations, blends = self._timed(points, robot)
-        else:
-            starts, durations, blends = self._fast(np.diff(points, axis=0), robot)
-        index, way, speed, rate = along(times, starts, durations, blends)
-        lines = np.diff(points, axis=0)[index]
-        return Motion(
-            times,
-            points[index] + way[:, None] * lines,
-            speed[:, None] * lines,
-            rate[:, None] * lines,
-        )
-
-    def _timed(self, points: Array, robot: SerialRobot) -> tuple[Array, Array, Array, Array | None]:
-        """Points, and when the ways between them start and how long they take."""
-        arrivals = self.times
-        assert arrivals is not None
-        if len(arrivals) != len(points) - 1:
-            message = (
-                f"found {len(arrivals)} entries; expected {len(points) - 1}, one per way point"
-            )
-            raise DeclarationError([Problem("times", message)])
-        if arrivals[0] == 0.0:
-            points = points[1:]
-            if len(points) == 1:
-                points, arrivals = np.vstack([points, points]), np.array([0.0, 1.0])
-        else:
-            arrivals = np.hstack([0.0, arrivals])
-        starts, durations = arrivals[:-1], np.diff(arrivals)
-        if self.time_law == "quintic":
-            return points, starts, durations, None
-        blends = []
-        for row, (line, duration) in enumerate(
-            zip(np.diff(points, axis=0), durations, strict=True)
-        ):
-            share = self._share(line, self._accelerations(robot))
-            try:
-                blends.append(trapezoid_blend(duration, share))
-            except ValueError as error:
-                joint = robot.names[int(np.argmax(self._shares(line, self._accelerations(robot))))]
-                when = f"to arrive at t = {starts[row] + duration:.3f} s"
-                message = f"joint {joint} is too slow {when}: {error}; expected more time"
-                raise DeclarationError([Problem("times", message)]) from None
-        return points, starts, durations, np.array(blends)
-
-    def _fast(self, lines: Array, robot: SerialRobot) -> tuple[Array, Array, Array | None]:
-        """When the ways start, and how long they take at the declared speed."""
-        limits, rates = robot.velocity_limits, self._accelerations(robot)
-        if limits is None or rates is None:
-            lacks = "velocity_limits" if limits is None else "acceleration_limits"
-            hint = "times" if limits is None else "accelerations"
-            message = f"robot '{robot.name}' has no {lacks}; expected {hint} here"
-            raise DeclarationError([Problem("speed", message)])
-        speeds = np.array([self._share(line, float(self.speed or 1.0) * limits) for line in lines])
-        shares = np.array([self._share(line, rates) for line in lines])
-        return schedule(speeds, shares, self.time_law, self.dwell)
-
-    def _accelerations(self, robot: SerialRobot) -> Array | None:
-        if self.accelerations is not None:
-            return self.per_joint("accelerations", robot.n)
-        return robot.acceleration_limits
-
-    @staticmethod
-    def _shares(line: Array, limits: Array | None) -> Array:
-        """How much of its limit every joint takes of each unit of the way."""
-        return np.zeros(len(line)) if limits is None else np.abs(line) / limits
-
-    @classmethod
-    def _share(cls, line: Array, limits: Array | None) -> float:
-        """The limit on the way (0 to 1) that the joint with the least room sets; inf for none."""
-        most = float(cls._shares(line, limits).max())
-        return 1.0 / most if most > _NOTHING else np.inf
+        Raises:
+            DeclarationError: fields that do not fit each other.
+        """
 
 
 _Hertz = Annotated[PerJoint, within(0.0, 1e3, "Hz")]
 
 
-class Constant(Law):
+class Constant(JointLaw):
     """Stands still.
 
     Attributes:
@@ -308,7 +210,31 @@ class Constant(Law):
         return Motion(times, np.tile(angles, (len(times), 1)), still, still)
 
 
-class Step(Law):
+class CartesianConstant(CartesianLaw):
+    """Stands still.
+
+    Attributes:
+        pose: T_world_flange, or T_start_flange; where the robot starts by default.
+        relative_to: the `world`, or the flange at its `start`.
+    """
+
+    kind: Literal["cartesian_constant"] = "cartesian_constant"
+    pose: Frame | None = None
+    relative_to: Literal["world", "start"] = "world"
+
+    def sample(self, times: Array, start: Array) -> CartesianMotion:
+        """Every row the same."""
+        pose = start if self.pose is None else in_world(self.pose, start, self.relative_to)
+        still = np.zeros((len(times), 6))
+        return CartesianMotion(times, np.tile(pose, (len(times), 1, 1)), still, still)
+
+
+def in_world(pose: Array, start: Array, relative_to: str) -> Array:
+    """T_world_flange of a pose that is relative to the `world` or to the `start`."""
+    return np.asarray(start @ pose) if relative_to == "start" else pose
+
+
+class Step(JointLaw):
     """Jumps by an amplitude, for step responses.
 
     Attributes:
@@ -334,7 +260,7 @@ class Step(Law):
         return Motion(times, start + there[:, None] * amplitude, still, still)
 
 
-class Sine(Law):
+class Sine(JointLaw):
     """Every joint swings about where it starts.
 
     Attributes:
@@ -364,7 +290,7 @@ class Sine(Law):
         )
 
 
-class Chirp(Law):
+class Chirp(JointLaw):
     """A swing whose frequency rises or falls linearly, for identification.
 
     Attributes:
@@ -400,7 +326,7 @@ class Chirp(Law):
         return _swinging(times, start, self.per_joint("amplitude", robot.n), swing, ramp)
 
 
-class Recorded(Law):
+class Recorded(JointLaw):
     """A motion as rows of time and angles, interpolated smoothly; before and after it rests.
 
     Attributes:
@@ -411,8 +337,8 @@ class Recorded(Law):
 
     kind: Literal["recorded"] = "recorded"
     times: Vector
-    angles: _Rows = None
-    angles_deg: _Rows = None
+    angles: Rows = None
+    angles_deg: Rows = None
     in_degrees: ClassVar[tuple[str, ...]] = ("angles",)
 
     @field_validator("times")
@@ -447,7 +373,25 @@ class Recorded(Law):
         )
 
 
-def _grown(times: Array, ramp: float) -> tuple[Array, Array, Array]:
+def quintic(times: Array, duration: float) -> Samples:
+    """The polynomial of fifth degree that starts and ends without speed and acceleration.
+
+    Args:
+        times: (T,), s from its start; before it and after its end it rests.
+        duration: s.
+
+    Returns:
+        way (0 to 1), speed (1/s) and acceleration (1/s2), each (T,).
+    """
+    u = np.clip(times / duration, 0.0, 1.0)
+    rest = 1.0 - u
+    way = u**3 * (10.0 + u * (6.0 * u - 15.0))
+    speed = 30.0 * (u * rest) ** 2 / duration
+    acceleration = 60.0 * u * rest * (rest - u) / duration**2
+    return way, speed, acceleration
+
+
+def _grown(times: Array, ramp: float) -> Samples:
     """A quintic from 0 at t = 0 to 1 at the end of the ramp, with its two derivatives."""
     if ramp == 0.0:
         return np.ones(len(times)), np.zeros(len(times)), np.zeros(len(times))
@@ -455,7 +399,7 @@ def _grown(times: Array, ramp: float) -> tuple[Array, Array, Array]:
 
 
 def _swinging(
-    times: Array, start: Array, amplitude: Array, swing: tuple[Any, ...], ramp: tuple[Any, ...]
+    times: Array, start: Array, amplitude: Array, swing: Samples, ramp: tuple[Any, ...]
 ) -> Motion:
     """`amplitude` times swing times ramp by the product rule; both with two derivatives."""
     s, ds, dds = swing
@@ -466,25 +410,3 @@ def _swinging(
         amplitude * (dr * s + r * ds),
         amplitude * (ddr * s + 2.0 * dr * ds + r * dds),
     )
-
-
-LAWS: Mapping[str, type[Law]] = {
-    "constant": Constant,
-    "way_points": WayPoints,
-    "sine": Sine,
-    "chirp": Chirp,
-    "step": Step,
-    "recorded": Recorded,
-}
-
-
-def law_from(table: Any) -> Law:
-    """Builds the declaration of a target motion from a table of a file.
-
-    Args:
-        table: `kind` and its fields; a declaration comes back as it is.
-
-    Raises:
-        DeclarationError: there is no such kind, or fields are wrong.
-    """
-    return by_kind(table, LAWS, Law)

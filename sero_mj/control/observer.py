@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .controller import Sensed
 from .robot_model import RobotModel
-from .state import Sensed
 
 Array = NDArray[np.float64]
 
@@ -113,38 +113,3 @@ class MomentumObserver:
         """Forgets what was observed; the next step is the first."""
         self._started = False
         self.external[:] = 0.0
-
-
-def external_torques(
-    model: RobotModel,
-    gain: float | Array,
-    timestep: float,
-    angles: Array,
-    velocities: Array,
-    torques: Array,
-    *,
-    motor_side: bool = False,
-) -> Array:
-    """Estimates of a `MomentumObserver` at every row of a log, (T, n), Nm or N.
-
-    Args:
-        model: of the robot; it is moved.
-        gain: as for `MomentumObserver`.
-        timestep: s between two rows.
-        angles: (T, n), rad or m.
-        velocities: (T, n), per second.
-        torques: (T, n), Nm or N; each of the step that led to its row.
-        motor_side: as for `MomentumObserver`.
-
-    Raises:
-        ValueError: the logs are not of one shape, or the gain is not positive.
-    """
-    observer = MomentumObserver(model, gain, timestep, motor_side=motor_side)
-    shapes = {np.shape(log) for log in (angles, velocities, torques)}
-    if len(shapes) != 1 or np.shape(angles)[1:] != (model.n,):
-        raise ValueError(f"found logs of {sorted(shapes)}; expected all to be (T, {model.n})")
-    result: Array = np.empty(np.shape(angles))
-    for row, q, dq, tau in zip(result, angles, velocities, torques, strict=True):
-        model.update(q, dq)
-        row[:] = observer.update_with(dq, tau)
-    return result

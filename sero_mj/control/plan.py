@@ -1,23 +1,71 @@
-"""Targets of robots at every step of a run, computed before it begins."""
+"""Targets of robots at every step of a run, computed before it begins.
+
+Here are all kinds of target motions by name, and inverse kinematics along a motion of the flange.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
+from ..errors import DeclarationError, Problem
+from ..declaration import by_kind
 from .cartesian_control import CartesianImpedance
-from .cartesian_laws import CartesianLaw, CartesianMotion
 from .compiler import Compiler
 from .controller import Controller, ControllerDeclaration
-from .inverse_kinematics import follow_poses
 from .joint_control import GravityCompensation, Torque
-from .laws import Constant, Law, Motion
+from .laws import (
+    CartesianConstant,
+    CartesianLaw,
+    CartesianMotion,
+    Chirp,
+    Constant,
+    JointLaw,
+    Law,
+    Motion,
+    Recorded,
+    Sine,
+    Step,
+)  # fmt: skip
+from .robot_model import RobotModel
+from .way_points import CartesianWayPoints, WayPoints
 
 Array = NDArray[np.float64]
+
+LAWS: Mapping[str, type[Law]] = {
+    "constant": Constant,
+    "way_points": WayPoints,
+    "sine": Sine,
+    "chirp": Chirp,
+    "step": Step,
+    "recorded": Recorded,
+    "cartesian_constant": CartesianConstant,
+    "cartesian_way_points": CartesianWayPoints,
+}
+
+_EVERY = 0.02  # s between two poses that are tried
+_ITERATIONS = 60
+_DAMPING = 1e-4  # of the pseudo-inverse, m2 and rad2
+_CLOSE = 1e-3  # m, or rad
+_LONGEST = 0.2  # rad or m per iteration
+
+
+def law_from(table: Any) -> Law:
+    """Builds the declaration of a target motion from a table of a file.
+
+    Args:
+        table: `kind` and its fields; a declaration comes back as it is.
+
+    Raises:
+        DeclarationError: there is no such kind, or fields are wrong.
+    """
+    return by_kind(table, LAWS, Law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +96,7 @@ class Plan:
 
 def make_plan(
     robot: SerialRobot,
-    law: Law | CartesianLaw | None,
+    law: Law | None,
     controller: ControllerDeclaration | Controller,
     times: Array,
     compiler: Compiler,
@@ -80,7 +128,9 @@ def make_plan(
         angles = follow_poses(flange, compiler.robot_model(robot), robot, start)
         joints = _motion(times, angles)
         return Plan(joints, flange, moves=bool(np.ptp(flange.poses, axis=0).max() > 0))
-    joints = (law or Constant()).sample(times, robot, start)
+    law = Constant() if law is None else law
+    assert isinstance(law, JointLaw)
+    joints = law.sample(times, robot, start)
     moves = bool(np.ptp(joints.angles, axis=0).max() > 0)
     return Plan(joints, _poses(robot, joints) if is_cartesian else None, moves)
 
@@ -100,3 +150,97 @@ def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
     twists = np.einsum("tij,tj->ti", jacobians, motion.velocities)
     accelerations = np.gradient(twists, motion.times, axis=0) if len(twists) > 2 else 0.0 * twists
     return CartesianMotion(motion.times, poses, twists, np.asarray(accelerations))
+
+
+def follow_poses(
+    motion: CartesianMotion, model: RobotModel, robot: SerialRobot, start: Array
+) -> Array:
+    """Joint angles (T, n) along a motion of the flange, within the position limits.
+
+    Found pose by pose, every 20 ms and linearly between, by damped least squares (Nakamura and
+    Hanafusa 1986; Wampler 1986), each from the one before; a check and a first guess, no plan. A
+    redundant arm might get through with another elbow where this one is stopped by a limit.
+
+    Args:
+        motion: of the flange.
+        model: of the robot; it is moved.
+        robot: whose limits to keep.
+        start: (n,), rad or m, the angles at first.
+
+    Raises:
+        DeclarationError: says when the flange stays behind, how far, and what is at its limit.
+    """
+    times = motion.times
+    picked = np.unique(
+        np.hstack([np.searchsorted(times, np.arange(times[0], times[-1], _EVERY)), len(times) - 1])
+    )
+    found: Array = np.empty((len(picked), model.n))
+    angles = np.array(start, float)
+    limits = robot.position_limits
+    for row, pose in zip(found, picked, strict=True):
+        angles, distance, angle = _reach(model, motion.poses[pose], angles, limits)
+        if distance > _CLOSE or angle > _CLOSE:
+            raise _too_far(times[pose], distance, angle, angles, robot)
+        row[:] = angles
+    return np.stack([np.interp(times, times[picked], column) for column in found.T], axis=1)
+
+
+def _reach(
+    model: RobotModel, pose: Array, angles: Array, limits: Array | None
+) -> tuple[Array, float, float]:
+    """Angles as near as they get to a pose, and what is left in m and rad."""
+    error: Array = np.zeros(6)
+    still: Array = np.zeros(model.n)
+    for iteration in range(_ITERATIONS):
+        model.update(angles, still)
+        error[:3] = pose[:3, 3] - model.flange_position
+        turn = pose[:3, :3] @ model.flange_rotation.T
+        sin = 0.5 * np.array(
+            [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+        )
+        size = float(np.linalg.norm(sin))
+        angle = float(np.arctan2(size, 0.5 * (np.trace(turn) - 1.0)))
+        error[3:] = sin * (angle / size if size > 1e-12 else 1.0)
+        left = float(np.linalg.norm(error[:3])), angle
+        if max(left) < 1e-2 * _CLOSE or iteration == _ITERATIONS - 1:
+            break
+        angles = angles + _step(model.jacobian(), error, angles, limits)
+    return angles, *left
+
+
+def _step(jacobian: Array, error: Array, angles: Array, limits: Array | None) -> Array:
+    """A step towards the pose; joints that would leave their limits go up to them and stay."""
+    n = len(angles)
+    low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
+    free: Array = np.ones(n)
+    held: Array = np.zeros(n)
+    step = held
+    for _ in range(n):
+        J = jacobian * free
+        rest = error - jacobian @ held
+        step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), rest)
+        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
+        out = (free > 0.0) & ((angles + step < low) | (angles + step > high))
+        if not out.any():
+            break
+        held[out] = np.clip(angles + step, low, high)[out] - angles[out]
+        free[out] = 0.0
+    return np.asarray(np.where(free > 0.0, step, held))
+
+
+def _too_far(
+    time: float, distance: float, angle: float, angles: Array, robot: SerialRobot
+) -> DeclarationError:
+    left = f"{1e3 * distance:.1f} mm and {np.rad2deg(angle):.1f} deg"
+    found = f"the flange cannot follow at t = {time:.3f} s: it stays {left} away"
+    limits = robot.position_limits
+    names = []
+    if limits is not None:
+        at = (angles <= limits[:, 0] + 1e-6) | (angles >= limits[:, 1] - 1e-6)
+        names = [name for name, there in zip(robot.names, at, strict=True) if there]
+    if names:
+        joints = f"joint {names[0]} is" if len(names) == 1 else f"joints {', '.join(names)} are"
+        why = f"{joints} at the limit"
+    else:
+        why = "no joint is at its limit, it is too far or a singularity in the way"
+    return DeclarationError([Problem("", f"{found}; {why}")])

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
+from ..frames import frame
 
 Array = NDArray[np.float64]
 
@@ -98,13 +99,8 @@ class RobotModel:
         self._qvel: Array = self._moving.qvel
         self._qacc: Array = self._moving.qacc
         self._gravity, self._coriolis, self._transposed, self._momentum = np.zeros((4, n))
-        self._inverse: Array = np.zeros(n)
-        self._other: Array = np.zeros(n)
-        self._bias: Array = np.zeros(n)
         self._velocities: Array = np.zeros(n)
         self._mass: Array = np.zeros((n, n))
-        self._link_mass: Array = np.zeros((n, n))
-        self._link_diagonal: Array = self._link_mass.reshape(-1)[:: n + 1]
         self.motor_inertia: Array = self._model.dof_armature.copy()
         self._jacobian: Array = np.zeros((6, n))
         self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
@@ -163,30 +159,10 @@ class RobotModel:
         mj_rne(self._weightless, self._moving, 0, self._coriolis)
         return self._coriolis
 
-    def bias(self) -> Array:
-        """C(q, dq) dq + g(q), (n,)."""
-        return np.add(self.coriolis(), self.gravity(), self._bias)
-
-    def inverse_dynamics(
-        self, velocities: Array, accelerations: Array, out: Array | None = None
-    ) -> Array:
-        """M(q) a + C(q, dq) v + g(q), (n,): what tracking of v and a takes.
-
-        Args:
-            velocities: v, (n,), per second.
-            accelerations: a, (n,), per second squared.
-            out: (n,), to be written instead of the buffer.
-        """
-        result = self._inverse if out is None else out
-        self.write_inverse_dynamics(velocities, accelerations, result, self._other)
-        np.subtract(result, self._other, result)
-        np.multiply(self.motor_inertia, accelerations, self._other)
-        return np.add(result, self._other, result)
-
     def write_inverse_dynamics(
         self, velocities: Array, accelerations: Array, torques: Array, less: Array
     ) -> None:
-        """The same as a difference of two, without what the motors' inertia takes.
+        """Writes M_link(q) a + C(q, dq) v + g(q), what tracking takes, as a difference of two.
 
         C(q, dq) v is linear in both and the same when they change places, so with c(x) = C(q, x) x
         it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
@@ -239,12 +215,6 @@ class RobotModel:
             self._has_mass = True
         return self._mass
 
-    def link_mass(self) -> Array:
-        """M_link(q), (n, n), without the motors' inertia: what the torque sensors see."""
-        self._link_mass[:] = self.mass()
-        self._link_diagonal -= self.motor_inertia
-        return self._link_mass
-
     def over_mass(self, rows: Array) -> Array:
         """Rows A as A M^-1, for a sixth of what an inverse of M takes.
 
@@ -265,27 +235,12 @@ class RobotModel:
 
     def jacobian(self) -> Array:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
-        self.write_jacobian(self._linear, self._angular)
+        mj_jacSite(self._model, self._data, self._linear, self._angular, 0)
         return self._jacobian
-
-    def write_jacobian(self, linear: Array, angular: Array) -> None:
-        """Writes both halves of J(q), (3, n) each, to where they are wanted."""
-        mj_jacSite(self._model, self._data, linear, angular, 0)
 
     def flange(self) -> Array:
         """T_world_flange, (4, 4), m; a new array."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = self.flange_rotation, self.flange_position
-        return T
-
-    def manipulability(self) -> float:
-        """sqrt(det(J J^T)), zero where the flange cannot move in some direction.
-
-        Robots with fewer than six joints are measured by sqrt(det(J^T J)).
-        Source: Yoshikawa 1985, Manipulability of Robotic Mechanisms.
-        """
-        singular = np.linalg.svd(self.jacobian(), compute_uv=False)
-        return float(np.prod(singular))
+        return frame(self.flange_rotation, self.flange_position)
 
     def _move(self) -> None:
         if not self._is_moving:

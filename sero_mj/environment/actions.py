@@ -9,11 +9,10 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
-from ..control.controller import ControllerDeclaration
+from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.controllers import make_controller
 from ..control.joint_control import JointImpedance, Torque
 from ..control.robot_model import RobotModel
-from ..control.state import Sensed, Target
 from ..errors import DeclarationError, Problem, SimulationError
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..control.compiler import Compiler
+from ..control.controller import Sensed, Target
 from ..control.controllers import make_controller
 from ..control.joint_control import GravityCompensation
 from ..control.observer import MomentumObserver
 from ..control.plan import Plan
-from ..control.state import Sensed, Target
 from .plant import Plant
 from .scenario import Scenario
 

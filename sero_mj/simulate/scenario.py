@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..assemble.scene import Scene
-from ..assemble.surroundings import Object
-from ..control.cartesian_laws import CARTESIAN_LAWS, CartesianLaw
 from ..control.controller import Controller, ControllerDeclaration
 from ..control.controllers import controller_from
 from ..control.joint_control import GravityCompensation, Torque
-from ..control.laws import LAWS, Law
-from ..declaration import Declaration, by_kind
+from ..control.laws import Law
+from ..control.plan import law_from
+from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..runs.monitor import Monitor
 from .disturbances import Disturbance, Force, Payload, disturbance_from
@@ -26,7 +25,6 @@ from .faults import Fault, fault_from
 from .sensors import SIGNALS, SensorErrors, Sensors
 
 Array = NDArray[np.float64]
-AnyLaw = Law | CartesianLaw
 
 
 class RobotSensors(Declaration):
@@ -121,7 +119,7 @@ class Scenario:
         self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
             "controllers", controllers, _controller
         )
-        self.targets: dict[str, AnyLaw] = self._each("targets", targets, _law)
+        self.targets: dict[str, Law] = self._each("targets", targets, law_from)
         self.sensors: dict[str, RobotSensors] = self._each(
             "sensors", sensors, lambda table: _built(RobotSensors, table)
         )
@@ -288,11 +286,3 @@ def _controller(table: Any) -> ControllerDeclaration | Controller:
         return controller_from(table)
     controller: Controller = table
     return controller
-
-
-def _law(table: Any) -> AnyLaw:
-    if isinstance(table, Law | CartesianLaw):
-        return table
-    kinds: dict[str, type[Any]] = {**LAWS, **CARTESIAN_LAWS}
-    law: AnyLaw = by_kind(table, kinds, Declaration)
-    return law
