@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
-from ..errors import DeclarationError, Problem
 from ..declaration import by_kind
+from ..errors import DeclarationError, Problem
 from .cartesian_control import CartesianImpedance
 from .compiler import Compiler
 from .controller import Controller, ControllerDeclaration

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.robot import SerialRobot
+from .. import paths
+from ..assemble.robot import SerialRobot, build_robot
 from ..assemble.scene import Scene
-from ..errors import RecordingError, UsageError, did_you_mean
+from ..errors import DeclarationError, RecordingError, UnknownName, UsageError, did_you_mean
 from ..record.recording import Recording
-from .recorded_events import read_events, receiver_of
-from .recorded_robots import read_tables, recorded_robots
-from .recorded_routes import follow_routes
+from ..toml_file import parse_toml
+from ._recorded_signals import follow_routes, read_events, receiver_of
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 
 Array = NDArray[np.float64]
 
+_ROBOT_FILE = "robot.toml"
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
 # Before `angles`, in old events of a robot that has others as well.
 _DERIVED = ("actual_", "target_")
@@ -54,13 +56,17 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
             raise UsageError(f"{path} has several runs: {found}; choose one of these sources")
         if runs:
             return _simulated(recording, runs[0], scene)
-        robots = recorded_robots(recording) if scene is None else scene.robots
+        robots = _recorded_robots(recording) if scene is None else scene.robots
         if not robots:
             found = ", ".join(recording.attachments) or "no files"
             reason = f"has no robot in it: found {found}; expected a scene, give one"
             raise RecordingError(path, reason)
-        routes = _routes_in(recording) if scene is None else scene.routes
-        doubles = _tables_in(recording, "doubles") if scene is None else _doubles_of(scene)
+        routes = _tables_in(recording, "routes") if scene is None else scene.routes
+        doubles = (
+            _tables_in(recording, "doubles")
+            if scene is None
+            else {name: {"of": double.of} for name, double in scene.doubles.items()}
+        )
         signals, times = follow_routes(recording, names, robots, routes, doubles)
         known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
         return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
@@ -104,7 +110,7 @@ def _simulated(recording: Recording, name: str, scene: Scene | None) -> RunLog:
         raise RecordingError(recording.path, f"has no good packet of '{name}'")
     times = series.events[TIME][:, 0]
     rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
-    declared = recorded_robots(recording) if scene is None else scene.robots
+    declared = _recorded_robots(recording) if scene is None else scene.robots
     signals = {
         event: values[rising].reshape(-1, *_row_shape(receiver.events[event]))
         for event, values in series.events.items()
@@ -146,19 +152,11 @@ def _declared(
     return robot
 
 
-def _routes_in(recording: Recording) -> dict[str, Any]:
-    return _tables_in(recording, "routes")
-
-
 def _tables_in(recording: Recording, key: str) -> dict[str, Any]:
-    for tables in read_tables(recording).values():
+    for tables in _read_tables(recording).values():
         if "robots" in tables and isinstance(tables.get(key), dict):
             return dict(tables[key])
     return {}
-
-
-def _doubles_of(scene: Scene) -> dict[str, Any]:
-    return {name: {"of": double.of} for name, double in scene.doubles.items()}
 
 
 def _with_velocities(
@@ -171,3 +169,89 @@ def _with_velocities(
         if event not in found and len(times) > 1:
             found[event] = np.gradient(found[event_of(name, "joint_angles")], times, axis=0)
     return found
+
+
+def _recorded_robots(recording: Recording) -> dict[str, SerialRobot]:
+    """Robots by their names in the recorded scene, else by those of their folders.
+
+    A robot that is installed here as it was recorded has its meshes; of another one the links grow
+    from its table.
+
+    Raises:
+        RecordingError: a file in it is damaged, or declares a robot wrongly.
+    """
+    files = _read_tables(recording)
+    models = {name.split("/")[-2]: name for name in files if name.endswith(f"/{_ROBOT_FILE}")}
+    robots: dict[str, SerialRobot] = {}
+    for tables in files.values():
+        declared = tables.get("robots")
+        for name, table in declared.items() if isinstance(declared, dict) else ():
+            robots.setdefault(name, _robot(recording, name, dict(table), models))
+    if not robots:
+        for name in models:
+            robots[name] = _robot(recording, name, {"model": name}, models)
+    return robots
+
+
+def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
+    """Every TOML file in a recording, by its name there.
+
+    Raises:
+        RecordingError: one is damaged or is no TOML.
+    """
+    found = {}
+    for name in recording.attachments:
+        if name.endswith(".toml"):
+            try:
+                found[name] = parse_toml(recording.read_attachment(name).decode("utf-8-sig"))
+            except ValueError as error:
+                reason = f"file '{name}' in it is no TOML: {error}"
+                raise RecordingError(recording.path, reason) from error
+    return found
+
+
+def _robot(
+    recording: Recording, name: str, table: dict[str, Any], models: Mapping[str, str]
+) -> SerialRobot:
+    model = table.pop("model", None)
+    table.pop("children", None)  # what is fixed to the flange may be in files that are not there
+    fields = {**table, "name": name}
+    if model is None:
+        return _built(recording, name, _without_meshes(fields), None)
+    folder = Path(str(model)).parent.name if str(model).endswith(".toml") else Path(str(model)).name
+    attached = models.get(folder)
+    if attached is None:
+        return _built(recording, name, fields, str(model))
+    data = recording.read_attachment(attached)
+    installed = _installed(folder)
+    if installed is not None and installed.read_bytes() == data:
+        return _built(recording, name, fields, str(installed))
+    with TemporaryDirectory() as directory:
+        path = Path(directory) / folder / _ROBOT_FILE
+        path.parent.mkdir()
+        path.write_bytes(data)
+        return _built(recording, name, _without_meshes(fields), str(path))
+
+
+def _built(
+    recording: Recording, name: str, fields: dict[str, Any], model: str | None
+) -> SerialRobot:
+    try:
+        return build_robot(fields, None if model is None else paths.find_model(model))
+    except UnknownName as error:
+        reason = f"its robot '{name}' is not in it, nor installed: {error}; give a scene"
+        raise RecordingError(recording.path, reason) from error
+    except DeclarationError as error:
+        reason = f"its robot '{name}' is declared wrongly: {error}"
+        raise RecordingError(recording.path, reason) from error
+
+
+def _without_meshes(fields: dict[str, Any]) -> dict[str, Any]:
+    return {**fields, "filenames": [], "directory": ""}
+
+
+def _installed(model: str) -> Path | None:
+    try:
+        return paths.find_model(model)
+    except (UnknownName, DeclarationError):
+        return None

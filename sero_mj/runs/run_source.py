@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,29 +15,6 @@ from ..receive.source import Source
 from ..receive.structure import Structure
 
 Array = NDArray[np.float64]
-
-
-class LogRows(Protocol):
-    """Rows that are there, or that can be computed; the first number of each is its time, s."""
-
-    @property
-    def about(self) -> str:
-        """What it is, for people."""
-
-    @property
-    def structure(self) -> Structure:
-        """Of a row as a packet."""
-
-    @property
-    def rows(self) -> Array:
-        """(T, width), float64; behind `step` only their times have to be right."""
-
-    @property
-    def step(self) -> int:
-        """The last row that is there."""
-
-    def advance(self, to_step: int) -> None:
-        """Computes the rows up to one; raises SimulationError where it cannot go on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +47,8 @@ class RunSource(Source):
     rendering takes. A simulation that cannot go on stays where it is: `error` says why.
 
     Attributes:
-        run: what is shown.
+        run: what is shown: a `FinishedRun`, or what has the same attributes and computes rows when
+            it is asked to `advance`, as a `Simulation`; of later rows the times have to be right.
         error: why it cannot go on; None while it can.
         end: time of the last row, s.
         step: median time between two rows, s.
