@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import Scenario, Scene, SerialRobot, Simulation
-from sero_mj.simulate.run_recorder import RunRecorder
+from sero_mj.simulate.log_output import RunRecorder
 
 HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
 RECORDING: list[float] = []  # time to record, as a share of the rest of the same run

@@ -15,7 +15,7 @@ from sero_mj.cli import main
 from sero_mj.errors import CsvError, UsageError
 from sero_mj.runs.run_csv import read_run_csv, write_run_csv
 from sero_mj.runs.run_log import RunLog
-from sero_mj.simulate.run_recorder import RunRecorder
+from sero_mj.simulate.log_output import RunRecorder
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from sero_mj.record.recording_writer import FLUSH_AFTER
 from sero_mj.runs.run_csv import read_run_csv, write_run_csv
 from sero_mj.runs.run_log import event_of
 from sero_mj.runs.run_recording import read_run
-from sero_mj.simulate.run_recorder import RunRecorder
+from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
 
 # Degrees and mNm; outputs of robots go into others.

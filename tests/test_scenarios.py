@@ -13,7 +13,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.errors import DeclarationError, SimulationError, UnknownName
 from sero_mj.paths import list_scenarios
 from sero_mj.simulate.disturbances import Force
-from sero_mj.simulate.run_recorder import RunRecorder
+from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.sections import is_scenario

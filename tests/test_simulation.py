@@ -11,7 +11,7 @@ from test_scenarios import HOME, lwr, ran, scenario
 from sero_mj.assemble.surroundings import Object
 from sero_mj.errors import SimulationError
 from sero_mj.runs.run_log import MEASURED, event_of
-from sero_mj.simulate.faults import DeadSensor
+from sero_mj.simulate.disturbances import DeadSensor
 from sero_mj.simulate.simulation import Simulation
 
 PUSH = {"kind": "force", "at": "lwr/flange", "force": [5.0, 10.0, -40.0]}

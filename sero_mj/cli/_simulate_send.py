@@ -57,7 +57,7 @@ class Sender:
 
     def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
         from ..send.play import MotionPackets
-        from ..simulate.log_signals import LogSignals
+        from ..simulate.log_output import LogSignals
         from ._sink import make_sink
 
         scene = read_scene(options.send)

@@ -103,9 +103,8 @@ def scenario_tables() -> dict[str, type[Declaration]]:
     from ..control.controllers import CONTROLLERS
     from ..control.plan import LAWS
     from ..runs.monitor import Monitor
-    from ..simulate.disturbances import DISTURBANCES
+    from ..simulate.disturbances import DISTURBANCES, FAULTS
     from ..simulate.expect import Expect
-    from ..simulate.faults import FAULTS
     from ..simulate.scenario import Run
     from ..simulate.sensors import SIGNALS, SensorErrors
 

@@ -147,7 +147,7 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
     from rich import progress as bars
     from rich.console import Console
 
-    from ..simulate.run_recorder import RunRecorder
+    from ..simulate.log_output import RunRecorder
 
     columns = (bars.TextColumn("simulating"), bars.BarColumn(), bars.TaskProgressColumn())
     console = Console(stderr=True)

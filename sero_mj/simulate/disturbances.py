@@ -1,16 +1,24 @@
-"""Disturbances of a scenario: external forces and payloads."""
+"""Disturbances of a scenario, external forces and payloads, and faults of its robots."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from ..assemble.dynamics import inertia_problem, tensors_from
-from ..declaration import Declaration, Frame, Name, Point, Vector, by_kind
+from ..assemble.inertia import inertia_problem, tensors_from
+from ..assemble.robot import SerialRobot
+from ..declaration import Declaration, Frame, Name, Point, Vector
+from ..errors import DeclarationError, Problem, did_you_mean
+from .plant import Plant
+from .sensors import Signal
+
+Array = NDArray[np.float64]
+Part = Literal["sensors", "drives", "friction"]
 
 
 class Timed(Declaration):
@@ -29,9 +37,6 @@ class Timed(Declaration):
         if self.end is not None and self.end <= self.begin:
             raise ValueError(f"end: found {self.end:g}; expected more than begin, {self.begin:g} s")
         return self
-
-
-Array = NDArray[np.float64]
 
 
 class Disturbance(Timed):
@@ -114,10 +119,211 @@ class Payload(Disturbance):
 DISTURBANCES: Mapping[str, type[Disturbance]] = {"force": Force, "payload": Payload}
 
 
-def disturbance_from(table: Any) -> Disturbance:
-    """Builds a disturbance from a table with `kind`.
+class Fault(Timed, ABC):
+    """A fault from one time to another.
 
-    Raises:
-        DeclarationError: there is no such kind, or fields are wrong.
+    Attributes:
+        robot: whose; may be left out where there is one only.
+        joints: names of the joints; all when empty.
+        part: what breaks; where one fault of it ends, the others go on.
     """
-    return by_kind(table, DISTURBANCES, Disturbance)
+
+    part: ClassVar[Part] = "sensors"
+
+    robot: Name | None = None
+    joints: list[str] = Field(default_factory=list)
+
+    def check(self, robots: Mapping[str, SerialRobot]) -> None:
+        """Checks that its robot and joints are there.
+
+        Raises:
+            DeclarationError: no such robot or joint, or it has to be named.
+        """
+        name = self._owner(robots)
+        if name is None:
+            raise DeclarationError(
+                [Problem("robot", f"is required; expected one of {', '.join(robots)}")]
+            )
+        if name not in robots:
+            raise DeclarationError(
+                [Problem("robot", f"no robot '{name}'{did_you_mean(name, robots)}")]
+            )
+        names = robots[name].names
+        for joint in self.joints:
+            if joint not in names:
+                message = f"no joint '{joint}' of {name}{did_you_mean(joint, names)}"
+                raise DeclarationError([Problem("joints", message)])
+
+    def _owner(self, robots: Mapping[str, SerialRobot]) -> str | None:
+        return self.robot or (next(iter(robots)) if len(robots) == 1 else None)
+
+    def rows(self, robots: Mapping[str, SerialRobot]) -> list[int]:
+        """Which joints of the plant it concerns: of all robots together, in their order."""
+        chosen = self._owner(robots)
+        joints = [(name, joint) for name, robot in robots.items() for joint in robot.names]
+        return [
+            row
+            for row, (name, joint) in enumerate(joints)
+            if name == chosen and (not self.joints or joint in self.joints)
+        ]
+
+    @abstractmethod
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Begins it.
+
+        Args:
+            plant: whose sensors and joints.
+            rows: of the joints that it concerns, see `rows`.
+            gains: (n,), what the torques that controllers ask for are multiplied by.
+        """
+
+
+class SensorFault(Fault):
+    """A sensor with errors.
+
+    Attributes:
+        signal: `angles`, `velocities` or `torques`.
+        bias: added, rad, rad/s or Nm.
+        gain: what it is multiplied by.
+        noise: standard deviation, rad, rad/s or Nm.
+        resolution: distance of the values that it can show.
+        delay_ms: until a value is read.
+    """
+
+    kind: Literal["sensor"] = "sensor"
+    signal: Signal = "torques"
+    bias: float | None = None
+    gain: float | None = None
+    noise: float | None = Field(None, ge=0)
+    resolution: float | None = Field(None, ge=0)
+    delay_ms: float | None = Field(None, ge=0, le=1e4)
+
+    @model_validator(mode="after")
+    def _breaks_something(self) -> SensorFault:
+        keys = ("bias", "gain", "noise", "resolution", "delay_ms")
+        if all(getattr(self, key) is None for key in keys):
+            raise ValueError(f"does nothing; expected one of {', '.join(keys)}")
+        return self
+
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Changes the sensor."""
+        given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
+        changed = {key: value for key, value in given.items() if value is not None}
+        if changed:
+            plant.sensors.change(self.signal, rows, **changed)
+        if self.delay_ms is not None:
+            steps = round(self.delay_ms / 1e3 / plant.timestep)
+            plant.sensors.delay(self.signal, steps, list(rows))
+
+
+class EncoderOffset(Fault):
+    """Angles that are off by a constant.
+
+    Attributes:
+        offset: rad or m.
+        offset_deg: the same in degrees.
+    """
+
+    kind: Literal["encoder_offset"] = "encoder_offset"
+    offset: float = 0.0
+    offset_deg: float = 0.0
+
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Shifts the encoder."""
+        offset = self.offset + float(np.deg2rad(self.offset_deg))
+        plant.sensors.change("angles", rows, bias=offset)
+
+
+class DeadSensor(Fault):
+    """A sensor that reads zero.
+
+    Attributes:
+        signal: `angles`, `velocities` or `torques`.
+    """
+
+    kind: Literal["dead_sensor"] = "dead_sensor"
+    signal: Signal = "torques"
+
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Lets it read zero."""
+        for row in rows:
+            plant.sensors.kill(self.signal, row)
+
+
+class FrozenSensor(Fault):
+    """A sensor that goes on reading what it has read last.
+
+    Attributes:
+        signal: `angles`, `velocities` or `torques`.
+    """
+
+    kind: Literal["frozen_sensor"] = "frozen_sensor"
+    signal: Signal = "torques"
+
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Lets it keep its last value."""
+        for row in rows:
+            plant.sensors.freeze(self.signal, row)
+
+
+class ControllerFault(Fault):
+    """Drives with a wrong gain.
+
+    Attributes:
+        gain: what torques are multiplied by: -1 is a wrong sign, 0 a drive that is off.
+    """
+
+    part: ClassVar[Part] = "drives"
+
+    kind: Literal["controller"] = "controller"
+    gain: float = -1.0
+
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Changes the gain of the drives."""
+        gains[list(rows)] = self.gain
+
+
+class FrictionFault(Fault):
+    """Friction that changes: a bearing that runs dry, a brake that does not open.
+
+    Attributes:
+        viscous: factor on what there is.
+        coulomb: likewise.
+        added_coulomb: Nm, what is added to it.
+    """
+
+    part: ClassVar[Part] = "friction"
+
+    kind: Literal["friction"] = "friction"
+    viscous: float = Field(1.0, ge=0)
+    coulomb: float = Field(1.0, ge=0)
+    added_coulomb: float = Field(0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> FrictionFault:
+        if (self.viscous, self.coulomb, self.added_coulomb) == (1.0, 1.0, 0.0):
+            raise ValueError("does nothing; expected viscous, coulomb or added_coulomb")
+        return self
+
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
+        """Changes the friction."""
+        first = 0
+        for name, part in plant.world.robots.items():
+            mine = [row - first for row in rows if first <= row < first + part.robot.n]
+            first += part.robot.n
+            if mine:
+                viscous = plant.model.dof_damping[part.dofs].copy()
+                coulomb = plant.model.dof_frictionloss[part.dofs].copy()
+                viscous[mine] *= self.viscous
+                coulomb[mine] = coulomb[mine] * self.coulomb + self.added_coulomb
+                plant.set_friction(name, viscous, coulomb)
+
+
+FAULTS: Mapping[str, type[Fault]] = {
+    "sensor": SensorFault,
+    "encoder_offset": EncoderOffset,
+    "dead_sensor": DeadSensor,
+    "frozen_sensor": FrozenSensor,
+    "controller": ControllerFault,
+    "friction": FrictionFault,
+}

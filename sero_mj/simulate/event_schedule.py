@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runs.run_log import event_of
-from .disturbances import Force, Payload
+from .disturbances import Fault, Force, Payload
 from .external_loads import Push
-from .faults import Fault
 from .plant import Plant
 from .scenario import Scenario
 

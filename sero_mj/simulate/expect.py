@@ -16,8 +16,7 @@ from ..errors import DeclarationError, Problem, did_you_mean
 from ..runs.measures import MEASURES, NEED_TARGET
 from ..runs.monitor import KINDS, Finding
 from ..runs.run_log import RunLog
-from .disturbances import Disturbance
-from .faults import Fault
+from .disturbances import Disturbance, Fault
 
 Array = NDArray[np.float64]
 

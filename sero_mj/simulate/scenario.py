@@ -18,10 +18,10 @@ from ..control.laws import Law
 from ..control.plan import law_from
 from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, did_you_mean
+from ..kinds import by_kind
 from ..runs.monitor import Monitor
-from .disturbances import Disturbance, Force, Payload, disturbance_from
+from .disturbances import DISTURBANCES, FAULTS, Disturbance, Fault, Force, Payload
 from .expect import Expect
-from .faults import Fault, fault_from
 from .sensors import SIGNALS, SensorErrors, Sensors
 
 Array = NDArray[np.float64]
@@ -124,9 +124,13 @@ class Scenario:
             "sensors", sensors, lambda table: _built(RobotSensors, table)
         )
         self.disturbances: dict[str, Disturbance] = self._each(
-            "disturbances", disturbances, disturbance_from
+            "disturbances", disturbances, lambda table: by_kind(table, DISTURBANCES, Disturbance)
         )
-        self.faults: dict[str, Fault] = self._each("faults", faults, fault_from)
+        self.faults: dict[str, Fault] = self._each(
+            "faults",
+            faults,
+            lambda table: by_kind(table, FAULTS, Fault),  # type: ignore[type-abstract]
+        )
         self.expect: dict[str, Expect] = self._each(
             "expect", expect, lambda table: _built(Expect, table)
         )

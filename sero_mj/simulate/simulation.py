@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
 from ..control.compiler import Compiler
+from ..control.controller import Sensed, Target
+from ..control.controllers import make_controller
 from ..control.joint_control import GravityCompensation
+from ..control.observer import MomentumObserver
 from ..control.plan import Plan, make_plan
 from ..errors import DeclarationError, Problem
 from ..receive.structure import Structure
 from ..runs.monitor import Finding
 from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
-from .controlled_robot import ControlledRobot, observed_every
 from .event_schedule import EventSchedule
 from .expect import Outcome
 from .external_loads import Contacts
@@ -23,7 +26,9 @@ from .plant import Plant
 from .scenario import Scenario
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
+OBSERVED_EVERY = 0.01  # s; half the observer's time constant, and a tenth of the cost
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
 
@@ -72,13 +77,16 @@ class Simulation:
         )
         self.plant = Plant(self.compiler.world(stripped), sensors, run.timestep)
         self.plant.looks_ahead = False  # controllers have models of their own
-        self._observed_every = observed_every(run.timestep)
+        self._observed_every = max(round(OBSERVED_EVERY / run.timestep), 1)
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
         start = np.concatenate([robot.home for robot in self.robots.values()])
         self._begin(start)
-        self._check_gains(start)
+        robots = dict(zip(self.robots, self._robots, strict=True))
+        self._of_robots(
+            "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
+        )
 
     def restart(self, joint_angles: Array, seed: int) -> None:
         """Begins anew with other joint angles and noise; what was changed about the plant stays.
@@ -96,15 +104,31 @@ class Simulation:
         self.step = 0
         run = self.scenario.run
         times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
-        plans = self._make_plans(times, start)
+        parts, targets = self.plant.world.robots, self.scenario.targets
+
+        def plan(name: str) -> Plan:
+            first = start[parts[name].joints]
+            controller = self.scenario.controllers.get(name, GravityCompensation())
+            robot, law = self.robots[name], targets.get(name)
+            return make_plan(robot, law, controller, times, self.compiler, first)
+
+        plans = self._of_robots("targets", plan)
         self._schedule = EventSchedule(self.scenario, self.plant, run.steps)
         self.layout = self._make_layout(plans)
         self.rows: Array = np.zeros((len(times), self.layout.width))
         self.rows[:, 0] = times
         self._fill_targets(plans)
         self._schedule.fill(self.layout.columns, self.rows)
-        self._commanded: Array = np.zeros(self.plant.n)
-        self._robots = self._make_robots(plans)
+        self._drive: Array = np.zeros((2, self.plant.n))  # torques: commanded, and asked for
+        every = self._observed_every
+        self._robots = list(
+            self._of_robots(
+                "controllers",
+                lambda name: ControlledRobot(
+                    name, self.scenario, plans[name], self.plant, self._drive, self.compiler, every
+                ),
+            ).values()
+        )
         # Views of the log, (T, signals, n): those of all robots lie in a row.
         self._measured, self._actual, self._driven = (
             self.rows[:, self.layout.block(signals)].reshape(len(times), len(signals), -1)
@@ -114,20 +138,17 @@ class Simulation:
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, 0] = self.plant.actual[2]  # what holds it at rest
 
-    def _make_plans(self, times: Array, start: Array) -> dict[str, Plan]:
-        plans, problems = {}, []
-        parts = self.plant.world.robots
-        for name, robot in self.robots.items():
-            controller = self.scenario.controllers.get(name, GravityCompensation())
+    def _of_robots(self, section: str, make: Callable[[str], T]) -> dict[str, T]:
+        """What is made for every robot, by name; tells all that is wrong in a section at once."""
+        made, problems = {}, []
+        for name in self.robots:
             try:
-                first = start[parts[name].joints]
-                law = self.scenario.targets.get(name)
-                plans[name] = make_plan(robot, law, controller, times, self.compiler, first)
+                made[name] = make(name)
             except DeclarationError as error:
-                problems += [problem.inside(f"targets.{name}") for problem in error.problems]
+                problems += [problem.inside(f"{section}.{name}") for problem in error.problems]
         if problems:
             raise DeclarationError(self.scenario.scene.located(problems))
-        return plans
+        return made
 
     def _make_layout(self, plans: dict[str, Plan]) -> RunLayout:
         events = self._schedule.events()
@@ -139,33 +160,6 @@ class Simulation:
         targets = tuple(name for name, plan in plans.items() if plan.joints is not None)
         joints = {name: robot.n for name, robot in self.robots.items()}
         return RunLayout(joints, targets, events)
-
-    def _make_robots(self, plans: dict[str, Plan]) -> list[ControlledRobot]:
-        robots, problems = [], []
-        for name, plan in plans.items():
-            try:
-                robots.append(
-                    ControlledRobot(
-                        name, self.scenario, plan, self.plant, self._commanded, self.compiler
-                    )
-                )
-            except DeclarationError as error:
-                problems += [problem.inside(f"controllers.{name}") for problem in error.problems]
-        if problems:
-            raise DeclarationError(self.scenario.scene.located(problems))
-        return robots
-
-    def _check_gains(self, start: Array) -> None:
-        problems = []
-        for robot in self._robots:
-            try:
-                robot.controller.check(start[robot.joints])
-            except DeclarationError as error:
-                problems += [
-                    problem.inside(f"controllers.{robot.name}") for problem in error.problems
-                ]
-        if problems:
-            raise DeclarationError(self.scenario.scene.located(problems))
 
     def _fill_targets(self, plans: dict[str, Plan]) -> None:
         columns = self.layout.columns
@@ -224,33 +218,34 @@ class Simulation:
         Raises:
             SimulationError: it cannot go on; the log ends with the step before.
         """
-        schedule, plant = self._schedule, self.plant
-        for k in range(self.step + 1, min(to_step, self.steps) + 1):
-            schedule.before(k - 1)
-            time = float(self.rows[k - 1, 0])
-            for robot in self._robots:
-                robot.command(k - 1, time)
-            plant.step(self._commanded * schedule.gains)
-            self._write(k)
-            self.step = k
+        schedule, plant, contacts = self._schedule, self.plant, self._contacts
+        measured, actual, driven = self._measured, self._actual, self._driven
+        (commanded, _), every = self._drive, self._observed_every
+        first, stop = self.step + 1, min(to_step, self.steps) + 1
+        times = self.rows[first - 1 : stop - 1, 0].tolist()
+        try:
+            for k, time in zip(range(first, stop), times, strict=True):
+                schedule.before(k - 1)
+                for robot in self._robots:
+                    robot.command(k - 1, time)
+                plant.step(commanded * schedule.gains)
+                measured[k], actual[k], driven[k] = plant.measured, plant.actual, self._drive
+                if contacts is not None and plant.data.ncon:
+                    self._write_contacts(k, contacts.update())
+                schedule.after(k)
+                if k % every == 0:
+                    for robot in self._robots:
+                        estimate = robot.observe(measured[k - every + 1 : k + 1])
+                        self._estimated[k : k + every, robot.joints] = estimate
+                self.step = k
+        finally:
+            written = driven[first : self.step + 1]
+            written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
 
-    def _write(self, k: int) -> None:
-        """Writes row k of the log: what came of the step that led to it."""
-        plant, columns = self.plant, self.layout.columns
-        self._measured[k] = plant.measured
-        self._actual[k] = plant.actual
-        self._driven[k, 0] = self._commanded
-        for robot in self._robots:
-            self._driven[k, 1, robot.joints] = robot.commanded != robot.controller.asked
-        if self._contacts is not None and plant.data.ncon:
-            for name, force in zip(self.robots, self._contacts.update(), strict=True):
-                self.rows[k, columns[event_of(name, "contact_force")]] = force
-        self._schedule.after(k)
-        every = self._observed_every
-        if k % every == 0:
-            for robot in self._robots:
-                estimate = robot.observe(self._measured[k - every + 1 : k + 1])
-                self._estimated[k : k + every, robot.joints] = estimate
+    def _write_contacts(self, k: int, forces: Array) -> None:
+        columns = self.layout.columns
+        for name, force in zip(self.robots, forces, strict=True):
+            self.rows[k, columns[event_of(name, "contact_force")]] = force
 
     @property
     def log(self) -> RunLog:
@@ -269,6 +264,113 @@ class Simulation:
             expect.judge(name, log, findings, self.scenario)
             for name, expect in self.scenario.expect.items()
         ]
+
+
+class ControlledRobot:
+    """A robot of a plant, its controller, and the observer of its external torques.
+
+    Args:
+        name: of the robot.
+        scenario: that it is in.
+        plan: its target at every step.
+        plant: that simulates it.
+        drive: (2, N), torques of all joints of the plant, Nm or N: commanded, and asked for before
+            the limits; its own are written there.
+        compiler: of the models that controller and observer have.
+        observed_every: steps between two estimates of the external torques.
+
+    Attributes:
+        joints: which joints of the plant are its own.
+        controller: behind its torque limits.
+
+    Raises:
+        DeclarationError: gains or limits do not fit the robot.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        scenario: Scenario,
+        plan: Plan,
+        plant: Plant,
+        drive: Array,
+        compiler: Compiler,
+        observed_every: int,
+    ) -> None:
+        part, timestep = plant.world.robots[name], scenario.run.timestep
+        robot, joints = part.robot, part.joints
+        self.joints = joints
+        declared = scenario.controllers.get(name, GravityCompensation())
+        self.controller = make_controller(
+            declared, compiler.robot_model(robot), timestep, robot.torque_limits
+        )
+        self._commanded, self.controller.asked = drive[:, joints]
+        # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
+        motor_state = np.zeros(2 * robot.n) if robot.elastic_joints else None
+        # What is measured of the only robot is used in place.
+        measured = plant.measured[:, joints]
+        values = measured if measured.flags.c_contiguous else None
+        self._sensed = sensed = Sensed(robot.n, values, motor_state)
+        self._copies: list[tuple[Array, Array]] = []  # of what else is measured: to, from; views
+        if values is None:
+            self._copies.append((sensed.values, measured))
+        if robot.elastic_joints:
+            self._copies += [
+                (sensed.motor_angles, plant.motor_angles[joints]),
+                (sensed.motor_velocities, plant.motor_velocities[joints]),
+            ]
+        self._target = Target(robot.n)
+        self._target.posture[:] = robot.home
+        self._target.has_torques = False  # no target motion has any
+        self._moves, self._planned_rows = plan.moves, plan.rows
+        self._planned = self._target.planned[: plan.rows.shape[1]]
+        self._planned[...] = plan.rows[0]
+        self._observer = MomentumObserver(
+            compiler.robot_model(robot),
+            scenario.run.observer_gain,
+            timestep * observed_every,
+        )
+        self._sense()
+        self._observer.update(self._sensed)
+
+    def _sense(self) -> None:
+        """Lets the controller see what was measured."""
+        for sensed, measured in self._copies:
+            sensed[...] = measured
+
+    def command(self, k: int, time: float) -> None:
+        """Computes `commanded` for the step that leads on from row k of the log.
+
+        Args:
+            k: the row.
+            time: of it, s.
+
+        Raises:
+            SimulationError: a torque is NaN or infinite.
+        """
+        self._sense()
+        self._sensed.time = time
+        if self._moves:
+            self._planned[...] = self._planned_rows[k]
+        self.controller.torques(self._sensed, self._target, self._commanded)
+
+    def observe(self, measured: Array) -> Array:
+        """Estimates the external torques after further steps, (n,), Nm or N.
+
+        The observer gets the mean of the measured torques: that is what changed the momentum
+        meanwhile.
+
+        Args:
+            measured: (steps, 3, n), angles, velocities and torques of all robots of the plant in
+                these steps.
+
+        Returns:
+            the estimate, which stands until the next; the same array every time.
+        """
+        angles, velocities, _ = measured[-1, :, self.joints]
+        mean = np.add.reduce(measured[:, 2, self.joints]) / len(measured)
+        self._observer.model.update(angles, velocities)
+        return self._observer.update_with(velocities, mean)
 
 
 def _check_size(scenario: Scenario) -> None:

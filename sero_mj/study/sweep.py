@@ -13,7 +13,7 @@ import mujoco
 
 from .. import __version__
 from ..errors import DeclarationError, UsageError
-from ..simulate.run_recorder import files_of
+from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from .variant import VariantRunner, outcome_columns

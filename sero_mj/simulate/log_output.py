@@ -1,21 +1,26 @@
-"""Records the log of a simulation as MCAP, as packets of a source."""
+"""Hands on the log of a simulation: as a recording, and as signals of packets that are sent."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import __version__
 from ..drive.record_sources import joint_names
 from ..record.recording_format import Signals
 from ..record.recording_writer import RecordingWriter
-from ..runs.run_log import PER_JOINT, event_of
+from ..record.signals_json import Signals
+from ..runs.run_log import MEASURED, PER_JOINT, event_of
 from .scenario import Scenario
 from .simulated_scene import SOURCE
 from .simulation import Simulation
+
+Array = NDArray[np.float64]
 
 SIGNALS_RATE = 5.0  # decoded rows per simulated second, for programs that plot; 0 for none
 
@@ -107,3 +112,38 @@ def files_of(scenario: Scenario) -> list[Path]:
     models = [robot._model for robot in scenario.scene.robots.values()]
     found = [scenario.file, scenario.scene.file, *models]
     return list(dict.fromkeys(file for file in found if file is not None and file.is_file()))
+
+
+class LogSignals:
+    """The signals of one robot of a simulation at any time until now; stands in for a motion.
+
+    Args:
+        simulation: it is not run here.
+        robot: whose signals.
+    """
+
+    def __init__(self, simulation: Simulation, robot: str) -> None:
+        self._simulation = simulation
+        self._robot = simulation.scenario.scene.robots[robot]
+        columns = simulation.layout.columns
+        self._columns = {
+            signal: columns[event_of(robot, signal)]
+            for signal in (*MEASURED, "commanded_torques", "target_angles", "external_torques")
+            if event_of(robot, signal) in columns
+        }
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        """What is measured at time t, s."""
+        simulation, timestep = self._simulation, self._simulation.scenario.run.timestep
+        row = min(round(t / timestep), simulation.step)
+        found = {signal: simulation.rows[row, columns] for signal, columns in self._columns.items()}
+        angles, velocities = found["joint_angles"], found["joint_velocities"]
+        before = simulation.rows[max(row - 1, 0), self._columns["joint_velocities"]]
+        return {
+            **found,
+            "commanded_angles": found.get("target_angles", angles),
+            "joint_accelerations": (velocities - before) / timestep,
+            "billboard_values": velocities,
+            "flange_check": self._robot.fwd_kin_base_to_flange(angles),
+            "further": found["external_torques"],
+        }
