@@ -132,7 +132,6 @@ class CartesianImpedanceController:
         n = model.n
         self.model = model
         self.stiffness: Array = np.ascontiguousarray(stiffness)
-        self.damping: Array = np.zeros((6, 6))
         self._ratio, self._in_flange = damping, in_flange
         self._timestep = timestep
         self._every = max(round(damping_every / timestep), 1)
@@ -141,6 +140,27 @@ class CartesianImpedanceController:
         self._is_near_singular = False
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
         self._null_damping: Array = np.zeros(n)
+        # Everything below is for speed: numpy takes longer to call, and to make arrays and views,
+        # than to compute. Sums of products are products of matrices side by side:
+        # tau_0 = [K_0 -D_0] [q_0 - q; P^T dq]
+        self._null_gains: Array = np.hstack([np.diag(nullspace_stiffness), np.zeros((n, n))])
+        self._null_terms: Array = np.zeros(2 * n)
+        self._posture_error, self._null_velocities = self._null_terms[:n], self._null_terms[n:]
+        # wrench = [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0]
+        self._wrench_gains: Array = np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)])
+        self.damping: Array = self._wrench_gains[:, :6]
+        self._wrench_terms: Array = np.zeros(18)
+        self._twist_error, self._spring_wrench, self._taken = self._wrench_terms.reshape(3, 6)
+        # tau = [wrench tau_0 g] [J; 1; 1]
+        self._torque_gains: Array = np.vstack([np.zeros((6, n)), np.eye(n), np.eye(n)])
+        self._J: Array = self._torque_gains[:6]
+        self._linear, self._angular = self._J[:3], self._J[3:]
+        self._torque_terms: Array = np.zeros(6 + 2 * n)
+        self._wrench, self._inner, self._gravity = np.split(self._torque_terms, [6, 6 + n])
+        self._J_over_M: Array = np.zeros((6, n))
+        self._M_under_J: Array = self._J_over_M.T
+        self._mobility: Array = np.zeros((6, 6))
+        self._solved: Array = np.zeros(6)
         # The way to the target and the quaternion to the flange give, by K, a force and a pure
         # quaternion, whose scalar is zero.
         self._error: Array = np.zeros(7)
@@ -148,21 +168,24 @@ class CartesianImpedanceController:
         vectors = [0, 1, 2, 4, 5, 6]
         self._spring: Array = np.zeros((7, 7))
         self._spring[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
-        # Buffers and views of them: without, `spring_wrench` takes 5 us instead of 3.
-        self._pull, self._torque, self._wrench = np.zeros(7), np.zeros(4), np.zeros(6)
+        self._pull, self._torque = np.zeros(7), np.zeros(4)
         self._force, self._pull_of_turn = self._pull[:3], self._pull[3:]
-        self._halves = self._wrench[:3], self._wrench[3:]
+        self._halves = self._spring_wrench[:3], self._spring_wrench[3:]
         self._torque_vector = self._torque[1:]
+        self._rotation_back, self._turn = np.zeros((2, 3, 3))
+        self._turn_numbers: Array = self._turn.reshape(9)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
-        model, velocities = self.model, sensed.motor_velocities
-        model.update(sensed.motor_angles, velocities)
-        J = model.jacobian()
-        J_over_M = model.over_mass(J)
-        mobility = J_over_M.dot(J.T)
+        model, mobility, solved, inner = self.model, self._mobility, self._solved, self._inner
+        J, J_over_M, wrench = self._J, self._J_over_M, self._wrench
+        angles, velocities = sensed.motor_angles, sensed.motor_velocities
+        model.update(angles, velocities)
+        model.write_jacobian(self._linear, self._angular)
+        model.over_mass(J, J_over_M)
+        J.dot(self._M_under_J, mobility)
         if self._left == 0:
-            self._design(mobility, target.pose)
+            self._design(mobility, target.rotation)
             self._left = self._every
         self._left -= 1
         if self._is_near_singular:
@@ -171,62 +194,50 @@ class CartesianImpedanceController:
 
         # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
         twist = J.dot(velocities)
-        projected = velocities - _solved(mobility, twist).dot(J_over_M)
-        inner = self._null_stiffness * (target.posture - sensed.motor_angles)
-        inner -= self._null_damping * projected
-        wrench = self.spring_wrench(target.pose)
-        wrench += self.damping.dot(target.twist - twist)
-        wrench -= _solved(mobility, J_over_M.dot(inner))
+        mju_cholSolve(solved, mobility, twist)
+        subtract(target.posture, angles, self._posture_error)
+        subtract(velocities, solved.dot(J_over_M), self._null_velocities)
+        self._null_gains.dot(self._null_terms, inner)
+        mju_cholSolve(self._taken, mobility, J_over_M.dot(inner))
+        subtract(target.twist, twist, self._twist_error)
+        self.spring_wrench(target)
+        self._wrench_gains.dot(self._wrench_terms, wrench)
         if target.has_torques:
             wrench += target.wrench
             inner += target.torques
-        inner += model.gravity()
-        wrench.dot(J, out)
-        out += inner
+        model.gravity(self._gravity)
+        self._torque_terms.dot(self._torque_gains, out)
 
-    def spring_wrench(self, pose: Array) -> Array:
+    def spring_wrench(self, target: Target) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
 
         With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
         (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
 
         Args:
-            pose: T_world_flange (4, 4) of the target.
+            target: its pose.
 
         Returns:
             the same array every time.
         """
-        self._set_error(pose)
+        model, back, way, quaternion = self.model, self._rotation_back, self._way, self._quaternion
+        back[...] = target.rotation.T
+        subtract(target.position, model.flange_position, way)
+        if self._in_flange:
+            way[...] = back.dot(way)
+            back.dot(model.flange_rotation, self._turn)
+        else:
+            model.flange_rotation.dot(back, self._turn)
+        mju_mat2Quat(quaternion, self._turn_numbers)
+        if quaternion.item(0) < 0.0:
+            negative(quaternion, quaternion)
         self._spring.dot(self._error, self._pull)
-        mju_mulQuat(self._torque, self._quaternion, self._pull_of_turn)
+        mju_mulQuat(self._torque, quaternion, self._pull_of_turn)
         force, torque = self._halves
         force[...], torque[...] = self._force, self._torque_vector
         if self._in_flange:
-            self._wrench[:] = self._wrench.reshape(2, 3).dot(pose[:3, :3].T).ravel()
-        return self._wrench
-
-    def _set_error(self, pose: Array) -> None:
-        """Finds the way to the target and the quaternion from it to the flange, in K's axes."""
-        model, rotation = self.model, pose[:3, :3]
-        subtract(pose[:3, 3], model.flange_position, self._way)
-        if self._in_flange:
-            self._way[:] = rotation.T.dot(self._way)
-            turn = rotation.T.dot(model.flange_rotation)
-        else:
-            turn = model.flange_rotation.dot(rotation.T)
-        mju_mat2Quat(self._quaternion, turn.reshape(9))
-        if self._quaternion.item(0) < 0.0:
-            negative(self._quaternion, self._quaternion)
-
-    def energy(self, pose: Array) -> float:
-        """V, J: what the spring holds where the model was last updated to.
-
-        Args:
-            pose: T_world_flange (4, 4) of the target.
-        """
-        self._set_error(pose)
-        error = np.hstack([self._way, -2.0 * self._quaternion[1:]])
-        return float(0.5 * error @ self.stiffness @ error)
+            force[...], torque[...] = force.dot(back), torque.dot(back)
+        return self._spring_wrench
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long.
@@ -239,39 +250,36 @@ class CartesianImpedanceController:
         """
         model = self.model
         model.update(angles, np.zeros(model.n))
-        jacobian, mass, pose = model.jacobian(), model.mass(), model.flange()
+        jacobian, mass, rotation = model.jacobian(), model.mass(), model.flange_rotation
         back = np.linalg.solve(mass, jacobian.T)
-        self._design(jacobian @ back, pose)
+        self._design(jacobian @ back, rotation)
         felt = np.linalg.inv(jacobian @ back + self._singular)
         through = np.eye(model.n) - jacobian.T @ felt @ back.T
-        stiffness = jacobian.T @ self._in_world(pose) @ jacobian + through * self._null_stiffness
+        stiffness = (
+            jacobian.T @ self._in_world(rotation) @ jacobian + through * self._null_stiffness
+        )
         damping = jacobian.T @ self.damping @ jacobian + through * self._null_damping @ through.T
         joint = unstable_joint(mass, stiffness, damping, self._timestep)
         if joint is not None:
             raise too_stiff(model.joint_names[joint], "", self._timestep)
 
-    def _in_world(self, pose: Array) -> Array:
+    def _in_world(self, rotation: Array) -> Array:
         """K in the world's axes, (6, 6)."""
         if not self._in_flange:
             return self.stiffness
-        axes = np.kron(np.eye(2), pose[:3, :3])
+        axes = np.kron(np.eye(2), rotation)
         return np.asarray(axes @ self.stiffness @ axes.T)
 
-    def _design(self, mobility: Array, pose: Array) -> None:
+    def _design(self, mobility: Array, rotation: Array) -> None:
         least = float(np.linalg.eigvalsh(mobility)[0])
         near = max(1.0 - least / _BLOCKED, 0.0)
         self._singular[:] = np.eye(6) * (_BLOCKED * near**2)
         self._is_near_singular = near > 0.0
         felt = np.linalg.inv(mobility + self._singular)
         symmetric = 0.5 * (felt + felt.T)
-        self.damping[:] = design_damping(symmetric, self._in_world(pose), self._ratio)
+        self.damping[:] = design_damping(symmetric, self._in_world(rotation), self._ratio)
         stiffness = np.maximum(self._null_stiffness, _MIN_STIFFNESS)
         inertia = np.diagonal(self.model.mass())
         self._null_damping[:] = 2.0 * self._null_ratio * np.sqrt(inertia * stiffness)
-
-
-def _solved(factor: Array, right: Array) -> Array:
-    """X of A x = right, (6,), with A by its Cholesky factor: in a fifth of the time of numpy."""
-    solution = np.empty(6)
-    mju_cholSolve(solution, factor, right)
-    return solution
+        n = self.model.n
+        np.fill_diagonal(self._null_gains[:, n:], -self._null_damping)

@@ -130,6 +130,8 @@ class Target:
         has_torques: whether to; false where `torques` and `wrench` are zero all the time, which is
             faster.
         pose: (4, 4), T_world_flange, m.
+        position: (3,), of it.
+        rotation: (3, 3), of it.
         twist: (6,), of the flange in world axes: m/s, then rad/s.
         wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
         posture: (n,), rad or m, where the null space is drawn to.
@@ -142,7 +144,9 @@ class Target:
         "motion",
         "planned",
         "pose",
+        "position",
         "posture",
+        "rotation",
         "state",
         "torques",
         "twist",
@@ -161,6 +165,8 @@ class Target:
         self.has_torques = True
         self.pose: Array = self.planned[3 * n : -6].reshape(4, 4)
         self.pose[:] = np.eye(4)
+        self.position: Array = self.pose[:3, 3]
+        self.rotation: Array = self.pose[:3, :3]
         self.twist: Array = self.planned[-6:]
         self.wrench: Array = np.zeros(6)
         self.posture: Array = np.zeros(n)

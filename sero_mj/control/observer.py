@@ -106,7 +106,7 @@ class MomentumObserver:
         np.multiply(self.external, self._scale, self.external)
         np.multiply(self.external, self._timestep, flow)
         np.add(self._sum, flow, self._sum)
-        self._before[:] = own
+        self._before[...] = own
         return self.external
 
     def reset(self) -> None:

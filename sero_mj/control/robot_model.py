@@ -174,7 +174,7 @@ class RobotModel:
             less: (n,), likewise; to be taken from them.
         """
         moving, qvel = self._moving, self._qvel
-        self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
+        self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
         self._qacc[...] = accelerations
         np.add(self._velocities, velocities, qvel)
         np.multiply(qvel, 0.5, qvel)
@@ -195,14 +195,14 @@ class RobotModel:
         the last digit (spatial vectors as in Featherstone 2008, Rigid Body Dynamics Algorithms).
         """
         self._swap()
-        self._swapped_cdof[:] = self._moving_cdof_dot
+        self._swapped_cdof[...] = self._moving_cdof_dot
         mj_rne(self._weightless, self._swapped, 0, self._transposed)
         return self._transposed
 
     def link_momentum(self) -> Array:
         """M_link(q) dq, (n,): the generalised momentum of the links, without the motors'."""
         self._swap()
-        self._swapped_cdof[:] = self._cdof
+        self._swapped_cdof[...] = self._cdof
         mj_rne(self._weightless, self._swapped, 0, self._momentum)
         return self._momentum
 
@@ -215,28 +215,29 @@ class RobotModel:
             self._has_mass = True
         return self._mass
 
-    def over_mass(self, rows: Array) -> Array:
+    def over_mass(self, rows: Array, out: Array) -> Array:
         """Rows A as A M^-1, for a sixth of what an inverse of M takes.
 
         Args:
             rows: A, (k, n).
-
-        Returns:
-            (k, n), a new array.
+            out: (k, n), to be written.
         """
         if not self._is_factored:
             if not self._has_mass:
                 mj_makeM(self._model, self._data)
             mj_factorM(self._model, self._data)
             self._is_factored = True
-        result: Array = np.empty(rows.shape)
-        mj_solveM(self._model, self._data, result, rows)
-        return result
+        mj_solveM(self._model, self._data, out, rows)
+        return out
 
     def jacobian(self) -> Array:
         """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
-        mj_jacSite(self._model, self._data, self._linear, self._angular, 0)
+        self.write_jacobian(self._linear, self._angular)
         return self._jacobian
+
+    def write_jacobian(self, linear: Array, angular: Array) -> None:
+        """Writes both halves of J(q), (3, n) each, to where they are wanted."""
+        mj_jacSite(self._model, self._data, linear, angular, 0)
 
     def flange(self) -> Array:
         """T_world_flange, (4, 4), m; a new array."""
@@ -244,7 +245,7 @@ class RobotModel:
 
     def _move(self) -> None:
         if not self._is_moving:
-            self._moving_cinert[:], self._moving_cdof[:] = self._cinert, self._cdof
+            self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
             self._qvel[...] = self._velocities
             mj_comVel(self._weightless, self._moving)
             self._is_moving = True
@@ -253,7 +254,7 @@ class RobotModel:
         """Fills the data in which velocities stand where accelerations do."""
         self._move()
         if not self._is_swapped:
-            self._swapped_cinert[:], self._swapped_cdof_dot[:] = self._cinert, self._cdof
+            self._swapped_cinert[...], self._swapped_cdof_dot[...] = self._cinert, self._cdof
             self._swapped_qvel[...] = self._velocities
             self._is_swapped = True
 

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from ..assemble.double import Double
 from ..assemble.robot import SerialRobot
-from ..assemble.route_text import names_in, origin_text
-from ..assemble.scene import Scene
-from ..drive.affine import Affine, Origin
-from ..drive.route import wire
+from ..assemble.scene import Scene, names_in, origin_text
+from ..drive.route import Affine, Origin
+from ..drive.wiring import wire
 from ..errors import RecordingError
 from ..receive.intake import pad_packets
-from ..receive.receiver import Receiver
-from ..receive.source import SIGNALS, Packets
+from ..receive.source import SIGNALS, Packets, Source
 from ..record.recording import Recording
 from ..record.replay import Replay
 from .run_log import event_of
@@ -53,7 +51,7 @@ class Series:
         return values
 
 
-def read_events(recording: Recording, receiver: Receiver, name: str) -> Series:
+def read_events(recording: Recording, receiver: Source, name: str) -> Series:
     """Decodes a source's packets; malformed ones are left out, as they were when they came.
 
     Where packets carry the time at which they were sent, and it only rises, that is their time,
@@ -87,14 +85,14 @@ def read_events(recording: Recording, receiver: Receiver, name: str) -> Series:
     return Series(times[keep], {event: values[keep] for event, values in events.items()})
 
 
-def receiver_of(recording: Recording, name: str) -> Receiver:
+def receiver_of(recording: Recording, name: str) -> Source:
     """A receiver that decodes the packets of a recorded source."""
     receiver = Replay(file=recording.path, source=name).original
     receiver.debug_level = 0
     return receiver
 
 
-def _decoded(recording: Recording, receiver: Receiver, name: str) -> Iterator[Packets]:
+def _decoded(recording: Recording, receiver: Source, name: str) -> Iterator[Packets]:
     intake, number = receiver.intake, 0
     packets = recording.packets(name)
     while batch := list(islice(packets, _AT_ONCE)):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from ..assemble.inertia import inertia_problem, tensors_from
+from ..assemble.dynamics import inertia_problem, tensors_from
 from ..assemble.robot import SerialRobot
 from ..declaration import Declaration, Frame, Name, Point, Vector
 from ..errors import DeclarationError, Problem, did_you_mean

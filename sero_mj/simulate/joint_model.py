@@ -157,7 +157,7 @@ class JointModel:
         self._after = slice(ends[2], ends[4])
         self._readings_of: Array = np.zeros((3 * n, len(self._terms)))
         self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
-        self._before, self._now = (q_before, dq_before), (q_after, dq_after)
+        self._states = q_before, dq_before, q_after, dq_after
 
     def _fill(self, readings: Array, first: Sequence[int]) -> None:
         """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""
@@ -185,10 +185,6 @@ class JointModel:
         self._qpos[self._spring_q] = deflection
         self._qpos[motors] = angles - deflection
 
-    def _copy_state(self, terms: tuple[Array, Array]) -> None:
-        """Copies positions and velocities to where they stand among the terms."""
-        terms[0][...], terms[1][...] = self._qpos, self._qvel
-
     def advance(self, pushes: Array | None) -> bool:
         """Simulates one step.
 
@@ -199,7 +195,8 @@ class JointModel:
             whether the motion is stable.
         """
         model, data, friction = self._model, self._data, self._friction
-        self._copy_state(self._before)
+        q_before, dq_before, q_after, dq_after = self._states
+        q_before[...], dq_before[...] = self._qpos, self._qvel
         self._applied[self.motor_dofs] = self.given
         if pushes is not None:
             self._applied += pushes
@@ -207,12 +204,12 @@ class JointModel:
         warned = self._warned
         if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
             return False
-        self._copy_state(self._now)
+        q_after[...], dq_after[...] = self._qpos, self._qvel
         if rubs := len(friction):
             # Coulomb friction is there until the next `mj_step1`; its rows stand behind those of
             # equality constraints, and before all others.
             forces = data.efc_force
-            friction[:] = forces if len(forces) == rubs else forces[data.ne : data.ne + rubs]
+            friction[...] = forces if len(forces) == rubs else forces[data.ne : data.ne + rubs]
         if self.looks_ahead:
             mj_step1(model, data)
         self.is_ahead = self.looks_ahead

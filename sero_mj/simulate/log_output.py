@@ -14,7 +14,6 @@ from .. import __version__
 from ..drive.record_sources import joint_names
 from ..record.recording_format import Signals
 from ..record.recording_writer import RecordingWriter
-from ..record.signals_json import Signals
 from ..runs.run_log import MEASURED, PER_JOINT, event_of
 from .scenario import Scenario
 from .simulated_scene import SOURCE

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..assemble.scene import Scene
+from ..assemble.surroundings import Object
 from ..control.controller import Controller, ControllerDeclaration
 from ..control.controllers import controller_from
 from ..control.joint_control import GravityCompensation, Torque
 from ..control.laws import Law
 from ..control.plan import law_from
-from ..declaration import Declaration
+from ..declaration import Declaration, by_kind
 from ..errors import DeclarationError, Problem, did_you_mean
-from ..kinds import by_kind
 from ..runs.monitor import Monitor
 from .disturbances import DISTURBANCES, FAULTS, Disturbance, Fault, Force, Payload
 from .expect import Expect

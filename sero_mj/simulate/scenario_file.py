@@ -21,7 +21,7 @@ from ..errors import (
     did_you_mean,
 )  # fmt: skip
 from ..paths import find_scenario, find_scene
-from ..record.read_csv import read_csv
+from ..record.csv_files import read_csv
 from ..runs.run_recording import read_run
 from ..toml_file import key_lines, located, read_toml
 from .scenario import Run, Scenario
