@@ -35,19 +35,12 @@ def scenes_dir() -> Path:
 
 def list_models() -> list[str]:
     """Names of the shipped robots."""
-    return sorted(path.parent.name for path in models_dir().glob("*/robot.toml"))
+    return _models_in(models_dir())
 
 
 def list_scenes() -> list[str]:
     """Names of the shipped scenes."""
     return _toml_files(scenes_dir())
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        return False
 
 
 def find_model(name: str, beside: Path | None = None) -> Path:
@@ -62,16 +55,16 @@ def find_model(name: str, beside: Path | None = None) -> Path:
     """
     local = (beside or Path.cwd()) / name
     for candidate in (local / "robot.toml", local, models_dir() / name / "robot.toml"):
-        if candidate.suffix == ".toml" and _is_file(candidate):
+        if candidate.suffix == ".toml" and os.path.isfile(candidate):
             return candidate
     _refuse_path(name, beside)
     raise UnknownName("robot model", name, [*_models_in(beside or Path.cwd()), *list_models()])
 
 
 def _models_in(folder: Path) -> list[str]:
-    """Names of the folders beside a scene that hold a robot."""
+    """Names of the folders in a folder that hold a robot; none where it cannot be read."""
     try:
-        return sorted({path.parent.name for path in folder.glob("*/robot.toml")})
+        return sorted(path.parent.name for path in folder.glob("*/robot.toml"))
     except OSError:
         return []
 
@@ -85,7 +78,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     if "\0" not in name and name.endswith(".toml"):
         path = (beside or Path()) / name
         what = "is a folder; expected a TOML file"
-        if not _is_folder(path):
+        if not os.path.isdir(path):
             near = nearest(path.stem, _toml_files(path.parent))
             what = "no such file" + (f"; did you mean '{near}.toml'?" if near else "")
         raise DeclarationError([Problem("", what, str(path))])
@@ -99,16 +92,9 @@ def _toml_files(folder: Path) -> list[str]:
         return []
 
 
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
 def file_hint(name: str) -> str:
     """Points to NAME.toml in the working directory, where only NAME was given; else empty."""
-    if "\0" in name or not _is_file(Path(f"{name}.toml")):
+    if "\0" in name or not os.path.isfile(Path(f"{name}.toml")):
         return ""
     return f"; a file is named with its ending: {name}.toml"
 
@@ -144,7 +130,7 @@ def find_scene(name: str) -> Path:
 def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) -> Path:
     """A file, or a shipped one of that name."""
     for candidate in (Path(name), folder / f"{name}.toml"):
-        if _is_file(candidate):
+        if os.path.isfile(candidate):
             return candidate
     _refuse_path(name)
     raise UnknownName(kind, name, shipped(), file_hint(name))

@@ -224,11 +224,6 @@ class SerialRobot(Declaration):
             raise ValueError(
                 f"found {len(links)} entries; expected {len(rows) + 1}: the base and one per joint"
             )
-        return links
-
-    @field_validator("filenames")
-    @classmethod
-    def _colors_exist(cls, links: list[list[LinkMesh]], info: ValidationInfo) -> Any:
         check_colors(links, info.data.get("colors", {}))
         return links
 

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field
 
 from ..declaration import Declaration, Name, of_shape
 from ..errors import DeclarationError, Problem, did_you_mean, nearest
 from ..frames import Array
 from .dh import COLUMNS, Column
-from .surroundings import Object, check_mesh_file
+from .surroundings import MeshFile, Object
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
@@ -82,8 +82,17 @@ def _children_differ(children: list[Object]) -> list[Object]:
     return children
 
 
+def _differ_from_standard(names: list[str]) -> list[str]:
+    taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
+    for name in names:
+        if name in taken or name.startswith("show_") or name == "arrow_quantity":
+            raise ValueError(f"every robot has '{name}'; expected another name")
+    return names
+
+
 Columns = Annotated[list[Column], AfterValidator(_is_permutation)]
 JointNames = Annotated[list[Name], AfterValidator(_differ)]
+OwnInputs = Annotated[list[Name], AfterValidator(_differ), AfterValidator(_differ_from_standard)]
 Ranges = Annotated[Array | None, of_shape(None, 2), AfterValidator(_are_ordered)]
 Limits = Annotated[Array | None, of_shape(None), AfterValidator(_are_positive)]
 Children = Annotated[list[Object], AfterValidator(_children_differ)]
@@ -97,13 +106,8 @@ class LinkMesh(Declaration):
         color: one of the robot's `colors`.
     """
 
-    file: str
+    file: MeshFile
     color: str | None = None
-
-    @field_validator("file")
-    @classmethod
-    def _is_inside(cls, file: str) -> str:
-        return check_mesh_file(file)
 
 
 class BillboardLine(Declaration):
@@ -125,13 +129,6 @@ class BillboardLine(Declaration):
     scale: float = 1.0
 
 
-def _are_own(names: list[str]) -> list[str]:
-    return own_inputs(_differ(names))
-
-
-OwnInputs = Annotated[list[Name], AfterValidator(_are_own)]
-
-
 def as_link_meshes(value: Any) -> Any:
     """Converts a file name, a table with `file` and `color`, a list of these, or "" for none."""
     if isinstance(value, str):
@@ -151,11 +148,7 @@ def as_billboard_lines(value: Any) -> Any:
 
 
 def check_colors(links: list[list[LinkMesh]], colors: Mapping[str, Any]) -> None:
-    """Checks that the colours of meshes are declared.
-
-    Raises:
-        ValueError: names the file, its colour, and the nearest or all declared colours.
-    """
+    """Checks that the colours of meshes are declared; raises ValueError."""
     for mesh in (mesh for link in links for mesh in link):
         if mesh.color is not None and mesh.color not in colors:
             raise ValueError(
@@ -164,11 +157,7 @@ def check_colors(links: list[list[LinkMesh]], colors: Mapping[str, Any]) -> None
 
 
 def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:
-    """Checks that every line shows an existing value.
-
-    Args:
-        lines: of a billboard.
-        own: the robot's `inputs`.
+    """Checks that every line of a billboard shows a value that exists, or one of `own` inputs.
 
     Raises:
         DeclarationError: names the line, its value, and the existing values.
@@ -183,26 +172,8 @@ def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None
             raise DeclarationError([Problem(f"{k}.value", message)])
 
 
-def own_inputs(names: list[str]) -> list[str]:
-    """Returns a robot's `inputs` after checking that they do not repeat the standard ones.
-
-    Raises:
-        ValueError: one has the name of an input that every robot has.
-    """
-    taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
-    for name in names:
-        if name in taken or name.startswith("show_") or name == "arrow_quantity":
-            raise ValueError(f"every robot has '{name}'; expected another name")
-    return names
-
-
 def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
-    """Returns the rows of a DH table in rad, converted from degrees where these are given.
-
-    Args:
-        rows: (n, 4), rad and m.
-        in_degrees: the same with angles in degrees, or None.
-        columns: order of the four columns.
+    """Returns the rows (n, 4) of a DH table in rad, converted from degrees where these are given.
 
     Raises:
         ValueError: angles that are implausible in rad, or a wrong number of rows.

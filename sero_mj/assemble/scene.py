@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..declaration import Declaration
-from ..errors import DeclarationError, Problem, did_you_mean
+from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..toml_file import key_lines, located
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
@@ -219,7 +219,7 @@ class Scene:
 
     def _double_problems(self) -> list[Problem]:
         """Returns doubles of robots that do not exist or have another number of joints."""
-        problems = []
+        problems: list[Problem] = []
         for name, double in self.doubles.items():
             if not self.declares("robots", double.of):
                 near = did_you_mean(double.of, self.declared("robots"))
@@ -233,11 +233,8 @@ class Scene:
                         problems.append(Problem(f"doubles.{name}.{key}", message))
             lines = double.billboard_lines
             if lines is not None and double.of in self.robots:
-                try:
+                with collect(problems, f"doubles.{name}.billboard_lines"):
                     check_line_values(lines, self.robots[double.of].inputs)
-                except DeclarationError as error:
-                    place = f"doubles.{name}.billboard_lines"
-                    problems += [problem.inside(place) for problem in error.problems]
             if double.path is not None and len(double.path) < 2:
                 problems.append(Problem(f"doubles.{name}.path", "expected two rows or more"))
         return problems

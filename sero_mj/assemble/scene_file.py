@@ -57,19 +57,18 @@ class _Reader:
         self.tables = tables
         self.problems: list[Problem] = []
         self.broken: list[str] = []
-        self._have_names: list[Callable[..., Any]] = []
 
     def scene(self) -> Scene:
         sections: dict[str, Callable[[], Any]] = {
             "robots": lambda: list(self._each("robots", self._robot).values()),
             "sources": lambda: self._each("sources", self._source),
             "routes": self._routes,
-            "doubles": lambda: list(self._each("doubles", self._named(Double)).values()),
-            "arrows": lambda: list(self._each("arrows", self._named(SmartArrow)).values()),
-            "frames": lambda: list(self._each("frames", self._named(ReceivedFrame)).values()),
+            "doubles": lambda: list(self._each("doubles", _named(Double)).values()),
+            "arrows": lambda: list(self._each("arrows", _named(SmartArrow)).values()),
+            "frames": lambda: list(self._each("frames", _named(ReceivedFrame)).values()),
             "objects": lambda: list(self._each("objects", self._object).values()),
-            "cameras": lambda: self._each("cameras", lambda _, table: Camera(**table)),
-            "lights": lambda: self._each("lights", lambda _, table: Light(**table)),
+            "cameras": lambda: self._each("cameras", _nameless(Camera)),
+            "lights": lambda: self._each("lights", _nameless(Light)),
             "view": lambda: View(**self._table("view")),
             "toggles": lambda: SceneToggles(**self._table("toggles")),
             "floor": lambda: self._typed("floor", bool, "true or false"),
@@ -154,16 +153,6 @@ class _Reader:
         if not isinstance(table, dict):
             message = f"found {table!r}; expected a table [{place}]"
             raise DeclarationError([Problem("", message)])
-        if build in (
-            self._robot,
-            self._object,
-            *self._have_names,
-        ):  # they check the name
-            return build(name, table)
-        try:
-            is_name(name)
-        except ValueError as error:
-            raise DeclarationError([Problem("", f"name: {error}")]) from None
         return build(name, table)
 
     def _routes(self) -> dict[str, str]:
@@ -202,19 +191,33 @@ class _Reader:
 
     def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
         """Returns the table of a source, with file names relative to the scene's folder."""
+        _check_name(name)
         file = table.get("file")
         return {**table, "file": str(self.path.parent / file)} if isinstance(file, str) else table
-
-    def _named(self, kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
-        """Returns a builder for a declaration that has a field for its name."""
-
-        def build(name: str, table: dict[str, Any]) -> T:
-            return kind(**{**table, "name": name})
-
-        self._have_names.append(build)
-        return build
 
     def _object(self, name: str, table: dict[str, Any]) -> Object:
         fields = {**table, "name": name}
         set_directory([fields], self.path.parent)
         return Object(**fields)
+
+
+def _named(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
+    """Returns a builder for a declaration that has a field for its name, and checks it."""
+    return lambda name, table: kind(**{**table, "name": name})
+
+
+def _nameless(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
+    """Returns a builder for a declaration without a field for its name."""
+
+    def build(name: str, table: dict[str, Any]) -> T:
+        _check_name(name)
+        return kind(**table)
+
+    return build
+
+
+def _check_name(name: str) -> None:
+    try:
+        is_name(name)
+    except ValueError as error:
+        raise DeclarationError([Problem("", f"name: {error}")]) from None

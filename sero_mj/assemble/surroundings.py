@@ -27,12 +27,8 @@ SHAPE_SIZES = {
 }
 
 
-def check_inside(file: str) -> str:
-    """Returns a file name after checking that it does not leave its folder.
-
-    Raises:
-        ValueError: it is absolute or contains `..`.
-    """
+def _inside(file: str) -> str:
+    """Returns a file name after checking that it does not leave its folder."""
     path = Path(file)
     if "\0" in file:
         raise ValueError(f"found {file!r}; expected a file's name")
@@ -41,16 +37,15 @@ def check_inside(file: str) -> str:
     return file
 
 
-def check_mesh_file(file: str) -> str:
-    """Returns a file name after checking its folder and that MuJoCo can read the format.
-
-    Raises:
-        ValueError: it is absolute, contains `..`, or has another ending.
-    """
-    if Path(check_inside(file)).suffix.lower() not in MESH_FORMATS:
+def _of_a_mesh(file: str) -> str:
+    """Returns a file name after checking its folder and that MuJoCo can read the format."""
+    if Path(_inside(file)).suffix.lower() not in MESH_FORMATS:
         formats = ", ".join(MESH_FORMATS)
         raise ValueError(f"found '{file}'; expected a mesh that MuJoCo reads ({formats})")
     return file
+
+
+MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
 
 
 class Object(Declaration):
@@ -73,17 +68,12 @@ class Object(Declaration):
     name: Name
     shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "axes"] | None = None
     size: Vector | None = None
-    mesh: str | None = None
+    mesh: MeshFile | None = None
     mesh_scale: float = Field(1.0, gt=0)
     mjcf: Any = None
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
     directory: str = ""
-
-    @field_validator("mesh")
-    @classmethod
-    def _mesh_is_inside(cls, mesh: str | None) -> str | None:
-        return mesh if mesh is None else check_mesh_file(mesh)
 
     @field_validator("mjcf")
     @classmethod
@@ -96,7 +86,7 @@ class Object(Declaration):
             return mjcf
         if not mjcf.strip():
             raise ValueError("is empty; expected an MJCF file or text that starts with <mujoco")
-        return check_inside(mjcf)
+        return _inside(mjcf)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Object:

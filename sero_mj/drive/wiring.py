@@ -20,7 +20,7 @@ from typing import Self
 from ..assemble.cartesian import WORLD
 from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
 from ..assemble.scene import NOT, Scene, names_in
-from ..errors import DeclarationError, Problem, RouteError, did_you_mean, nearest
+from ..errors import DeclarationError, Problem, RouteError, collect, did_you_mean, nearest
 from ..receive.source import SIGNALS, Source, make_source
 from ._expression import Value, constant, evaluate, numbers_of, parse
 from ._units import UNITS, Dimension, describe, units_of
@@ -66,22 +66,17 @@ def wire(scene: Scene) -> Wiring:
     """
     wiring = Wiring()
     for name, declared in scene.sources.items():
-        try:
+        with collect(wiring.problems, f"sources.{name}"):
             wiring.sources[name] = make_source(name, declared)
-        except DeclarationError as error:
-            wiring.problems += [p.inside(f"sources.{name}") for p in error.problems]
     wiring.problems += _shared_places(wiring.sources)
     checker = _RouteChecker(scene, wiring.sources)
     for target, origin in scene.routes.items():
-        try:
+        with collect(wiring.problems, f"routes.{target}"):
             route = checker.check(target, origin)
-        except DeclarationError as error:
-            wiring.problems += [p.inside(f"routes.{target}") for p in error.problems]
-            continue
-        if isinstance(route, Route):
-            wiring.routes.append(route)
-        elif route is not None:
-            wiring.frame_routes.append(route)
+            if isinstance(route, Route):
+                wiring.routes.append(route)
+            elif route is not None:
+                wiring.frame_routes.append(route)
     _allow_blanks(wiring)
     try:
         wiring.later = _routes_in_order(wiring.routes)
