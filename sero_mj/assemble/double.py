@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..declaration import Declaration, Name, Rgba, Vector, of_shape
-from ..frames import Array
+from ..frames import Array, Bools
 from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
 
 # Green for commanded positions, as in the paper's section 4.2.
@@ -16,10 +16,10 @@ COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
 DOUBLE_GROUP = 2  # of its geoms
 OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
 # A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting).
-HIDDEN_DISTANCE = 0.002  # m
-HIDDEN_ANGLE = np.deg2rad(0.5)
+_HIDDEN_DISTANCE = 0.002  # m
+_HIDDEN_ANGLE = np.deg2rad(0.5)
 # Opacity factors of a path's first and last double: the path must not hide the robot.
-PATH_FADE = (0.12, 0.6)
+_PATH_FADE = (0.12, 0.6)
 
 
 class Double(Declaration):
@@ -76,3 +76,23 @@ class Double(Declaration):
         along = np.concatenate([[0.0], np.cumsum(steps)])
         at = np.linspace(0.0, along[-1], self.path_length)
         return np.stack([np.interp(at, along, column) for column in self.path.T], axis=1)
+
+
+def path_fade(count: int) -> Array:
+    """Returns the opacity factors of the doubles along a path, (count,); 1 for a single one."""
+    return np.linspace(*_PATH_FADE, count) if count > 1 else np.ones(count)
+
+
+def are_apart(positions: Array, rotations: Array, others: Array, other_rotations: Array) -> Bools:
+    """Returns which links of a double do not coincide with their robot's, (...,).
+
+    Args:
+        positions: of the double's links, (..., 3), m.
+        rotations: of these, (..., 9).
+        others: positions of the robot's, (..., 3), m.
+        other_rotations: of these, (..., 9).
+    """
+    far = np.linalg.norm(positions - others, axis=-1) > _HIDDEN_DISTANCE
+    # The trace of R_double^T R_robot is 1 + 2 cos(angle between them).
+    trace = np.einsum("...i,...i->...", rotations, other_rotations)
+    return np.asarray(far | (trace < 1.0 + 2.0 * np.cos(_HIDDEN_ANGLE)))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from ..declaration import numbers
+from ..frames import Array, frame_from
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene, SceneToggles
 
@@ -142,3 +144,19 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
         start += length
     flags = {target: start + i for i, target in enumerate(inputs)}
     return slots, flags, start + len(flags)
+
+
+def to_array(values: Any) -> Array:
+    """Returns the values of an input as an array (k,) or more; empty where they are no numbers."""
+    try:
+        return np.atleast_1d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def to_frame(target: str, values: Array) -> Array:
+    """Returns a frame (4, 4); raises ValueError with the name of the input if it is none."""
+    try:
+        return frame_from(values, numbers)
+    except ValueError as error:
+        raise ValueError(f"{target}: {error}") from None

@@ -17,7 +17,7 @@ import numpy as np
 from .. import frames
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Array
-from .double import DOUBLE_GROUP, PATH_FADE, Double
+from .double import DOUBLE_GROUP, Double, path_fade
 from .inputs import moving
 from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
 from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, mesh_asset, pose, shape_geom
@@ -310,10 +310,9 @@ def _add_double(root: mujoco.MjSpec, double: Double, robot: SerialRobot) -> None
     near plane, far plane and shadows for a scene of a kilometre.
     """
     rows = body_names(double, robot)
-    fade = np.linspace(*PATH_FADE, len(rows)) if len(rows) > 1 else np.ones(1)
     shapes = [] if robot.filenames else generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
     at_zero = robot.dh.frames(np.zeros(robot.n), robot.base_frame)
-    for names, share in zip(rows, fade, strict=True):
+    for names, share in zip(rows, path_fade(len(rows)), strict=True):
         look = {"rgba": double.rgba * [1, 1, 1, share], "group": DOUBLE_GROUP}
         for i, name in enumerate(names):
             body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))

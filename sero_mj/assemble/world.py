@@ -18,11 +18,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..declaration import numbers
 from ..errors import DeclarationError, Problem, collect
-from ..frames import Bools, Ints, frame_from
+from ..frames import Bools, Ints
 from .double import DOUBLE_GROUP, OUT_OF_SIGHT
-from .inputs import BLANKABLE, list_inputs, userdata_slots
+from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
@@ -140,20 +139,14 @@ class World(WorldView):
                 frame.
         """
         item = self.resolve_input(target)
-        try:
-            array = np.atleast_1d(np.asarray(values, dtype=np.float64))
-        except (TypeError, ValueError):
-            array = np.empty(0)
+        array = to_array(values)
         is_fit = np.isfinite(array).all() or item.kind in BLANKABLE
         if array.shape != item.shape or not is_fit:
             found = array.tolist() if array.size else values
             many = "1 finite number" if item.count == 1 else f"{item.count} finite numbers"
             raise ValueError(f"{target}: found {found}; expected {many}")
         if item.shape == (4, 4):
-            try:
-                array = frame_from(array, numbers)
-            except ValueError as error:
-                raise ValueError(f"{target}: {error}") from None
+            array = to_frame(target, array)
         if item.kind == "pose":
             self.set_pose(data, item.name, array)
         elif item.kind == "angles" and item.name in self.robots:

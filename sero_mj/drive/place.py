@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from ..assemble.cartesian import WORLD
-from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE, OUT_OF_SIGHT
+from ..assemble.double import OUT_OF_SIGHT, are_apart
 from ..assemble.inputs import BLANKABLE
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
@@ -119,10 +119,8 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 
 
 def _place(data: mujoco.MjData, part: DoublePart, targets: Array, actual: Array) -> None:
-    apart = np.linalg.norm(targets[..., :3, 3] - actual[:, :3, 3], axis=-1) > HIDDEN_DISTANCE
-    # The trace of R_target^T R_actual is 1 + 2 cos(angle between them).
-    trace = np.einsum("rkij,kij->rk", targets[..., :3, :3], actual[:, :3, :3])
-    apart |= trace < 1.0 + 2.0 * np.cos(HIDDEN_ANGLE)
+    rotations = [T[..., :3, :3].reshape(*T.shape[:-2], 9) for T in (targets, actual)]
+    apart = are_apart(targets[..., :3, 3], rotations[0], actual[:, :3, 3], rotations[1])
     _set_poses(data, part.mocap.ravel(), targets.reshape(-1, 4, 4))
     data.mocap_pos[part.mocap[~apart]] = OUT_OF_SIGHT
 

@@ -15,9 +15,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..assemble.double import HIDDEN_ANGLE, HIDDEN_DISTANCE, OUT_OF_SIGHT, PATH_FADE
+from ..assemble.double import OUT_OF_SIGHT, are_apart, path_fade
 from ..assemble.parts import DoublePart, DrawnDouble
-from ..frames import Array, Bools, Ints
+from ..frames import Array, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,6 @@ class Sites:
 _PARALLEL = 1e-6  # minimum length of a unit vector's component perpendicular to an axis
 
 
-@dataclass(frozen=True, eq=False)
 class JointPoses:
     """Frames of some joints of a model.
 
@@ -120,61 +119,28 @@ class JointPoses:
     turns with the link, and it is parallel to the link's frame where the axis is the link's z.
     Several hinges of one body rotate in sequence.
 
-    Attributes:
-        joints: ids, (n,).
-        bodies: ids of the bodies they move, (n,).
-        parents: ids of their parents, (n,).
-        hinge: True for hinges, False for slides, (n,).
-        start: x of the frame in the parent's, at the joint's reference angle, (n, 3).
-        second: y of it, used where x is along the axis, (n, 3).
-        anchor: position of the joint in its body, (n, 3), m.
-        qpos: index of its angle, (n,).
-        reference: that angle, (n,).
-        offset: from the anchor in the joint's frame, (n, 3), m.
+    Args:
+        model: compiled.
+        joints: their ids, (n,).
+        offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
     """
 
-    joints: Ints
-    bodies: Ints
-    parents: Ints
-    hinge: Bools
-    start: Array
-    second: Array
-    anchor: Array
-    qpos: Ints
-    reference: Array
-    offset: Array
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel, joints: Ints, offset: Array) -> JointPoses:
-        """Prepares the frames of joints.
-
-        Args:
-            model: compiled.
-            joints: their ids, (n,).
-            offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
-        """
-        bodies = model.jnt_bodyid[joints].astype(np.intp)
-        frames = np.empty((len(joints), 3, 3))
-        for i, joint in enumerate(joints):
-            in_body, of_body = np.empty(4), np.empty(9)
-            mujoco.mju_quatZ2Vec(in_body, model.jnt_axis[joint])
+    def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:
+        self._joints, self._offset = joints, offset
+        self._bodies = model.jnt_bodyid[joints].astype(np.intp)
+        self._parents = model.body_parentid[self._bodies].astype(np.intp)
+        self._hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        self._anchor = np.array(model.jnt_pos[joints])  # in its body, (n, 3), m
+        self._qpos = model.jnt_qposadr[joints].astype(np.intp)
+        self._reference = np.array(model.qpos0[self._qpos])
+        in_parent = np.empty((len(joints), 9))  # the frames at the reference angles
+        for matrix, joint, body in zip(in_parent, joints, self._bodies, strict=True):
             quat = np.empty(4)
-            mujoco.mju_mulQuat(quat, model.body_quat[bodies[i]], in_body)
-            mujoco.mju_quat2Mat(of_body, quat)
-            frames[i] = of_body.reshape(3, 3)
-        qpos = model.jnt_qposadr[joints].astype(np.intp)
-        return cls(
-            joints=joints,
-            bodies=bodies,
-            parents=model.body_parentid[bodies].astype(np.intp),
-            hinge=model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE),
-            start=frames[:, :, 0],
-            second=frames[:, :, 1],
-            anchor=np.array(model.jnt_pos[joints]),
-            qpos=qpos,
-            reference=np.array(model.qpos0[qpos]),
-            offset=offset,
-        )
+            mujoco.mju_quatZ2Vec(quat, model.jnt_axis[joint])
+            mujoco.mju_mulQuat(quat, model.body_quat[body], quat.copy())
+            mujoco.mju_quat2Mat(matrix, quat)
+        # y is used where x is along the axis
+        self._x, self._y = np.moveaxis(in_parent.reshape(-1, 3, 3), 2, 0)[:2]
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
         """Computes the frames at the current joint angles.
@@ -185,23 +151,23 @@ class JointPoses:
         Returns:
             positions (n, 3), m, and rotations (n, 3, 3).
         """
-        axis = data.xaxis[self.joints]
-        parent = data.xmat[self.parents].reshape(-1, 3, 3)
-        body = data.xmat[self.bodies].reshape(-1, 3, 3)
-        x = self._across(axis, np.einsum("nij,nj->ni", parent, self.start))
+        axis = data.xaxis[self._joints]
+        parent = data.xmat[self._parents].reshape(-1, 3, 3)
+        body = data.xmat[self._bodies].reshape(-1, 3, 3)
+        x = self._across(axis, np.einsum("nij,nj->ni", parent, self._x))
         length = np.linalg.norm(x, axis=1, keepdims=True)
         if (length < _PARALLEL).any():
-            y = self._across(axis, np.einsum("nij,nj->ni", parent, self.second))
+            y = self._across(axis, np.einsum("nij,nj->ni", parent, self._y))
             x = np.where(length < _PARALLEL, np.cross(y, axis), x)
             length = np.linalg.norm(x, axis=1, keepdims=True)
         x = x / np.maximum(length, _PARALLEL)
-        angle = np.where(self.hinge, data.qpos[self.qpos] - self.reference, 0.0)[:, None]
+        angle = np.where(self._hinge, data.qpos[self._qpos] - self._reference, 0.0)[:, None]
         x = np.cos(angle) * x + np.sin(angle) * np.cross(axis, x)
         rotation = np.stack([x, np.cross(axis, x), axis], axis=2)
         # MuJoCo's anchor of a slide does not move; its arrow moves with the link.
-        along = data.xpos[self.bodies] + np.einsum("nij,nj->ni", body, self.anchor)
-        at = np.where(self.hinge[:, None], data.xanchor[self.joints], along)
-        return at + np.einsum("nij,nj->ni", rotation, self.offset), rotation
+        along = data.xpos[self._bodies] + np.einsum("nij,nj->ni", body, self._anchor)
+        at = np.where(self._hinge[:, None], data.xanchor[self._joints], along)
+        return at + np.einsum("nij,nj->ni", rotation, self._offset), rotation
 
     @staticmethod
     def _across(axis: Array, vectors: Array) -> Array:
@@ -256,24 +222,16 @@ class ModelDoubles:
         """
         part = self._doubles[name]
         poses = state.doubles.get(name, [])
-        fade = np.linspace(*PATH_FADE, len(poses)) if len(poses) > 1 else np.ones(1)
+        mine = self._model.body_rootid == part.of.bodies[0]
         return [
             DrawnDouble(
                 name,
                 self._model,
                 pose,
-                self._apart(part, state.data, pose),
+                (mine & are_apart(pose.xpos, pose.xmat, state.data.xpos, state.data.xmat))[
+                    self._model.geom_bodyid
+                ],
                 part.double.rgba * [1, 1, 1, share],
             )
-            for pose, share in zip(poses, fade, strict=False)
+            for pose, share in zip(poses, path_fade(len(poses)), strict=True)
         ]
-
-    def _apart(self, part: DoublePart, data: mujoco.MjData, pose: mujoco.MjData) -> Bools:
-        """Returns the geoms of links that do not coincide with the robot's, (ngeom,) bool."""
-        model = self._model
-        apart = np.linalg.norm(pose.xpos - data.xpos, axis=1) > HIDDEN_DISTANCE
-        # The trace of R_target^T R_actual is 1 + 2 cos(angle between them).
-        trace = np.einsum("ki,ki->k", pose.xmat, data.xmat)
-        apart |= trace < 1.0 + 2.0 * np.cos(HIDDEN_ANGLE)
-        mine = model.body_rootid == part.of.bodies[0]
-        return np.asarray((mine & apart)[model.geom_bodyid])

@@ -16,14 +16,14 @@ import numpy as np
 
 from ..assemble.cartesian import NamedFrame, SmartArrow
 from ..assemble.double import Double
-from ..assemble.inputs import BLANKABLE, list_inputs, userdata_slots
+from ..assemble.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from ..assemble.parts import DoublePart, DrawnDouble, make_tables
+from ..assemble.robot_parts import VALUE_INPUTS
 from ..assemble.scene import Scene, SceneToggles
 from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
-from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName
-from ..frames import Array, Bools, Ints, frame_from
+from ..frames import Array, Bools, Ints
 from ._found_robot import FoundPart, body_labels, found_robot, list_found_frames
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import Tree, find_trees, measure, torque_limits
@@ -196,7 +196,7 @@ class ModelWorld(WorldView):
 
     def _joint_poses(self, part: Any) -> JointPoses:
         of: Any = part.of if isinstance(part, DoublePart) else part
-        return JointPoses.of(self.model, of.tree.joints, of.robot.offsets)
+        return JointPoses(self.model, of.tree.joints, of.robot.offsets)
 
     def _declare(self) -> None:
         """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
@@ -205,10 +205,7 @@ class ModelWorld(WorldView):
         }  # not set by the user
         for double in self.doubles.values():
             if double.path is None:
-                keys = ("joint_angles", "torques", "commanded_torques")
-                self.set_declared(
-                    self.data, double.double, (*keys, "joint_accelerations", "billboard_values")
-                )
+                self.set_declared(self.data, double.double, ("joint_angles", *VALUE_INPUTS))
         for arrow in self.scene.arrows.values():
             self.set_declared(self.data, arrow, ("vector",))
 
@@ -274,10 +271,7 @@ class ModelWorld(WorldView):
         item = self.resolve_input(target)
         if isinstance(values, Mapping) and item.kind in ("angles", "values"):
             values = self._by_name(name, values)
-        try:
-            array = np.atleast_1d(np.asarray(values, dtype=np.float64))
-        except (TypeError, ValueError):
-            array = np.empty(0)
+        array = to_array(values)
         if array.shape != item.shape:
             found = f"shape {array.shape}" if array.size else repr(values)
             many = "1 number" if item.count == 1 else f"{item.meaning}: shape {item.shape}"
@@ -290,10 +284,7 @@ class ModelWorld(WorldView):
             if item.kind not in BLANKABLE:
                 return
         elif item.shape == (4, 4):
-            try:
-                array = frame_from(array, numbers)
-            except ValueError as error:
-                raise ValueError(f"{target}: {error}") from None
+            array = to_frame(target, array)
         self._userdata[self.slots[target]] = np.where(bad, np.nan, array).ravel()
         self._userdata[self.flags[target]] = 1.0
         self._live.pop((name, key), None)
