@@ -15,9 +15,9 @@ from ..assemble.double import Double
 from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
 from ..declaration import numbers
-from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
+from ..errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
 from ..frames import Array, Ints
-from ._model_trees import GRAVITY, Sizes, Tree, without_scope
+from ._model_trees import GRAVITY, Sizes, Tree, measure, torque_limits, without_scope
 
 # Fields that a user can set for a found robot; the others come from the model.
 FIELDS = (
@@ -122,6 +122,7 @@ class FoundPart(RobotPart):
         labels: names of its base and links, n + 1.
     """
 
+    robot: FoundRobot
     tree: Tree
     size: float
     tool: str
@@ -148,32 +149,66 @@ class FoundPart(RobotPart):
         return self.size
 
 
-def found_robot(
-    tree: Tree, revolute: Any, limits: Array, sizes: Sizes, overrides: Mapping[str, Any]
-) -> SerialRobot:
-    """Builds the declaration of a robot from the model, with the user's fields as overrides.
+def found_part(
+    model: mujoco.MjModel,
+    rest: mujoco.MjData,
+    tree: Tree,
+    overrides: Mapping[str, Any],
+    start: int,
+) -> FoundPart:
+    """Builds a robot from the model, with the user's fields as overrides.
 
     Args:
+        model: compiled.
+        rest: the pose in which it is measured, after `mj_fwdPosition`.
         tree: the robot.
-        revolute: True for revolute joints, (n,) bool.
-        limits: torque limits, (n,), Nm or N, inf for none.
-        sizes: of its decor.
         overrides: the user's fields, of `FIELDS`.
+        start: its first row in the world's `JointTable`.
 
     Raises:
         DeclarationError: other fields, or values that do not fit.
     """
+    sizes = measure(model, rest, tree)
+    problems: list[Problem] = []
+    with collect(problems, f"robots.{tree.name}"):
+        robot = _found_robot(model, tree, sizes, overrides)
+    if problems:
+        raise DeclarationError(problems)
+    labels = body_labels(model, tree)
+    bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
+    along = rest.xanchor[tree.joints[tree.chain]]
+    reach = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum()) if len(along) else 0.0
+    return FoundPart(
+        robot=robot,
+        dh=robot.dh,
+        qpos=model.jnt_qposadr[tree.joints].astype(np.intp),
+        dofs=model.jnt_dofadr[tree.joints].astype(np.intp),
+        mocap=-1,
+        bodies=bodies,
+        flange_body=tree.last,
+        joints=slice(start, start + robot.n),
+        tree=tree,
+        size=reach or sizes.link,
+        tool=labels[tree.last],
+        labels=[labels[int(body)] for body in bodies],
+    )
+
+
+def _found_robot(
+    model: mujoco.MjModel, tree: Tree, sizes: Sizes, overrides: Mapping[str, Any]
+) -> FoundRobot:
     problems = [
         Problem(key, f"unknown key{did_you_mean(key, FIELDS)}")
         for key in overrides
         if key not in FIELDS
     ]
     if problems:
-        raise DeclarationError([problem.inside(f"robots.{tree.name}") for problem in problems])
+        raise DeclarationError(problems)
+    revolute = model.jnt_type[tree.joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
     fields: dict[str, Any] = {
         "show_arrows": True,
         "billboard_lines": ["joint_angles", "torques"],
-        "torque_limits": limits,
+        "torque_limits": torque_limits(model, tree.joints),
         "acceleration_limits": _FULL_WIDTH_G * GRAVITY / np.where(revolute, sizes.link, 1.0),
         "arrow_radius": sizes.arrow_radius,
         "axes_size": float(np.median(sizes.axes)),
@@ -182,22 +217,19 @@ def found_robot(
     n = len(tree.joints)
     if np.ndim(fields["torque_limits"]) == 0 and fields["torque_limits"] is not None:
         fields["torque_limits"] = [fields["torque_limits"]] * n
-    try:
-        robot = FoundRobot(
-            name=tree.name,
-            dh_convention="craig",
-            dh_params=np.zeros((n, 4)),
-            joint_types=["revolute" if turns else "prismatic" for turns in revolute],
-            joint_names=tree.joint_names,
-            torques=np.zeros(n),  # provided by the model; billboards have to show it
-            **fields,
-        )
-        if "arrow_width_scale" not in overrides:
-            robot._loads = sizes.load
-        if "axes_size" not in overrides:
-            robot._axes = sizes.axes
-    except DeclarationError as error:
-        raise DeclarationError([p.inside(f"robots.{tree.name}") for p in error.problems]) from None
+    robot = FoundRobot(
+        name=tree.name,
+        dh_convention="craig",
+        dh_params=np.zeros((n, 4)),
+        joint_types=["revolute" if turns else "prismatic" for turns in revolute],
+        joint_names=tree.joint_names,
+        torques=np.zeros(n),  # provided by the model; billboards have to show it
+        **fields,
+    )
+    if "arrow_width_scale" not in overrides:
+        robot._loads = sizes.load
+    if "axes_size" not in overrides:
+        robot._axes = sizes.axes
     return robot
 
 
@@ -205,25 +237,12 @@ _DOUBLE_ALPHA = 0.5  # opacity of a double's axes
 BASE = "base"
 
 
-@dataclass(frozen=True)
-class FrameSource:
-    """Where the pose of a frame is read from.
-
-    Attributes:
-        of: the double in whose state it is read; empty for the model's own state.
-        row: row of `xpos` for a body; number of bodies plus row of `site_xpos` for a site.
-    """
-
-    of: str
-    row: int
-
-
 def list_found_frames(
     model: mujoco.MjModel,
     robots: Mapping[str, FoundPart],
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
-) -> tuple[dict[str, NamedFrame], dict[str, FrameSource]]:
+) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
     """Lists the named frames of a model.
 
     Args:
@@ -233,34 +252,33 @@ def list_found_frames(
         wanted: names of other bodies and sites; these are initially shown.
 
     Returns:
-        the frames by name, and the source of each of them.
+        the frames by name, and where each is read: the name of the double in whose state, empty
+        for the model's own, and its row, that of `xpos` or behind it of `site_xpos`.
 
     Raises:
         UnknownName: a wanted name is neither a body nor a site.
     """
     frames: dict[str, NamedFrame] = {}
-    places: dict[str, FrameSource] = {}
-
-    def add(frame: NamedFrame, place: FrameSource) -> None:
-        frames[frame.name], places[frame.name] = frame, place
-
-    for name, part in robots.items():
-        alpha = 1.0 - part.robot.axes_transparency
+    places: dict[str, tuple[str, int]] = {}
+    shown = [(name, "", part, 1.0) for name, part in robots.items()]
+    shown += [
+        (name, name, robots[double.of], _DOUBLE_ALPHA)
+        for name, double in doubles.items()
+        if double.path is None
+    ]
+    for name, state, part, opacity in shown:
+        alpha = opacity * (1.0 - part.robot.axes_transparency)
         for body, label in body_labels(model, part.tree).items():
+            if state and label == BASE:
+                continue  # a double has the base frame of its robot
             frame = f"{name}/{label}"
             size = _axes_length(model, part, body)
-            add(NamedFrame(frame, frame, name, name, size, alpha), FrameSource("", body))
-    for name, double in doubles.items():
-        part = robots[double.of]
-        alpha = _DOUBLE_ALPHA * (1.0 - part.robot.axes_transparency)
-        if double.path is None:
-            for body, label in list(body_labels(model, part.tree).items())[1:]:
-                frame = f"{name}/{label}"
-                size = _axes_length(model, part, body)
-                add(NamedFrame(frame, frame, name, name, size, alpha), FrameSource(name, body))
+            frames[frame] = NamedFrame(frame, frame, name, name, size, alpha)
+            places[frame] = (state, body)
     size = max([part.robot.axes_length for part in robots.values()], default=0.2)
     for name in wanted:
-        add(NamedFrame(name, name, "", "", size, 1.0), FrameSource("", _find(model, name)))
+        frames[name] = NamedFrame(name, name, "", "", size, 1.0)
+        places[name] = ("", _find(model, name))
     return frames, places
 
 
@@ -277,16 +295,15 @@ def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
 
 def _axes_length(model: mujoco.MjModel, part: FoundPart, body: int) -> float:
     """Returns the length of a body's axes, m: that of its joint, for a base of the first joint."""
-    robot = part.robot
     moved = model.jnt_bodyid[part.tree.joints]
     while body and body not in moved:
         body = int(model.body_parentid[body])
     joint = int(np.flatnonzero(moved == body)[-1]) if body else 0
-    return float(robot.axes_lengths[joint] if isinstance(robot, FoundRobot) else robot.axes_length)
+    return float(part.robot.axes_lengths[joint])
 
 
 def _find(model: mujoco.MjModel, name: str) -> int:
-    """Returns the row of a site or body, as in `FrameSource`."""
+    """Returns the row of a body in `xpos`, or of a site behind these."""
     kinds = mujoco.mjtObj
     site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
     body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)

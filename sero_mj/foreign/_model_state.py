@@ -8,7 +8,7 @@ frame, and a `userdata` array of its own. The user's model and data are not chan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,48 +59,53 @@ class ModelState:
         return np.asarray(self.data.xmat)
 
 
-@dataclass(frozen=True, eq=False)
 class Sites:
-    """Sources of the site poses of a `ModelState`.
+    """Sources of the site poses of a `ModelState`: of joints, then frames, then fixed points.
 
-    Attributes:
+    Args:
         joints: joint frames of every robot and every double, with the name of the double in
             whose state they are read; "" for the user's data.
-        frames: state in which each frame is read, (M,); 0 is the user's, k the k-th double's.
-        rows: rows of `xpos` followed by those of `site_xpos`, (M,).
+        frames: likewise the name of a double, and a row of `xpos` followed by `site_xpos`.
         points: fixed points in the world, (P, 3), m.
-        names: names of the doubles in `frames`, from 1 on.
     """
 
-    joints: list[tuple[str, JointPoses]]
-    frames: Ints
-    rows: Ints
-    points: Array
-    names: list[str]
+    def __init__(
+        self,
+        joints: Sequence[tuple[str, JointPoses]],
+        frames: Sequence[tuple[str, int]],
+        points: Array,
+    ) -> None:
+        self._joints, self._points, self._count = joints, points, len(frames)
+        self._frames = {  # which frames are read in a state, and in which rows
+            name: (
+                [k for k, (of, _) in enumerate(frames) if of == name],
+                [row for of, row in frames if of == name],
+            )
+            for name in dict.fromkeys(of for of, _ in frames)
+        }
 
     def read(
         self, data: mujoco.MjData, doubles: dict[str, list[mujoco.MjData]]
     ) -> tuple[Array, Array]:
         """Returns positions (S, 3), m, and rotations (S, 9)."""
         positions, rotations = [np.empty((0, 3))], [np.empty((0, 3, 3))]
-        for name, joints in self.joints:
-            at, turned = joints.place(doubles[name][0] if name in doubles else data)
+
+        def state_of(name: str) -> mujoco.MjData:
+            # A double without a pose is read in the user's data; nothing shows it.
+            return doubles[name][0] if name in doubles else data
+
+        for name, joints in self._joints:
+            at, turned = joints.place(state_of(name))
             positions.append(at)
             rotations.append(turned)
-        # A double without a pose is read in the user's data; nothing shows it.
-        states = [data, *(doubles[name][0] if name in doubles else data for name in self.names)]
-        used = np.unique(self.frames)
-        at_frames, of_frames = np.empty((len(self.rows), 3)), np.empty((len(self.rows), 3, 3))
-        for k in used:
-            state, mine = states[k], self.frames == k
-            everywhere = np.concatenate([state.xpos, state.site_xpos])
-            turned = np.concatenate([state.xmat, state.site_xmat]).reshape(-1, 3, 3)
-            at_frames[mine], of_frames[mine] = (
-                everywhere[self.rows[mine]],
-                turned[self.rows[mine]],
-            )
-        upright = np.broadcast_to(np.eye(3), (len(self.points), 3, 3))
-        site_xpos = np.concatenate([*positions, at_frames, self.points])
+        at_frames, of_frames = np.empty((self._count, 3)), np.empty((self._count, 3, 3))
+        for name, (mine, rows) in self._frames.items():
+            state = state_of(name)
+            at_frames[mine] = np.concatenate([state.xpos, state.site_xpos])[rows]
+            turned = np.concatenate([state.xmat, state.site_xmat])[rows]
+            of_frames[mine] = turned.reshape(-1, 3, 3)
+        upright = np.broadcast_to(np.eye(3), (len(self._points), 3, 3))
+        site_xpos = np.concatenate([*positions, at_frames, self._points])
         site_xmat = np.concatenate([*rotations, of_frames, upright])
         # A diverged simulation has positions that cannot be drawn.
         lost = ~(np.isfinite(site_xpos).all(axis=1) & np.isfinite(site_xmat).all(axis=(1, 2)))

@@ -24,9 +24,9 @@ from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
 from ..errors import DeclarationError, Problem, UnknownName
 from ..frames import Array, Bools, Ints
-from ._found_robot import FoundPart, body_labels, found_robot, list_found_frames
+from ._found_robot import FoundPart, found_part, list_found_frames
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
-from ._model_trees import Tree, find_trees, measure, torque_limits
+from ._model_trees import find_trees
 
 log = logging.getLogger(__name__)
 
@@ -95,7 +95,7 @@ class ModelWorld(WorldView):
         found: dict[str, FoundPart] = {}
         start = 0
         for tree in trees:
-            found[tree.name] = self._part(tree, rest, overrides.get(tree.name, {}), start)
+            found[tree.name] = found_part(model, rest, tree, overrides.get(tree.name, {}), start)
             start += len(tree.joints)
         self.robots = dict(found)
         wanted = {double.name: double for double in doubles if double.of in found}
@@ -120,16 +120,13 @@ class ModelWorld(WorldView):
         self.slots, self.flags, count = userdata_slots(self.scene)
         self._userdata = np.zeros(count)
         points = [arrow for arrow in self.scene.arrows.values() if arrow.site is not None]
-        of = ["", *single]
         self._sites = Sites(
             joints=[
                 ("" if key in self.robots else key, self._joint_poses(part))
                 for key, part in self.owners.items()
             ],
-            frames=np.array([of.index(place.of) for place in places.values()], np.intp),
-            rows=np.array([place.row for place in places.values()], np.intp),
+            frames=list(places.values()),
             points=np.array([arrow.at for arrow in points]).reshape(-1, 3),
-            names=list(single),
         )
         centres = [
             f"{part.scope}centre{i + 1}"
@@ -149,32 +146,6 @@ class ModelWorld(WorldView):
         )
         self._posed = ModelDoubles(model, self.doubles)
         self._declare()
-
-    def _part(
-        self, tree: Tree, rest: mujoco.MjData, overrides: Mapping[str, Any], start: int
-    ) -> FoundPart:
-        model = self.model
-        sizes = measure(model, rest, tree)
-        revolute = model.jnt_type[tree.joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
-        robot = found_robot(tree, revolute, torque_limits(model, tree.joints), sizes, overrides)
-        labels = body_labels(model, tree)
-        bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
-        along = rest.xanchor[tree.joints[tree.chain]]
-        reach = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum()) if len(along) else 0.0
-        return FoundPart(
-            robot=robot,
-            dh=robot.dh,
-            qpos=model.jnt_qposadr[tree.joints].astype(np.intp),
-            dofs=model.jnt_dofadr[tree.joints].astype(np.intp),
-            mocap=-1,
-            bodies=bodies,
-            flange_body=tree.last,
-            joints=slice(start, start + robot.n),
-            tree=tree,
-            size=reach or sizes.link,
-            tool=labels[tree.last],
-            labels=[labels[int(body)] for body in bodies],
-        )
 
     def _double_parts(self, start: int) -> dict[str, DoublePart]:
         parts = {}
@@ -200,9 +171,7 @@ class ModelWorld(WorldView):
 
     def _declare(self) -> None:
         """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
-        self._live = {
-            (name, key): True for name in self.robots for key in _FROM_MODEL
-        }  # not set by the user
+        self._live = {(name, key) for name in self.robots for key in _FROM_MODEL}
         for double in self.doubles.values():
             if double.path is None:
                 self.set_declared(self.data, double.double, ("joint_angles", *VALUE_INPUTS))
@@ -222,11 +191,10 @@ class ModelWorld(WorldView):
         """Returns the state that decor reads, from an `MjData` with kinematics up to date."""
         if isinstance(data, ModelState):
             return data
-        for (name, key), live in self._live.items():
-            if live:
-                slot = self.slots[f"{name}.{key}"]
-                self._userdata[slot] = getattr(data, _FROM_MODEL[key])[self.robots[name].dofs]
-                self._userdata[self.flags[f"{name}.{key}"]] = 1.0
+        for name, key in self._live:  # what the user has not set
+            slot = self.slots[f"{name}.{key}"]
+            self._userdata[slot] = getattr(data, _FROM_MODEL[key])[self.robots[name].dofs]
+            self._userdata[self.flags[f"{name}.{key}"]] = 1.0
         angles = {
             name: self._userdata[self.slots[f"{name}.joint_angles"]]
             for name, part in self.doubles.items()
@@ -287,7 +255,7 @@ class ModelWorld(WorldView):
             array = to_frame(target, array)
         self._userdata[self.slots[target]] = np.where(bad, np.nan, array).ravel()
         self._userdata[self.flags[target]] = 1.0
-        self._live.pop((name, key), None)
+        self._live.discard((name, key))
 
     def _by_name(self, owner: str, values: Mapping[str, Any]) -> Array:
         names = self.owners[owner].robot.names
@@ -311,7 +279,7 @@ class ModelWorld(WorldView):
         item = self.resolve_input(target)
         self._userdata[self.flags[target]] = 0.0
         if item.name in self.robots and item.key in _FROM_MODEL:
-            self._live[item.name, item.key] = True
+            self._live.add((item.name, item.key))
 
 
 class _ByName(np.ndarray):
