@@ -6,14 +6,12 @@ import contextlib
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.double import OUT_OF_SIGHT
 from ..assemble.world_view import WorldView
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError
-
-Array = NDArray[np.float64]
+from ..frames import Array
 
 _MARGIN = 1.12  # margin around the robots
 _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height

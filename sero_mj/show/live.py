@@ -8,12 +8,13 @@ from collections.abc import Callable
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..decor.toggles import Toggles
 from ..drive.mirror import LiveWorld
 from ..errors import SeroError
+from ..frames import Array
 from .clock import Clock
+from .headless.film import Pixels
 from .input import Clicked
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
 from .picking import Picked
@@ -119,7 +120,7 @@ class LiveHost(ABC):
         """
 
     @abstractmethod
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Pixels:
         """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
 
     @abstractmethod
@@ -131,7 +132,7 @@ class LiveHost(ABC):
         """Starts following a frame with the camera, or stops; returns a message for the user."""
 
     @abstractmethod
-    def centre(self, point: NDArray[np.float64]) -> None:
+    def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""
 
     @abstractmethod

@@ -8,7 +8,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
@@ -19,6 +18,7 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..errors import UsageError
 from ..foreign.model_world import ModelWorld
+from ..frames import Array
 from .camera import find_camera
 from .headless.backend import adopt_backend
 from .headless.film import Picture
@@ -98,7 +98,7 @@ class Overlay:
         """Clears an input; torques and accelerations are then those of the model again."""
         self.world.clear_input(target)
 
-    def frame(self, name: str) -> NDArray[np.float64]:
+    def frame(self, name: str) -> Array:
         """Returns T_world_name (4, 4) of a frame (`arm/hand`), translation in m.
 
         Raises:

@@ -11,14 +11,13 @@ from typing import Literal, cast
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.parts import RobotPart
 from ..assemble.world_view import WorldView
 from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
 from ..decor.picture_view import PictureView
+from ..frames import Array, Bools
 
-Array = NDArray[np.float64]
 PickedKind = Literal[
     "link", "double", "object", "arrow", "billboard", "axes", "name", "vector", "card", "check"
 ]
@@ -225,7 +224,7 @@ def _pick_drawn_double(
 def _ray(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    hidden: NDArray[np.bool_] | None,
+    hidden: Bools | None,
     origin: Array,
     direction: Array,
 ) -> tuple[int, float]:

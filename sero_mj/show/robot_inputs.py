@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import mujoco
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..errors import UnknownName
-
-Array = NDArray[np.float64]
+from ..frames import Array
 
 
 class JointInput:

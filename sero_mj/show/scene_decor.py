@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
 from ..decor.draw import Decor
@@ -15,6 +13,7 @@ from ..decor.picture_view import PictureView
 from ..decor.round_arrows import MAX_SEGMENTS
 from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
+from ..frames import Array
 from .interaction import Gesture, click, hover
 from .picking import Picked, pick, point_at
 
@@ -105,7 +104,7 @@ class SceneDecor:
             return None
         return pick(self.world, data, self.pen, self.view, pixel, tolerance)
 
-    def point_at(self, data: mujoco.MjData, pixel: Pixel) -> NDArray[np.float64] | None:
+    def point_at(self, data: mujoco.MjData, pixel: Pixel) -> Array | None:
         """Returns the world point (3,), m, at a pixel, y up; None for the sky."""
         if self.view is None:
             return None

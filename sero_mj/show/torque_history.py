@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..decor.staleness import Staleness
-
-Array = NDArray[np.float64]
+from ..frames import Array, Ints
 
 SPAN = 8.0  # duration of the plots, s
 _GAP = 0.25  # minimum duration of a visible gap, s
@@ -72,7 +70,7 @@ class TorqueHistory:
         return times[kept], self._values[:, joint, order[kept]]
 
 
-def split_at_gaps(times: Array, values: Array) -> list[NDArray[np.intp]]:
+def split_at_gaps(times: Array, values: Array) -> list[Ints]:
     """Splits the samples of a line at gaps in the data.
 
     Args:

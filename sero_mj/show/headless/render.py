@@ -18,7 +18,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assemble.scene import Scene
 from ...assemble.world_view import WorldView
@@ -27,12 +26,13 @@ from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
 from ...drive.mirror import Mirror, restore
 from ...errors import RenderError
+from ...frames import Array
 from ..camera import find_camera
 from ..interaction import Gesture
 from ..picking import TOUCH_TOLERANCE, Picked
 from ..scene_decor import SceneDecor
 from .backend import adopt_backend
-from .film import FilmWriter, Picture, check_writable, default_fps, save_picture
+from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 
 log = logging.getLogger(__name__)
 
@@ -122,9 +122,7 @@ class HeadlessRenderer:
     def toggles(self, toggles: Toggles) -> None:
         self.decor.toggles = toggles
 
-    def render(
-        self, data: mujoco.MjData, out: NDArray[np.uint8] | None = None
-    ) -> NDArray[np.uint8]:
+    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
         """Renders one frame.
 
         Args:
@@ -135,7 +133,7 @@ class HeadlessRenderer:
             picture (height, width, 3), uint8; a notebook displays it.
         """
         self.decor.draw(data, self._look(data), self._renderer.scene)
-        pixels: NDArray[np.uint8] = self._renderer.render(out=out)
+        pixels: Pixels = self._renderer.render(out=out)
         return pixels if out is not None else pixels.view(Picture)
 
     def _look(self, data: mujoco.MjData) -> PictureView:
@@ -209,7 +207,6 @@ def _make_renderer(world: WorldView, width: int, height: int) -> Any:
 
 
 MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
-State = NDArray[np.float64]
 # Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
 Click = tuple[float, float, str, bool]
 OnProgress = Callable[[int, int], None]
@@ -320,14 +317,14 @@ def _click(renderer: HeadlessRenderer, data: mujoco.MjData, clicks: Sequence[Cli
         log.info("%s at %g,%g: %s", gesture, x, y, what)
 
 
-def _states(mirror: Mirror, count: int, fps: float) -> Iterator[State]:
+def _states(mirror: Mirror, count: int, fps: float) -> Iterator[Array]:
     """Yields the state at the time of every frame, sampled on a thread if sources are live."""
     if not mirror.is_live:
         for k in range(count):
             mirror.advance(k / fps)
             yield mirror.state()
         return
-    taken: queue.SimpleQueue[State | BaseException] = queue.SimpleQueue()
+    taken: queue.SimpleQueue[Array | BaseException] = queue.SimpleQueue()
     stop = threading.Event()
 
     def sample() -> None:

@@ -8,17 +8,15 @@ import time
 import numpy as np
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
-from numpy.typing import NDArray
 
 from ...assemble.parts import Owner
 from ...assemble.robot_parts import ARROW_QUANTITIES
 from ...assemble.world_view import WorldView
 from ...decor.quantities import QUANTITY_NAMES
 from ...decor.toggles import Toggles
+from ...frames import Array, Bools, Ints
 from ...study.reduction import envelope
 from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
-
-Array = NDArray[np.float64]
 
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 _MOST_OPEN = 3  # number of robots whose toggles are initially expanded
@@ -54,7 +52,7 @@ class RobotPanel:
         self._world, self._toggles = world, toggles
         joints, frames = world.joints, world.frames
         # Name, array, rows of an owner, and declared values of the sizes that sliders scale.
-        self._scaled: list[tuple[str, NDArray[np.float64], str, NDArray[np.float64]]] = [
+        self._scaled: list[tuple[str, Array, str, Array]] = [
             ("arrow radius", joints.arrow_radius, "joints", joints.arrow_radius.copy()),
             ("arrow width", joints.arrow_width_scale, "joints", joints.arrow_width_scale.copy()),
             ("axes size", frames.size, "frames", frames.size.copy()),
@@ -136,7 +134,7 @@ class RobotPanel:
             self._check(f"{name}##double", self._toggles.doubles, slice(i, i + 1))
 
     @staticmethod
-    def _check(words: str, array: NDArray[np.bool_], rows: slice | NDArray[np.intp]) -> None:
+    def _check(words: str, array: Bools, rows: slice | Ints) -> None:
         changed, on = imgui.Checkbox(words, bool(array[rows].any()))
         if changed:
             array[rows] = on
@@ -144,9 +142,9 @@ class RobotPanel:
     @staticmethod
     def _scale(
         words: str,
-        array: NDArray[np.float64],
-        rows: NDArray[np.intp],
-        declared: NDArray[np.float64],
+        array: Array,
+        rows: Ints,
+        declared: Array,
     ) -> None:
         given = declared[rows]
         largest = _LARGEST

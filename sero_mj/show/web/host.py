@@ -7,13 +7,13 @@ import socket
 import time
 
 import mujoco
-import numpy as np
 from mujoco.studio import launch_thread, messages, sim_history, ux, viewer_handle
-from numpy.typing import NDArray
 
 from ...drive.mirror import LiveWorld
 from ...errors import RenderError
+from ...frames import Array
 from ..camera import find_camera, list_cameras
+from ..headless.film import Pixels
 from ..live import LiveHost
 from ..scene_decor import Pixel
 from .guard import is_loopback, make_token
@@ -172,7 +172,7 @@ class WebHost(LiveHost):
     def _toggle_help(self) -> None:
         self.shows_help = not self.shows_help
 
-    def centre(self, point: NDArray[np.float64]) -> None:
+    def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""
         camera = self.viewer.camera
         camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
@@ -207,7 +207,7 @@ class WebHost(LiveHost):
         self._app.reset_camera_index(ux.TRACKING_CAMERA_IDX)
         return f"follows {frame}"
 
-    def picture(self, width: int = 1280, height: int = 800) -> NDArray[np.uint8]:
+    def picture(self, width: int = 1280, height: int = 800) -> Pixels:
         """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
         from ..headless.render import HeadlessRenderer
 

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import state_payload
-from numpy.typing import NDArray
 
 from ...assemble.double import OUT_OF_SIGHT
 from ...assemble.world_view import WorldView
@@ -19,6 +18,7 @@ from ...decor.pen import GREY, MAX_GEOMS
 from ...decor.picture_view import PictureView
 from ...decor.scene_writer import GREYNESS
 from ...decor.toggles import Toggles
+from ...frames import Bools
 from ..scene_decor import SceneDecor
 from .studio import StudioViewer
 
@@ -96,7 +96,7 @@ class WebDecor(SceneDecor):
                 data.mocap_pos[double.mocap] = OUT_OF_SIGHT
 
 
-def greyed(model: mujoco.MjModel, grey: NDArray[np.bool_]) -> mujoco.MjModel:
+def greyed(model: mujoco.MjModel, grey: Bools) -> mujoco.MjModel:
     """Returns a copy of a model in which the geoms `grey`, (ngeom,) bool, are grey."""
     model = copy.deepcopy(model)
     rgba = model.geom_rgba
@@ -125,7 +125,7 @@ class Greying:
         self._announced: dict[bytes, tuple[int, float]] = {}  # crc32, and time of the announcement
         self._is_first = True
 
-    def show(self, grey: NDArray[np.bool_] | None) -> None:
+    def show(self, grey: Bools | None) -> None:
         """Switches to a model with these grey geoms once browsers have had time to fetch it.
 
         Changes that revert faster are not shown; the label of the robot shows them.
@@ -149,7 +149,7 @@ class Greying:
         assert bundle is not None  # just announced, or found above
         self._viewer.change_model(bundle, crc32)
 
-    def _announce(self, grey: NDArray[np.bool_] | None) -> int:
+    def _announce(self, grey: Bools | None) -> int:
         model = self._viewer.model
         bundle = state_payload.serialize_model_bundle(
             model if grey is None else greyed(model, grey)

@@ -7,16 +7,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...errors import SeroError
-from ..headless.film import FilmWriter, save_picture
+from ..headless.film import FilmWriter, Pixels, save_picture
 
 FPS = 30.0
 # Maximum number of queued frames; further ones are replaced by a longer following frame.
 _MOST_WAITING = 8
-Pixels = NDArray[np.uint8]
 
 
 def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:

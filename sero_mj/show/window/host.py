@@ -8,7 +8,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
 from ...decor.font import Font
@@ -17,8 +16,10 @@ from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
 from ...errors import SeroError
+from ...frames import Array
 from ..camera import Navigator
 from ..clock import time_text
+from ..headless.film import Pixels
 from ..headless.render import DEFAULT_SIZE
 from ..input import Clicked, Event, Mouse, Moved
 from ..interaction import Row, help_columns, pages
@@ -72,7 +73,7 @@ class Viewport(SceneDecor):
         """Renders the picture."""
         mujoco.mjr_render(self.rect, self._scene, context)
 
-    def pixels(self, context: mujoco.MjrContext) -> NDArray[np.uint8]:
+    def pixels(self, context: mujoco.MjrContext) -> Pixels:
         """Returns the rendered picture, (height, width, 3), uint8, top row first."""
         rgb = np.empty((self.rect.height, self.rect.width, 3), np.uint8)
         mujoco.mjr_readPixels(rgb, None, self.rect, context)
@@ -231,7 +232,7 @@ class Window(LiveHost):
             found = self.help_pages(size)
             hud.help(found[min(self.help_page, len(found) - 1)], width, height)
 
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Pixels:
         """Renders the last frame again without status line and messages, (height, width, 3)."""
         self.decor.render(self.gl.context)
         return self.decor.pixels(self.gl.context)
@@ -304,7 +305,7 @@ class Window(LiveHost):
         """Starts following a frame with the camera, or stops; returns a message for the user."""
         return self.navigator.follow(self.data, frame)
 
-    def centre(self, point: NDArray[np.float64]) -> None:
+    def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""
         view = self.decor.view
         assert view is not None  # there is a picture of the point

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assemble.world_view import WorldView
 from ...decor.font import Font
+from ...frames import Array
 from ..status_line import Mood, Piece
 from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from .glfw_window import GlWindow
 
-Array = NDArray[np.float64]
 Rgba = tuple[float, float, float, float]
 BAR: Rgba = (0.07, 0.09, 0.12, 1.0)
 PANEL: Rgba = (0.07, 0.09, 0.12, 0.92)
