@@ -18,7 +18,7 @@ from ..assemble.world_view import WorldView
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
 from .input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME
-from .picking import Picked
+from .picking import Picked, Pixel
 
 Gesture = Literal["click", "shift", "double"]
 Action = Callable[[WorldView, Toggles, Picked], None]
@@ -148,11 +148,11 @@ class ClickDetector:
     toggles: Toggles
     _before: dict[str, Any] = field(default_factory=dict)
     _first: Picked | None = None
-    _where: tuple[float, float] = (0.0, 0.0)
+    _where: Pixel = (0.0, 0.0)
     _when: float = float("-inf")
 
     def press(
-        self, picked: Picked | None, pixel: tuple[float, float], time: float, *, shift: bool = False
+        self, picked: Picked | None, pixel: Pixel, time: float, *, shift: bool = False
     ) -> Gesture:
         """Handles a press of the button and performs its action.
 
@@ -181,7 +181,7 @@ class ClickDetector:
         return gesture
 
 
-def hover(toggles: Toggles, picked: Picked | None, pixel: tuple[float, float]) -> None:
+def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
     """Shows the name of the item under the pointer beside it, from the next frame on.
 
     Args:

@@ -17,8 +17,8 @@ from .clock import Clock
 from .headless.film import Pixels
 from .input import Clicked
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
-from .picking import Picked
-from .scene_decor import Pixel, SceneDecor
+from .picking import Picked, Pixel
+from .scene_decor import SceneDecor
 from .torque_history import TorqueHistory, joint_name
 
 OnClick = Callable[[Picked | None, str], None]
@@ -163,7 +163,8 @@ class LiveHost(ABC):
         self.shows_status = not self.shows_status
 
     @property
-    def _has_plot(self) -> bool:
+    def has_plot(self) -> bool:
+        """Whether torques are plotted and there are joints."""
         return self.shows_plot and len(self.world.joints.names) > 0
 
     def _advance(self, advance: Callable[[], object]) -> None:

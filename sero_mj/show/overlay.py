@@ -24,7 +24,7 @@ from .headless.backend import adopt_backend
 from .headless.film import Picture
 from .headless.render import DEFAULT_SIZE, HeadlessRenderer
 from .interaction import Gesture
-from .picking import Picked
+from .picking import Picked, Pixel
 from .robot_inputs import RobotInputs
 from .scene_decor import SceneDecor
 
@@ -172,7 +172,7 @@ class Overlay:
         """Moves the pointer to a pixel: the next frames show the name of the item there."""
         return self._drawn.hover(self.data, self._from_above(x, y))
 
-    def _from_above(self, x: float, y: float) -> tuple[float, float]:
+    def _from_above(self, x: float, y: float) -> Pixel:
         if self.view is None:
             raise UsageError("nothing was drawn yet: call draw or image before")
         return self._drawn.from_above(x, y)

@@ -22,6 +22,8 @@ PickedKind = Literal[
     "link", "double", "object", "arrow", "billboard", "axes", "name", "vector", "card", "check"
 ]
 
+Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of a picture
+
 TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
 _ARROW_HEAD = 1.75  # width of an arrow geom's head over that of its shaft, in MuJoCo's renderers
 _MOST_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
@@ -53,7 +55,7 @@ def pick(
     data: mujoco.MjData,
     pen: Pen,
     view: PictureView,
-    pixel: tuple[float, float],
+    pixel: Pixel,
     tolerance: float = 0.0,
 ) -> Picked | None:
     """Returns the item at a pixel, or None for the sky and the floor.
@@ -80,7 +82,7 @@ def pick(
 
 
 def point_at(
-    world: WorldView, data: mujoco.MjData, pen: Pen, view: PictureView, pixel: tuple[float, float]
+    world: WorldView, data: mujoco.MjData, pen: Pen, view: PictureView, pixel: Pixel
 ) -> Array | None:
     """Returns the world point (3,), m, at a pixel, including the floor; None for the sky.
 

@@ -15,11 +15,9 @@ from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
 from ..frames import Array
 from .interaction import Gesture, click, hover
-from .picking import Picked, pick, point_at
+from .picking import Picked, Pixel, pick, point_at
 
 log = logging.getLogger(__name__)
-
-Pixel = tuple[float, float]
 
 
 class SceneDecor:

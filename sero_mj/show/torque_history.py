@@ -29,17 +29,13 @@ class TorqueHistory:
         self._values = np.full((len(_SHOWN), len(world.joints.names), _MOST), np.nan)
         self._count = 0  # samples in total; the newest is at (count - 1) % MOST
 
-    def clear(self) -> None:
-        """Deletes all samples."""
-        self._count = 0
-
     def add(self, data: mujoco.MjData) -> None:
         """Adds a sample at `data.time`, if enough time has passed since the last one."""
         time = float(data.time)
         if self._count:
             last = self._times[(self._count - 1) % _MOST]
             if time < last - 1e-9:
-                self.clear()
+                self._count = 0
             elif time - last < 0.9 * SPAN / _MOST:
                 return
         values = joint_values(self._world, data)

@@ -15,7 +15,7 @@ from ...frames import Array
 from ..camera import find_camera, list_cameras
 from ..headless.film import Pixels
 from ..live import LiveHost
-from ..scene_decor import Pixel
+from ..picking import Pixel
 from .guard import is_loopback, make_token
 from .page_windows import PageWindows
 from .studio import LOOPBACK, RATE, StudioViewer, suppress_output
@@ -207,11 +207,11 @@ class WebHost(LiveHost):
         self._app.reset_camera_index(ux.TRACKING_CAMERA_IDX)
         return f"follows {frame}"
 
-    def picture(self, width: int = 1280, height: int = 800) -> Pixels:
+    def picture(self) -> Pixels:
         """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
         from ..headless.render import HeadlessRenderer
 
-        with HeadlessRenderer(self.world, width, height) as renderer:
+        with HeadlessRenderer(self.world) as renderer:
             renderer.camera, renderer.toggles = self.viewer.camera, self.toggles
             return renderer.render(self.data)
 

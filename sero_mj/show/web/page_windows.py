@@ -100,7 +100,7 @@ class PageWindows(plugin.ViewerPlugin):
             self._panel(size)
         else:
             self._handle()
-        if host.shows_plot and host.world.joints.names:
+        if host.has_plot:
             self._torques(size)
         if host.shows_help:
             self._help(size)

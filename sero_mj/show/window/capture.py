@@ -34,15 +34,14 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
     return path
 
 
-def due_frames(seconds: float, sent: int, fps: float = FPS) -> int:
+def due_frames(seconds: float, sent: int) -> int:
     """Returns how often to add the current picture, so that the film shows real time.
 
     Args:
         seconds: since the start of the film.
         sent: number of frames so far.
-        fps: frames per second of the film.
     """
-    return max(int(seconds * fps) + 1 - sent, 0)
+    return max(int(seconds * FPS) + 1 - sent, 0)
 
 
 class Capture:
@@ -53,12 +52,10 @@ class Capture:
         folder: of the files; the current one when None.
 
     Attributes:
-        is_filming: whether a film is being recorded.
-        seconds: its duration so far, s.
+        seconds: duration of the film so far, s.
     """
 
     def __init__(self, scene: str, folder: Path | None = None) -> None:
-        self.is_filming = False
         self.seconds = 0.0
         self._scene = scene
         self._folder = folder or Path()
@@ -70,6 +67,11 @@ class Capture:
         self._size = (0, 0)
         self._begin = 0.0
         self._sent = 0
+
+    @property
+    def is_filming(self) -> bool:
+        """Whether a film is being recorded."""
+        return self._film is not None
 
     def picture(self, pixels: Pixels) -> None:
         """Writes a screenshot, (height, width, 3)."""
@@ -86,7 +88,7 @@ class Capture:
         path = unused_name(self._folder, self._scene, ".mp4", datetime.now())
         self._film, self._film_path = FilmWriter(path, *size, FPS), path
         self._size, self._begin, self._sent = size, time, 0
-        self.is_filming, self.seconds = True, 0.0
+        self.seconds = 0.0
         return f"filming to {path}"
 
     def wants(self, time: float) -> bool:
@@ -118,7 +120,7 @@ class Capture:
 
     def stop(self) -> None:
         """Stops the film; `next_message` reports when it is written."""
-        film, self._film, self.is_filming = self._film, None, False
+        film, self._film = self._film, None
         if film is not None:
             future = self._pool.submit(film.__exit__, None, None, None)
             self._pending.append((future, f"film of {self.seconds:.1f} s", self._film_path))

@@ -24,7 +24,8 @@ from ..headless.render import DEFAULT_SIZE
 from ..input import Clicked, Event, Mouse, Moved
 from ..interaction import Row, help_columns, pages
 from ..live import LiveHost
-from ..scene_decor import Pixel, SceneDecor
+from ..picking import Pixel
+from ..scene_decor import SceneDecor
 from ..status_line import Piece, status_pieces
 from .capture import Capture
 from .glfw_window import GlWindow
@@ -170,7 +171,7 @@ class Window(LiveHost):
             return True
         for event in self.gl.events():
             self._take(event, height)
-        self.clock.on_moment = self._sample if self._has_plot else None
+        self.clock.on_moment = self._sample if self.has_plot else None
         self._advance(lambda: self.clock.advance(passed))
         self.navigator.advance(self.data)
         message = self.camera.next_message()
@@ -180,11 +181,11 @@ class Window(LiveHost):
         bottom = hud.bar_height if self.shows_status else 0
         bottom += hud.line_height if self._has_line else 0
         size = (width, height)
-        rect, plots = arrange(size, hud.font.height, bottom, has_plot=self._has_plot)
+        rect, plots = arrange(size, hud.font.height, bottom, has_plot=self.has_plot)
         self.decor.update(self.data, self.navigator.camera, rect, self.gl.fit_font(rect.height))
         is_pointing = not (self._mouse.is_down or self.shows_help)
         self.point(self._pointer() if is_pointing else None)
-        figures = self._plot.fill(self.history, self.joint) if self._has_plot else []
+        figures = self._plot.fill(self.history, self.joint) if self.has_plot else []
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         end = float(self.clock.end or 0.0)
