@@ -11,10 +11,11 @@ from pydantic import BeforeValidator, Field
 
 from ..declaration import Declaration, Frame, Name, Point, Rgba, of_shape
 from ..frames import Array
-from .double import Double
+from .double import AXES_OPACITY, Double
 from .robot import SerialRobot
 from .surroundings import Object
 
+WORLD = "world"
 VectorKind = Literal["force", "torque", "velocity", "angular_velocity"]
 # Rotational quantities, shown by a round arrow about their direction.
 ROUND_KINDS = ("torque", "angular_velocity")
@@ -109,7 +110,7 @@ class SmartArrow(Declaration):
         """Name of the frame its components are in, or `world`."""
         if self.expressed_in is not None:
             return self.expressed_in
-        return self.at if isinstance(self.at, str) else "world"
+        return self.at if isinstance(self.at, str) else WORLD
 
 
 class ReceivedFrame(Declaration):
@@ -127,15 +128,11 @@ class ReceivedFrame(Declaration):
     """
 
     name: Name
-    relative_to: str = "world"
+    relative_to: str = WORLD
     frame: Frame | None = None
     show_axes: bool = True
     axes_size: float = Field(0.2, gt=0)
     axes_transparency: float = Field(0.0, ge=0, le=1)
-
-
-WORLD = "world"
-_DOUBLE_ALPHA = 0.5  # opacity of a double's axes
 
 
 @dataclass(frozen=True)
@@ -168,14 +165,7 @@ def list_frames(
     frames: Mapping[str, ReceivedFrame],
     objects: Sequence[Object],
 ) -> dict[str, NamedFrame]:
-    """Returns all frames of a scene by name, except `world`.
-
-    Args:
-        robots: by name.
-        doubles: by name.
-        frames: received frames by name.
-        objects: of the scene; those of shape `axes` are frames.
-    """
+    """Returns all frames of a scene by name, except `world`; objects of shape `axes` are some."""
     found: list[NamedFrame] = []
     for name, robot in robots.items():
         look = (name, name, robot.axes_length, 1.0 - robot.axes_transparency)
@@ -187,7 +177,7 @@ def list_frames(
     for name, double in doubles.items():
         if double.path is None and double.of in robots:
             robot = robots[double.of]
-            alpha = _DOUBLE_ALPHA * (1.0 - robot.axes_transparency)
+            alpha = AXES_OPACITY * (1.0 - robot.axes_transparency)
             look = (name, name, robot.axes_length, alpha)
             # A double has the base frame of its robot.
             labels = [f"link{i + 1}" for i in range(robot.n)] + ["flange"]

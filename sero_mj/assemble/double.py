@@ -13,6 +13,7 @@ from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
 
 # Green for commanded positions, as in the paper's section 4.2.
 COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
+AXES_OPACITY = 0.5  # of its coordinate axes
 DOUBLE_GROUP = 2  # of its geoms
 OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
 # A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting).

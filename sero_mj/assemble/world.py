@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from .world_view import WorldView
 
 log = logging.getLogger(__name__)
 
+_LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 _IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
 
 
@@ -86,7 +87,7 @@ class World(WorldView):
         self.placed = {name: part.mocap for name, part in self.robots.items()}
         for name in [*scene.frames, *(item.name for item in scene.objects), *scene.cameras]:
             body = f"frame-{name}" if name in scene.frames else moved_body(name)
-            index = self._id(mujoco.mjtObj.mjOBJ_BODY, body)
+            (index,) = self._bodies([body])
             if index >= 0:
                 self.placed[name] = int(self.model.body_mocapid[index])
 
@@ -181,28 +182,32 @@ class World(WorldView):
         path.write_text(text, encoding="utf-8")
         return list(dict.fromkeys(written))
 
-    def _id(self, kind: Any, name: str) -> int:
-        return int(mujoco.mj_name2id(self.model, kind, name))
+    def _ids(self, kind: Any, names: Iterable[str]) -> Ints:
+        return np.array([mujoco.mj_name2id(self.model, kind, name) for name in names], np.intp)
 
-    def _sites(self, names: Sequence[str]) -> Ints:
-        return np.array([self._id(mujoco.mjtObj.mjOBJ_SITE, name) for name in names], np.intp)
+    def _sites(self, names: Iterable[str]) -> Ints:
+        return self._ids(mujoco.mjtObj.mjOBJ_SITE, names)
+
+    def _bodies(self, names: Iterable[str]) -> Ints:
+        return self._ids(mujoco.mjtObj.mjOBJ_BODY, names)
 
     def _find_robots(self) -> dict[str, RobotPart]:
         parts = {}
         start = 0
-        obj = mujoco.mjtObj
         for name, robot in self.scene.robots.items():
-            bodies = [f"{name}/"] + [f"{name}/link{i + 1}" for i in range(robot.n)]
-            ids = np.array([self._id(obj.mjOBJ_BODY, body) for body in bodies])
-            joints = [self._id(obj.mjOBJ_JOINT, f"{name}/{joint}") for joint in robot.names]
+            links = [f"{name}/link{i + 1}" for i in range(robot.n)]
+            *bodies, flange = self._bodies([f"{name}/", *links, f"{name}/flange"])
+            joints = self._ids(
+                mujoco.mjtObj.mjOBJ_JOINT, [f"{name}/{joint}" for joint in robot.names]
+            )
             parts[name] = RobotPart(
                 robot=robot,
                 dh=robot.dh,
                 qpos=self.model.jnt_qposadr[joints].astype(np.intp),
                 dofs=self.model.jnt_dofadr[joints].astype(np.intp),
-                mocap=int(self.model.body_mocapid[ids[0]]),
-                bodies=ids,
-                flange_body=self._id(obj.mjOBJ_BODY, f"{name}/flange"),
+                mocap=int(self.model.body_mocapid[bodies[0]]),
+                bodies=np.array(bodies),
+                flange_body=int(flange),
                 joints=slice(start, start + robot.n),
             )
             start += robot.n
@@ -230,23 +235,18 @@ class World(WorldView):
         start = sum(part.robot.n for part in self.robots.values())
         for name, double in self.scene.doubles.items():
             robot = self.robots[double.of]
-            bodies = np.array(
-                [
-                    [self._id(mujoco.mjtObj.mjOBJ_BODY, body) for body in row]
-                    for row in body_names(double, robot.robot)
-                ]
-            )
-            mocap = self.model.body_mocapid[bodies].astype(np.intp)
-            path = None if double.path is None else double.poses()
-            frames = [
-                int(self.model.body_mocapid[self._id(mujoco.mjtObj.mjOBJ_BODY, frame)])
-                for frame in frame_names(double, robot.robot)
-            ]
-            stop = start + len(frames)
+            bodies = np.stack([self._bodies(row) for row in body_names(double, robot.robot)])
+            frames = self._bodies(frame_names(double, robot.robot))
             parts[name] = DoublePart(
-                double, robot, mocap, bodies, np.array(frames, np.intp), path, slice(start, stop)
+                double=double,
+                of=robot,
+                mocap=self.model.body_mocapid[bodies].astype(np.intp),
+                bodies=bodies,
+                frames=self.model.body_mocapid[frames].astype(np.intp),
+                path=None if double.path is None else double.poses(),
+                joints=slice(start, start + len(frames)),
             )
-            start = stop
+            start += len(frames)
         return parts
 
 
@@ -298,9 +298,6 @@ def _full_precision() -> Iterator[None]:
         yield
     finally:
         set_digits(6)
-
-
-_LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 
 
 def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:

@@ -110,7 +110,6 @@ _ONE: dict[str, tuple[str, str, str]] = {
     "temperatures": ("temperature", "", ""),
     "values": ("value", "", ""),
 }
-_VECTOR_UNITS = {"force": "N", "torque": "Nm", "velocity": "m/s", "angular_velocity": "rad/s"}
 
 
 def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
@@ -194,5 +193,5 @@ def _names_of(scene: Scene, item: Input) -> list[str]:
     if item.kind != "vector":
         return joint_names(item.name, robot_of(scene, item), item.key)
     arrow = scene.arrows[item.name]
-    unit = _VECTOR_UNITS.get(arrow.kind, "") if arrow.unit is None else arrow.unit
+    unit = arrow.unit_text
     return [f"{item.name}.{axis}" + (f" [{unit}]" if unit else "") for axis in "xyz"]

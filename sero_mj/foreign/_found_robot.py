@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInfo, field_validator
 
 from ..assemble.cartesian import NamedFrame
-from ..assemble.double import Double
+from ..assemble.double import AXES_OPACITY, Double
 from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
 from ..declaration import numbers
@@ -38,6 +38,7 @@ FIELDS = (
     "inputs",
     "enable_touch_sensor",
 )
+_BASE = "base"  # label of a base's frame
 _FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations have full width
 
 
@@ -233,10 +234,6 @@ def _found_robot(
     return robot
 
 
-_DOUBLE_ALPHA = 0.5  # opacity of a double's axes
-BASE = "base"
-
-
 def list_found_frames(
     model: mujoco.MjModel,
     robots: Mapping[str, FoundPart],
@@ -247,7 +244,7 @@ def list_found_frames(
 
     Args:
         model: compiled.
-        robots: robots whose bodies have frames, named `robot/body`, shown with the robot.
+        robots: those whose bodies have frames, named `robot/body`, shown with the robot.
         doubles: likewise for their moving bodies.
         wanted: names of other bodies and sites; these are initially shown.
 
@@ -262,14 +259,14 @@ def list_found_frames(
     places: dict[str, tuple[str, int]] = {}
     shown = [(name, "", part, 1.0) for name, part in robots.items()]
     shown += [
-        (name, name, robots[double.of], _DOUBLE_ALPHA)
+        (name, name, robots[double.of], AXES_OPACITY)
         for name, double in doubles.items()
         if double.path is None
     ]
     for name, state, part, opacity in shown:
         alpha = opacity * (1.0 - part.robot.axes_transparency)
         for body, label in body_labels(model, part.tree).items():
-            if state and label == BASE:
+            if state and label == _BASE:
                 continue  # a double has the base frame of its robot
             frame = f"{name}/{label}"
             size = _axes_length(model, part, body)
@@ -284,7 +281,7 @@ def list_found_frames(
 
 def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
     """Returns the labels of the frames of a robot's bodies; the first is its base."""
-    labels: dict[int, str] = {int(tree.bodies[0]): BASE}
+    labels: dict[int, str] = {int(tree.bodies[0]): _BASE}
     bodies = [int(body) for body in tree.bodies[1:]]
     names = [model.body(body).name or f"body{body}" for body in bodies]
     for body, name in zip(bodies, without_scope(names), strict=True):

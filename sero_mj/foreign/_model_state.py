@@ -19,6 +19,8 @@ from ..assemble.double import OUT_OF_SIGHT, are_apart, path_fade
 from ..assemble.parts import DoublePart, DrawnDouble
 from ..frames import Array, Ints
 
+_PARALLEL = 1e-6  # minimum length of a unit vector's component perpendicular to an axis
+
 
 @dataclass(frozen=True, eq=False)
 class ModelState:
@@ -112,9 +114,6 @@ class Sites:
         if lost.any():
             site_xpos[lost], site_xmat[lost] = OUT_OF_SIGHT, np.eye(3)
         return site_xpos, site_xmat.reshape(-1, 9)
-
-
-_PARALLEL = 1e-6  # minimum length of a unit vector's component perpendicular to an axis
 
 
 class JointPoses:
