@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 else:
     _Model = BaseModel
+T = TypeVar("T")
 
 
 class Declaration(_Model):
@@ -218,9 +219,6 @@ _MESSAGES: dict[str, Callable[[ErrorDetails, type[Declaration]], str]] = {
     "missing": _missing,
     "literal_error": _literal,
 }
-
-
-T = TypeVar("T")
 
 
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:

@@ -15,6 +15,13 @@ from typing import BinaryIO
 from .errors import DeclarationError, Problem, UnknownName, nearest
 
 _PACKAGE = Path(__file__).resolve().parent
+_KINDS = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)
+_MB = 1_000_000
 
 
 def _shipped(folder: str) -> Path:
@@ -134,15 +141,6 @@ def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) 
             return candidate
     _refuse_path(name)
     raise UnknownName(kind, name, shipped(), file_hint(name))
-
-
-_KINDS = (
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISSOCK, "a socket"),
-)
-_MB = 1_000_000
 
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:

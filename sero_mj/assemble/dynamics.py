@@ -14,6 +14,20 @@ from ..frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
 _ROUNDING = 1e-6
+# kg/m3 of a link's hull: hollow aluminium with motors and gears. At 840 the hulls of the LWR's
+# moving links have their true mass of 13.4 kg.
+LINK_DENSITY = 840.0
+
+_INERTIAL = ("masses", "centers_of_mass", "inertias")
+_FRAMES = ("frames", "frame_origins", "mass_scale")
+_PER_LINK = (*_INERTIAL, "frame_origins")
+_PER_JOINT = (
+    "motor_inertias",
+    "viscous_friction",
+    "coulomb_friction",
+    "joint_stiffness",
+    "joint_damping",
+)
 
 
 def tensors_from(value: Any) -> Array:
@@ -95,22 +109,6 @@ def principal_moments(tensor: Array) -> tuple[Array, Array]:
 def rotate_tensors(tensors: Array, rotation: Array) -> Array:
     """Returns tensors (..., 3, 3) in other axes: rotation_new_old @ I @ rotation_old_new."""
     return np.asarray(rotation @ tensors @ np.swapaxes(rotation, -1, -2))
-
-
-# kg/m3 of a link's hull: hollow aluminium with motors and gears. At 840 the hulls of the LWR's
-# moving links have their true mass of 13.4 kg.
-LINK_DENSITY = 840.0
-
-_INERTIAL = ("masses", "centers_of_mass", "inertias")
-_FRAMES = ("frames", "frame_origins", "mass_scale")
-_PER_LINK = (*_INERTIAL, "frame_origins")
-_PER_JOINT = (
-    "motor_inertias",
-    "viscous_friction",
-    "coulomb_friction",
-    "joint_stiffness",
-    "joint_damping",
-)
 
 
 def _positive_masses(masses: Array | None) -> Array | None:

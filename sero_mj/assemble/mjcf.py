@@ -32,6 +32,9 @@ OBJECT_GROUP, ROBOT_GROUP = 0, 1
 _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
+# A double is slightly smaller than its robot, so that its surface is inside the robot's where
+# they nearly coincide: no flicker (z-fighting).
+_SHRINK = 0.985
 
 
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
@@ -281,11 +284,6 @@ def _add_object(root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Arra
         assert item.size is not None and item.shape is not None  # checked by Object
         kind = {"type": geom_type(item.shape), "size": item.size * _HALF.get(item.shape, 1.0)}
     body.add_geom(name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind, **pose(T))
-
-
-# A double is slightly smaller than its robot, so that its surface is inside the robot's where
-# they nearly coincide: no flicker (z-fighting).
-_SHRINK = 0.985
 
 
 def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:

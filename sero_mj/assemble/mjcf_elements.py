@@ -18,6 +18,9 @@ from .shapes import LinkShape
 
 _MOST_BYTES = 100_000_000  # of a file of MJCF
 MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
+MESH = mujoco.mjtGeom.mjGEOM_MESH
+_CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
 
 
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
@@ -121,11 +124,6 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes) -> str:
     file = f"{path.stem}-{sha256(contents).hexdigest()[:16]}{path.suffix.lower()}"
     spec.assets[file] = contents
     return file
-
-
-MESH = mujoco.mjtGeom.mjGEOM_MESH
-_CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
 
 
 def pose(T: Array) -> dict[str, Array]:

@@ -29,6 +29,14 @@ MOST_ENTRIES = {
     "sources": 1000,
     "routes": 10000,
 }
+NOT = "not"
+# Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
+_TOKENS = re.compile(
+    r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
+    r"|(?P<name>[A-Za-z_][A-Za-z0-9_./-]*)"
+    r"|(?P<sign>[-+*/()\[\],:])"
+    r"|(?P<other>[^ \t\r\n])"
+)
 
 
 class SceneToggles(Declaration):
@@ -282,16 +290,6 @@ def _texts(routes: Mapping[str, Any]) -> dict[str, str]:
         except ValueError as error:
             raise DeclarationError([Problem(f"routes.{target}", str(error))]) from None
     return texts
-
-
-NOT = "not"
-# Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
-_TOKENS = re.compile(
-    r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
-    r"|(?P<name>[A-Za-z_][A-Za-z0-9_./-]*)"
-    r"|(?P<sign>[-+*/()\[\],:])"
-    r"|(?P<other>[^ \t\r\n])"
-)
 
 
 class Token(NamedTuple):

@@ -25,6 +25,8 @@ SHAPE_SIZES = {
     "ellipsoid": "radius x, radius y, radius z",
     "axes": "length",
 }
+Rgb = tuple[float, float, float]
+Look = Literal["light", "dark"]
 
 
 def _inside(file: str) -> str:
@@ -117,9 +119,6 @@ def set_directory(children: Any, folder: Path) -> None:
             child["directory"] = str(folder / child["directory"])
 
 
-Rgb = tuple[float, float, float]
-
-
 def _unit_range(rgb: Array) -> Array:
     if (rgb < 0).any() or (rgb > 1).any():
         raise ValueError(f"found {rgb.tolist()}; expected three numbers from 0 to 1")
@@ -130,9 +129,6 @@ def _direction(vector: Array) -> Array:
     if not np.abs(vector).max() > 0:
         raise ValueError(f"found {vector.tolist()}; expected a direction")
     return vector
-
-
-Look = Literal["light", "dark"]
 
 
 class Camera(Declaration):

@@ -96,7 +96,7 @@ class Mirror:
             name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
         }
         self._placer = Placer(self.world, wiring)
-        self._states = SourceStates(self.world)
+        self._states = _SourceStates(self.world)
         self._latest: dict[str, Packet] = {}
         self._again: set[str] = set()  # whose latest packet is to be applied once more
         self._listeners: list[Listener] = []
@@ -232,12 +232,8 @@ def restore(world: World, data: mujoco.MjData, state: Array) -> None:
     follow(world.model, data)
 
 
-class SourceStates:
-    """Writes the slots `sources.<name>` of a world's user data; `SOURCE_FIELDS` says what is there.
-
-    Args:
-        world: whose slots.
-    """
+class _SourceStates:
+    """Writes the slots `sources.<name>` of a world's user data, with what `SOURCE_FIELDS` says."""
 
     def __init__(self, world: WorldView) -> None:
         self._slots = world.slots
@@ -252,13 +248,7 @@ class SourceStates:
     def write(
         self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
     ) -> None:
-        """Writes what every source has counted until now.
-
-        Args:
-            data: the world's state.
-            sources: by name.
-            latest: the newest packet of each source that has one.
-        """
+        """Writes what every source has counted until now."""
         for name, source in sources.items():
             packet, counters, now = latest.get(name), source.counters, source.now()
             data.userdata[self._slots[f"sources.{name}"]] = (

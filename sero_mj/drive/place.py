@@ -16,6 +16,9 @@ from ..frames import Array, Ints, frame, rotation_from_quat
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
 
+# The newest values by source and event.
+LatestValues = Mapping[str, Mapping[str, Array]]
+
 
 class Placer:
     """Moves all frames of a world to where its data says.
@@ -131,10 +134,6 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
     for quat, rotation in zip(quats, poses[:, :3, :3].reshape(-1, 9), strict=True):
         mujoco.mju_mat2Quat(quat, rotation)
     data.mocap_quat[mocap] = quats
-
-
-# The newest values by source and event.
-LatestValues = Mapping[str, Mapping[str, Array]]
 
 
 class Router:

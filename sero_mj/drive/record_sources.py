@@ -24,6 +24,19 @@ from ._units import robot_of
 from .route import Route
 from .wiring import wire
 
+Shapes = Mapping[str, tuple[int, ...]]
+
+# The last word of a per-joint quantity to what it is for one joint, and to its unit where the
+# joint turns and where it slides.
+_ONE: dict[str, tuple[str, str, str]] = {
+    "angles": ("angle", "rad", "m"),
+    "velocities": ("velocity", "rad/s", "m/s"),
+    "accelerations": ("acceleration", "rad/s2", "m/s2"),
+    "torques": ("torque", "Nm", "N"),
+    "temperatures": ("temperature", "", ""),
+    "values": ("value", "", ""),
+}
+
 
 @contextmanager
 def record_sources(
@@ -96,20 +109,6 @@ def _files_of(scene: Scene) -> list[Path]:
     models = [robot._model for robot in scene.robots.values()]
     files = [scene.file, *models]
     return [file for file in dict.fromkeys(files) if file is not None and file.is_file()]
-
-
-Shapes = Mapping[str, tuple[int, ...]]
-
-# The last word of a per-joint quantity to what it is for one joint, and to its unit where the
-# joint turns and where it slides.
-_ONE: dict[str, tuple[str, str, str]] = {
-    "angles": ("angle", "rad", "m"),
-    "velocities": ("velocity", "rad/s", "m/s"),
-    "accelerations": ("acceleration", "rad/s2", "m/s2"),
-    "torques": ("torque", "Nm", "N"),
-    "temperatures": ("temperature", "", ""),
-    "values": ("value", "", ""),
-}
 
 
 def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:

@@ -14,10 +14,11 @@ from ..assemble.cartesian import NamedFrame
 from ..assemble.double import AXES_OPACITY, Double
 from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
+from ..assemble.robot_dynamics import GRAVITY
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
 from ..frames import Array, Ints
-from ._model_trees import GRAVITY, Sizes, Tree, measure, torque_limits, without_scope
+from ._model_trees import Sizes, Tree, measure, torque_limits, without_scope
 
 # Fields that a user can set for a found robot; the others come from the model.
 FIELDS = (

@@ -13,12 +13,28 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from ..assemble.robot_dynamics import GRAVITY
 from ..frames import Array, Ints
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _DIRECT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 _RESERVED = ("world", "toggles")  # reserved names in routes
+_CLEAR = 1.45  # radius of an arrow over that of the housing it encloses
+# Bounds of an arrow's radius, fractions of the link length.
+_SMALLEST, _LARGEST = 0.12, 0.5
+_AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
+_OF_PARENT = 1.4  # largest considered ratio of the housing of the parent to that of the moving body
+# Half the length along the axis in which the housing is measured, fraction of the link length.
+_SLAB = 0.2
+_SECTORS = 12
+_MOST_POINTS = 1500  # of a mesh
+_SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
+_AT_ONE_PLACE = 0.02  # of the robot's extent
+_LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
+_ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+_RING = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
+_TYPES = mujoco.mjtGeom
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,24 +154,6 @@ def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
         gain = abs(float(model.actuator_gainprm[actuator, 0]))
         return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
     return float("inf")
-
-
-_CLEAR = 1.45  # radius of an arrow over that of the housing it encloses
-# Bounds of an arrow's radius, fractions of the link length.
-_SMALLEST, _LARGEST = 0.12, 0.5
-_AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
-_OF_PARENT = 1.4  # largest considered ratio of the housing of the parent to that of the moving body
-# Half the length along the axis in which the housing is measured, fraction of the link length.
-_SLAB = 0.2
-_SECTORS = 12
-_MOST_POINTS = 1500  # of a mesh
-_SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
-_AT_ONE_PLACE = 0.02  # of the robot's extent
-GRAVITY = 9.81  # m/s2
-_LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
-_ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-_RING = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
-_TYPES = mujoco.mjtGeom
 
 
 @dataclass(frozen=True, eq=False)
