@@ -22,8 +22,7 @@ from rich.table import Table
 
 from sero_mj import make_environment
 from sero_mj.paths import find_scenario
-from sero_mj.study.sweep import Sweep
-from sero_mj.study.vary import Vary
+from sero_mj.study.sweep import Sweep, Vary
 from sero_mj.study.workers import available_cpus
 
 ENVIRONMENTS = (

@@ -16,8 +16,7 @@ from sero_mj.cli import main
 from sero_mj.errors import CsvError, UsageError
 from sero_mj.runs.run_log import RunLog
 from sero_mj.study.align import align, at_times, find_shift
-from sero_mj.study.compare import as_json, compare, exceeded, write_csv
-from sero_mj.study.compare_scene import compare_scene
+from sero_mj.study.compare import as_json, compare, compare_scene, exceeded, write_csv
 
 
 def shifted(log: RunLog, **signals: float) -> RunLog:

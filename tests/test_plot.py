@@ -20,9 +20,9 @@ from runs import simulated, sine_run, two_joints
 from sero_mj.errors import RenderError, UsageError
 from sero_mj.runs.monitor import Finding
 from sero_mj.runs.run_log import RunLog
-from sero_mj.study.figure import BLUE, FAULT, INK, ORANGE, Figure, Span, styled
-from sero_mj.study.plot import plot_run, spans_of
-from sero_mj.study.plot_comparison import plot_comparison
+from sero_mj.study.align import align
+from sero_mj.study.figure import BLUE, FAULT, INK, ORANGE, Figure, Span, save_figures, styled
+from sero_mj.study.plot import plot_pair, plot_run, spans_of
 from sero_mj.study.reduction import envelope, peak, rms
 
 
@@ -83,7 +83,7 @@ def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, figures: lis
         measured, commanded = line(torques, "torques"), line(torques, "commanded_torques")
         np.testing.assert_array_equal(measured[:, 1], log.of("lwr", "torques")[:, k])
         np.testing.assert_array_equal(commanded[:, 1], log.of("lwr", "commanded_torques")[:, k])
-        shown = line(error, "torque_error")
+        shown = line(error, "difference")
         np.testing.assert_array_equal(shown[:, 1], log.torque_error("lwr")[:, k])
         for panel in (torques, error):
             low, high = panel.get_ylim()
@@ -196,7 +196,7 @@ def test_the_number_at_the_last_tick_is_whole(tmp_path: Path, last: float) -> No
             subtitle="",
             times=(0.0, last),
         )
-        figure.save(tmp_path / "x.png")
+        save_figures([figure], tmp_path / "x.png")
         labels = [each.get_window_extent() for each in figure.axes[0][1].get_xticklabels()]
         end = figure.axes[0][1].get_window_extent().x1
         shown = [box.x1 for box in labels if box.x0 <= end and box.width > 1]
@@ -225,7 +225,7 @@ def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -
 @pytest.mark.slow
 def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path: Path) -> None:
     code = (
-        "import sys; import sero_mj.study.plot, sero_mj.study.plot_comparison;"
+        "import sys; import sero_mj.study.plot;"
         "print('matplotlib' in sys.modules);"
         "from runs import sine_run; sero_mj.study.plot.plot_run(sine_run(), sys.argv[1]);"
         "print('matplotlib.pyplot' in sys.modules)"
@@ -243,7 +243,7 @@ def test_a_comparison_shows_both_torques_and_both_differences(
 ) -> None:
     a, b = simulated(800.0).log, simulated(2000.0).log
     path = tmp_path / "both.png"
-    plot_comparison(a, b, path)
+    plot_pair(align(a, b), path)
     (figure,) = figures
     assert [len(row) for row in figure.axes] == [3] * 7
     titles = [panel.get_title(loc="left") for panel in figure.axes[0]]
@@ -260,13 +260,13 @@ def test_a_comparison_shows_both_torques_and_both_differences(
         assert share_of(pixels, BLUE) > 1e-4
     only = {"arm_joint_angles": sine_run().signals["arm_joint_angles"]}
     angles = RunLog(sine_run().robots, only, sine_run().times, "angles")
-    plot_comparison(angles, sine_run(), tmp_path / "angles.png", joints=["slide"])
+    plot_pair(align(angles, sine_run()), tmp_path / "angles.png", joints=["slide"])
     assert [panel.get_title(loc="left") for panel in figures[1].axes[0]] == [
         "angle, mm",
         "angle, A − B, mm",
     ]
     with pytest.raises(UsageError, match=r"no joint 'A9' of lwr; available: A1, A2"):
-        plot_comparison(a, b, tmp_path / "x.png", joints=["A9"])
+        plot_pair(align(a, b), tmp_path / "x.png", joints=["A9"])
 
 
 def test_what_happens_in_a_scenario_becomes_bands() -> None:

@@ -124,7 +124,7 @@ def test_what_is_no_figure_or_no_table_is_told(
 
 
 def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) -> None:
-    from sero_mj.study.plot import plot_run, plot_runs
+    from sero_mj.study.plot import plot_run
 
     log = sine_run()
     hand = two_joints("hand")
@@ -138,7 +138,7 @@ def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) ->
     with pytest.raises(UsageError, match="has no torques of robot 'hand'"):
         plot_run(both, tmp_path / "x.svg", robots=["hand"])
     with pytest.raises(UsageError, match=r"2 pages; expected a name that ends in \.pdf"):
-        plot_runs([log, log], tmp_path / "x.svg")
+        plot_run([log, log], tmp_path / "x.svg")
 
 
 def test_a_part_of_a_run_has_its_ends() -> None:

@@ -20,9 +20,8 @@ from sero_mj.errors import CsvError, DeclarationError, UsageError
 from sero_mj.paths import find_scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.sweep import Sweep
-from sero_mj.study.sweep_table import SweepTable, summarise_sweep
-from sero_mj.study.vary import Vary, full_grid, latin_hypercube
+from sero_mj.study.sweep import Sweep, Vary, full_grid, latin_hypercube
+from sero_mj.study.sweep_results import SweepTable, summarise_sweep
 
 SCENARIO = """
 [robots.lwr]

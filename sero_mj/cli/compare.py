@@ -110,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
     if options.csv is not None:
         write_csv(pair, options.csv)
     if options.plot is not None:
-        from ..study.plot_comparison import plot_pair
+        from ..study.plot import plot_pair
 
         plot_pair(pair, options.plot)
     if options.render is not None:
@@ -157,7 +157,7 @@ def _read(options: argparse.Namespace) -> list[RunLog]:
 
 
 def _film(pair: Pair, a: RunLog, options: argparse.Namespace) -> None:
-    from ..study.compare_scene import compare_scene
+    from ..study.compare import compare_scene
     from .render import film_with_progress
 
     film_with_progress(

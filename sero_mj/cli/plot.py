@@ -76,10 +76,10 @@ def run(options: argparse.Namespace) -> int:
     scene = None if options.scene is None else read_scene(options.scene)
     logs = [_read(path, scene, options) for path in options.recordings]
     from ..show.headless.film import check_writable
-    from ..study.plot import plot_runs
+    from ..study.plot import plot_run
 
     check_writable(output)
-    plot_runs(logs, output, robots=options.robot, joints=options.joints)
+    plot_run(logs, output, robots=options.robot, joints=options.joints)
     if not options.quiet:
         print(output)
     return 0

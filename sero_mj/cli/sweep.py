@@ -15,7 +15,7 @@ from ._arguments import Commands, add_command, overrides
 
 if TYPE_CHECKING:
     from ..study.sweep import Sweep
-    from ..study.sweep_table import SweepSummary, SweepTable
+    from ..study.sweep_results import SweepSummary, SweepTable
 
 _EPILOG = """\
 examples:
@@ -79,9 +79,8 @@ def _seed(text: str) -> int:
 def run(options: argparse.Namespace) -> int:
     """Runs; returns 0, or 1 when not every variant held."""
     from ..paths import find_scenario
-    from ..study.sweep import Sweep
-    from ..study.sweep_table import SweepTable, summarise_sweep
-    from ..study.vary import Vary
+    from ..study.sweep import Sweep, Vary
+    from ..study.sweep_results import SweepTable, summarise_sweep
 
     _check_options(options)
     sweep = Sweep(
@@ -101,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
     seconds = time.perf_counter() - begin
     summary = summarise_sweep(table.rows, sweep.columns)
     if options.plot is not None:
-        from ..study.sweep_plot import plot_sweep
+        from ..study.sweep_results import plot_sweep
 
         plot_sweep(sweep, table.rows, options.plot)
     if options.json:

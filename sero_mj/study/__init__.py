@@ -1,5 +1,6 @@
 """Runs looked at afterwards.
 
 In: `RunLog`s. Out: comparisons, summaries, figures, sweeps over many variants.
-Open first: `compare.py`; `plot.py` and `figure.py` draw, `sweep.py` runs variants.
+Open first: `compare.py`; `plot.py` and `figure.py` draw, `sweep.py` runs variants and
+`sweep_results.py` keeps what came of them.
 """

@@ -192,20 +192,19 @@ class Figure:
         """
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
-    def signed_area(self, panel: Axes, times: Array, values: Array, label: str) -> None:
+    def signed_area(self, panel: Axes, times: Array, values: Array) -> None:
         """Draws a difference: orange above zero, blue below, as the arrows are.
 
         Args:
             panel: which one.
             times: (T,), s.
             values: (T,), NaN where nothing is known.
-            label: of the line.
         """
         at, shown = envelope(times, values, _POINTS)
         for colour, side in ((ORANGE, np.maximum(shown, 0.0)), (BLUE, np.minimum(shown, 0.0))):
             panel.fill_between(at, side, 0.0, color=colour, alpha=0.45, linewidth=0.0)
         panel.axhline(0.0, color=GREY, linewidth=0.5)
-        panel.plot(at, shown, color=INK, linewidth=0.5, label=label)
+        panel.plot(at, shown, color=INK, linewidth=0.5, label="difference")
 
     def fit(
         self,
@@ -277,10 +276,6 @@ class Figure:
             handles=list(handles), loc="upper right", ncols=min(len(handles), 4), frameon=False,
             borderpad=0.2, borderaxespad=0.2, handlelength=1.8, columnspacing=1.2, fontsize=6.5,
         )  # fmt: skip
-
-    def save(self, path: Path) -> None:
-        """Writes it; raises RenderError."""
-        save_figures([self], path)
 
 
 def save_figures(figures: Sequence[Figure], path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A run as a figure: commanded and measured torques, limits, their error, joint by joint."""
+"""Figures of a run, and of two runs of a robot: torques, limits and errors, joint by joint."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError, did_you_mean
 from ..runs.run_log import RunLog, compared_signal, torque_error
+from .align import Pair
+from .compare import unit_of
 from .figure import (
     BLUE,
     FAULT,
@@ -23,7 +25,7 @@ from .figure import (
     check_suffix,
     save_figures,
     styled,
-)
+)  # fmt: skip
 from .reduction import peak, rms
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ Array = NDArray[np.float64]
 
 _IN_VIEW = 0.6  # share of its limit from which on a torque is shown together with it
 _MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
+_MIN_ANGLE = 0.02  # deg or mm
 _MARKERS = {
     "torque_error": "v",
     "external_torque": "D",
@@ -50,7 +53,7 @@ _OF_ERROR = ("torque_error", "frozen_torque")  # findings that stand beside the 
 
 
 def plot_run(
-    log: RunLog,
+    logs: RunLog | Sequence[RunLog],
     path: Path | str,
     *,
     robots: Sequence[str] | None = None,
@@ -59,12 +62,13 @@ def plot_run(
     spans: Sequence[Span] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws a run: a row for each joint, torques on the left, commanded less measured beside them.
+    """Draws runs: a row for each joint, torques on the left, commanded less measured beside them.
 
     Lines are envelopes: of a million rows every peak is still there, and only what was logged.
 
     Args:
-        log: the run, with `torques`, `commanded_torques`, or both.
+        logs: a run with `torques`, `commanded_torques`, or both; of several each is a page of a
+            .pdf.
         path: where to: .png (300 dpi), .pdf or .svg.
         robots: which; all when None.
         joints: their names, of any of the robots; all when None.
@@ -74,44 +78,24 @@ def plot_run(
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: no such robot or joint, no torque, another suffix.
-    """
-    plot_runs(
-        [log],
-        path,
-        robots=robots,
-        joints=joints,
-        findings=findings,
-        spans=spans,
-        size_mm=size_mm,
-    )
-
-
-def plot_runs(logs: Sequence[RunLog], path: Path | str, **options: Any) -> None:
-    """Draws several runs, each on a page of a .pdf.
-
-    Args:
-        logs: the runs; one of them may go to a .png or .svg as well.
-        path: where to.
-        **options: see `plot_run`.
-
-    Raises:
-        RenderError: the file cannot be written.
-        UsageError: see `plot_run`, or several runs are to go into a picture.
+        UsageError: no such robot or joint, no torque, another suffix, several runs and no .pdf.
     """
     path = check_suffix(path)
     with styled():
-        save_figures([_draw_run(log, **options) for log in logs], path)
+        figures = [
+            _draw_run(log, robots, joints, findings, spans, size_mm)
+            for log in ([logs] if isinstance(logs, RunLog) else logs)
+        ]
+        save_figures(figures, path)
 
 
 def _draw_run(
     log: RunLog,
-    *,
-    robots: Sequence[str] | None = None,
-    joints: Sequence[str] | None = None,
-    findings: Sequence[Finding] = (),
-    spans: Sequence[Span] = (),
-    size_mm: tuple[float, float] | None = None,
+    robots: Sequence[str] | None,
+    joints: Sequence[str] | None,
+    findings: Sequence[Finding],
+    spans: Sequence[Span],
+    size_mm: tuple[float, float] | None,
 ) -> Figure:
     chosen = _choose(log, robots, joints)
     has_both = all(log.has(robot, signal) for robot, _ in chosen
@@ -119,7 +103,7 @@ def _draw_run(
     several = len({robot for robot, _ in chosen}) > 1
     rows = [(log.robots[robot].names[k], _beneath(log, robot, k, named=several))
             for robot, k in chosen]  # fmt: skip
-    units = {_unit(log, robot, k) for robot, k in chosen}
+    units = {unit_of("torques", log.robots[robot].types[k]) for robot, k in chosen}
     unit = units.pop() if len(units) == 1 else "Nm or N"
     columns = [(f"torque, {unit}", 1.25)]
     if has_both:
@@ -135,7 +119,11 @@ def _draw_run(
     for (robot, k), panels in zip(chosen, figure.axes, strict=True):
         _draw_torques(figure, panels[0], log, robot, k)
         if has_both:
-            _draw_error(figure, panels[1], log, robot, k)
+            error, least = torque_error(log, robot)[:, k], MIN_SHARE * log.torque_limits(robot)[k]
+            row = _draw_difference(figure, panels[1], log.times, error, 0.5 * least)
+            if row is not None:
+                at = f"at {log.times[row]:.3f} s, rms {rms(error):.3g}"
+                figure.note(panels[1], f"{_signed(error[row])} {at}")
     figure.spans(spans)
     marked = _mark(figure, log, chosen, findings)
     has_limit = any(line.get_label() == "limit" for panels in figure.axes
@@ -177,16 +165,12 @@ def _choose(
     return chosen
 
 
-def _unit(log: RunLog, robot: str, k: int) -> str:
-    return "Nm" if log.robots[robot].types[k] == "revolute" else "N"
-
-
 def _beneath(log: RunLog, robot: str, k: int, *, named: bool) -> str:
     """What stands beneath a joint's name: its robot, its limit, and how close it came."""
     limit = float(log.torque_limits(robot)[k])
     lines = [robot] if named else []
     if np.isfinite(limit):
-        lines.append(f"limit {limit:.4g} {_unit(log, robot, k)}")
+        lines.append(f"limit {limit:.4g} {unit_of('torques', log.robots[robot].types[k])}")
     signal = "torques" if log.has(robot, "torques") else "commanded_torques"
     values = log.of(robot, signal)[:, k]
     row = peak(values)
@@ -223,16 +207,22 @@ def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) 
     figure.fit(panel, curves, least=MIN_SHARE * limit, floor=_MIN_TORQUE, also=shown)
 
 
-def _draw_error(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) -> None:
-    error = torque_error(log, robot)[:, k]
-    figure.signed_area(panel, log.times, error, "torque_error")
-    limit = float(log.torque_limits(robot)[k])
-    least = 0.5 * MIN_SHARE * limit
-    if figure.fit(panel, [error], least=least, floor=_MIN_TORQUE, also=[0.0]):
-        row = peak(error)
-        assert row is not None  # `fit` has found something
-        text = f"peak {error[row]:+.3g}".replace("-", "−")
-        figure.note(panel, f"{text} at {log.times[row]:.3f} s, rms {rms(error):.3g}")
+def _draw_difference(
+    figure: Figure,
+    panel: Axes,
+    times: Array,
+    values: Array,
+    least: float,
+    floor: float = _MIN_TORQUE,
+) -> int | None:
+    """Draws a difference; returns the row of its peak, None where nothing is known."""
+    figure.signed_area(panel, times, values)
+    is_known = figure.fit(panel, [values], least=least, floor=floor, also=[0.0])
+    return peak(values) if is_known else None
+
+
+def _signed(value: float) -> str:
+    return f"peak {value:+.3g}".replace("-", "−")
 
 
 def _mark(
@@ -293,3 +283,113 @@ def _legend(
         handles.append(Patch(color=FAULT, alpha=0.25, linewidth=0.0, label="fault"))
     handles += [Line2D([], [], **_marker(kind)) for kind in kinds]
     return handles
+
+
+def plot_pair(
+    pair: Pair,
+    path: Path | str,
+    *,
+    joints: Sequence[str] | None = None,
+    size_mm: tuple[float, float] | None = None,
+) -> None:
+    """Draws two runs: a row for each joint, with both torques and the differences, A less B.
+
+    Without torques in both, angles stand in their place.
+
+    Args:
+        pair: the runs on one clock.
+        path: where to: .png (300 dpi), .pdf or .svg.
+        joints: their names; all when None.
+        size_mm: width and height; the width of A4 when None.
+
+    Raises:
+        RenderError: the file cannot be written.
+        UsageError: no such joint, another suffix.
+    """
+    path = check_suffix(path)
+    names = pair.robot.names
+    for joint in joints or ():
+        if joint not in names:
+            near = did_you_mean(joint, names)
+            raise UsageError(f"no joint '{joint}' of {pair.robot.name}{near}")
+    chosen = [k for k, joint in enumerate(names) if joints is None or joint in joints]
+    main = "torques" if "torques" in pair.signals else "joint_angles"
+    units = dict.fromkeys(_shown(main, pair.robot.types[k])[1] for k in chosen)
+    angles = dict.fromkeys(_shown("joint_angles", pair.robot.types[k])[1] for k in chosen)
+    what, unit, unit_of_angle = (
+        main.removesuffix("s").removeprefix("joint_"),
+        " or ".join(units),
+        " or ".join(angles),
+    )
+    columns = [(f"{what}, {unit}", 1.35), (f"{what}, A − B, {unit}", 1.0)]
+    if main == "torques" and "joint_angles" in pair.signals:
+        columns.append((f"angle, A − B, {unit_of_angle}", 1.0))
+    with styled():
+        figure = Figure(
+            [(names[k], _beneath_pair(pair, k)) for k in chosen],
+            columns,
+            title=f"{pair.names[0]} − {pair.names[1]}",
+            subtitle=_about_pair(pair),
+            times=(float(pair.times[0]), float(pair.times[-1])),
+            size_mm=size_mm,
+        )
+        for k, panels in zip(chosen, figure.axes, strict=True):
+            _draw_both(figure, panels[0], pair, main, k)
+            _draw_difference_of_pair(figure, panels[1], pair, main, k)
+            if len(panels) > 2:
+                _draw_difference_of_pair(figure, panels[2], pair, "joint_angles", k)
+        figure.legend(_legend_of_pair(pair))
+        save_figures([figure], path)
+
+
+def _shown(signal: str, joint_type: str) -> tuple[float, str]:
+    """Factor and unit on paper: angles in degrees, lengths in mm."""
+    unit = unit_of(signal, joint_type)
+    return {"rad": (float(np.rad2deg(1.0)), "deg"), "m": (1e3, "mm")}.get(unit, (1.0, unit))
+
+
+def _beneath_pair(pair: Pair, k: int) -> str:
+    limits = pair.robot.torque_limits
+    if limits is None or "torques" not in pair.signals:
+        return pair.robot.name
+    return f"limit {limits[k]:.4g} {unit_of('torques', pair.robot.types[k])}"
+
+
+def _about_pair(pair: Pair) -> str:
+    span = f"{pair.robot.name}, {pair.times[-1] - pair.times[0]:.4g} s"
+    return f"{span}; B moved by {pair.offset:+.4g} s" if pair.offset else span
+
+
+def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:
+    """How much a panel shows at least, and that without limits."""
+    if signal == "joint_angles":
+        return np.inf, _MIN_ANGLE
+    limits = pair.robot.torque_limits
+    return (np.inf if limits is None else MIN_SHARE * float(limits[k])), _MIN_TORQUE
+
+
+def _draw_both(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> None:
+    factor, _ = _shown(signal, pair.robot.types[k])
+    a, b = factor * pair.a[signal][:, k], factor * pair.b[signal][:, k]
+    figure.line(panel, pair.times, b, "b", color=BLUE, linewidth=1.5, zorder=2.0)
+    figure.line(panel, pair.times, a, "a", color=ORANGE, linewidth=0.7, zorder=2.1)
+    least, floor = _least(pair, signal, k)
+    figure.fit(panel, [a, b], least=least, floor=floor)
+
+
+def _draw_difference_of_pair(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> None:
+    factor, _ = _shown(signal, pair.robot.types[k])
+    values = factor * pair.difference(signal)[:, k]
+    least, floor = _least(pair, signal, k)
+    row = _draw_difference(figure, panel, pair.times, values, 0.5 * least, floor)
+    if row is not None:
+        figure.note(panel, f"{_signed(values[row])}, rms {rms(values):.3g}")
+
+
+def _legend_of_pair(pair: Pair) -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], color=ORANGE, linewidth=1.0, label=f"A: {pair.names[0]}"),
+        Line2D([], [], color=BLUE, linewidth=1.5, label=f"B: {pair.names[1]}"),
+    ]
