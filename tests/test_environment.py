@@ -12,9 +12,8 @@ from dm_env import test_utils
 
 import sero_mj
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.environment.make import list_environments, scenario_environment
-from sero_mj.environment.settings import ScenarioSettings
-from sero_mj.environment.task import closeness
+from sero_mj.environment.make import ScenarioSettings, list_environments, scenario_environment
+from sero_mj.environment.tasks import closeness
 from sero_mj.errors import DeclarationError, SimulationError, UnknownName
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation

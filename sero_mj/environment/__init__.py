@@ -1,6 +1,6 @@
 """Simulated robots as `dm_env` environments, for learning.
 
 In: a robot with a task, or a scenario. Out: episodes of control steps with a checked action each.
-Open first: `make.py`; `environment.py` is the loop, `task.py` what tasks do, `actions.py` what an
+Open first: `make.py`; `environment.py` is the loop, `tasks.py` what tasks do, `actions.py` what an
 agent commands.
 """

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from dm_env import specs
@@ -21,7 +22,45 @@ Kind = Literal["torque", "impedance"]
 _USUAL_SPEED = {"revolute": 1.0, "prismatic": 0.25}  # rad/s, m/s; where a robot has no limits
 
 
-class TorqueAction:
+class Action(ABC):
+    """What an agent commands a robot.
+
+    Attributes:
+        unit: of an action's numbers, for messages.
+        spec: (n,), with their bounds.
+        controller: that carries it out.
+    """
+
+    unit: ClassVar[str]
+    spec: specs.BoundedArray
+    controller: ControllerDeclaration
+
+    @abstractmethod
+    def begin(self, target: Target, angles: Array) -> None:
+        """Begins an episode.
+
+        Args:
+            target: of the controller, which is written here from now on.
+            angles: (n,), where the robot stands.
+        """
+
+    @abstractmethod
+    def take(self, action: Array) -> None:
+        """Begins a control step; the action is within its bounds."""
+
+    def advance(self) -> None:  # noqa: B027 - most do nothing
+        """Begins a step of the simulation."""
+
+    def observation(self) -> dict[str, Array]:
+        """The state of the action that an agent observes."""
+        return {}
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Shapes and bounds of that."""
+        return {}
+
+
+class TorqueAction(Action):
     """Joint torques on top of gravity compensation, held for a control step.
 
     As on the robot: its controller adds gravity to what it is asked for, and the drives cut off
@@ -32,7 +71,6 @@ class TorqueAction:
 
     Attributes:
         spec: (n,), Nm or N, within the torque limits.
-        controller: that carries it out.
 
     Raises:
         DeclarationError: the robot has no torque limits.
@@ -46,36 +84,20 @@ class TorqueAction:
             message = "is required for torques as actions; expected one per joint, Nm"
             raise DeclarationError([Problem(f"robots.{robot.name}.torque_limits", message)])
         high = np.array(limits, np.float64)
-        self.controller: ControllerDeclaration = Torque()
+        self.controller = Torque()
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
 
     def begin(self, target: Target, angles: Array) -> None:
-        """Begins an episode.
-
-        Args:
-            target: of the controller, which is written here from now on.
-            angles: (n,), where the robot stands.
-        """
+        """Begins an episode without torques."""
         self._target = target
         target.torques[:] = 0.0
 
     def take(self, action: Array) -> None:
-        """Begins a control step; the action is within its bounds."""
+        """Commands these torques."""
         self._target.torques[:] = action
 
-    def advance(self) -> None:
-        """Begins a step of the simulation."""
 
-    def observation(self) -> dict[str, Array]:
-        """The state of the action that an agent observes."""
-        return {}
-
-    def observation_spec(self) -> dict[str, specs.Array]:
-        """Shapes and bounds of that."""
-        return {}
-
-
-class ImpedanceAction:
+class ImpedanceAction(Action):
     """By how much the target angles of a joint impedance move in a control step.
 
     They move at constant speed over the step, within the position limits; as labs drive real LWRs,
@@ -91,7 +113,6 @@ class ImpedanceAction:
     Attributes:
         spec: (n,), rad or m, within what the velocity limits allow in a control step; robots
             without are taken to have 1 rad/s and 0.25 m/s.
-        controller: that carries it out.
 
     Raises:
         DeclarationError: gains that no joint impedance has.
@@ -120,9 +141,7 @@ class ImpedanceAction:
         self._step: Array = np.zeros(robot.n)
         self._goal: Array = np.zeros(robot.n)
         self._left = 0
-        self.controller: ControllerDeclaration = JointImpedance(
-            stiffness=stiffness, damping=damping
-        )
+        self.controller = JointImpedance(stiffness=stiffness, damping=damping)
         self.spec = specs.BoundedArray((robot.n,), np.float64, -most, most, name="target_offsets")
 
     def begin(self, target: Target, angles: Array) -> None:
@@ -160,9 +179,6 @@ class ImpedanceAction:
         return {name: specs.BoundedArray(shape, np.float64, self._low, self._high, name=name)}
 
 
-AnyAction = TorqueAction | ImpedanceAction
-
-
 class AgentController:
     """The controller that carries out an agent's actions.
 
@@ -177,7 +193,7 @@ class AgentController:
     """
 
     def __init__(
-        self, action: AnyAction, robot: SerialRobot, model: RobotModel, timestep: float
+        self, action: Action, robot: SerialRobot, model: RobotModel, timestep: float
     ) -> None:
         self._action, self._robot, self._model, self._timestep = action, robot, model, timestep
         self.begin(np.asarray(robot.home, np.float64))

@@ -11,12 +11,14 @@ import mujoco
 import numpy as np
 from dm_env import specs
 from numpy.typing import NDArray
+from pydantic import Field
 
 from ..assemble.robot import SerialRobot
 from ..assemble.world import World
 from ..control.compiler import Compiler
+from ..declaration import Declaration
 from ..drive.mirror import Mirror
-from ..errors import SimulationError, UnknownName
+from ..errors import DeclarationError, Problem, SimulationError, UnknownName
 from ..runs.run_log import event_of
 from ..runs.run_source import RunSource
 from ..show.headless.render import HeadlessRenderer
@@ -24,15 +26,59 @@ from ..simulate.plant import Plant
 from ..simulate.scenario import Scenario
 from ..simulate.simulated_scene import with_routes
 from ..simulate.simulation import Simulation
-from .actions import AgentController, checked_action
-from .agent_robot import AgentRobot
-from .settings import Settings
-from .task import Episode, Task
+from .actions import (
+    Action,
+    AgentController,
+    ImpedanceAction,
+    Kind,
+    TorqueAction,
+    checked_action,
+)  # fmt: skip
+from .tasks import AgentRobot, Episode, Task
 
 Array = NDArray[np.float64]
 
 # rad, m: how far springs let joints into their stops, and observations beyond their limits
 BEYOND = {"revolute": 0.2, "prismatic": 0.05}
+
+
+class Settings(Declaration):
+    """Options of all environments.
+
+    Attributes:
+        action: what an agent commands: joint torques, or offsets of an impedance's target.
+        control_timestep: s between two actions.
+        seed: of everything that is random; the same seed gives the same episodes.
+        stiffness: Nm/rad, one for all joints or one each; where actions are target offsets.
+        damping: ratio, likewise.
+    """
+
+    action: Kind = "torque"
+    control_timestep: float = Field(0.02, ge=1e-4, le=1.0)
+    seed: int = Field(0, ge=0, lt=2**32)
+    stiffness: Any = 500.0
+    damping: Any = 0.7
+
+    def substeps(self, timestep: float) -> int:
+        """Steps of the simulation in a control step.
+
+        Args:
+            timestep: of the simulation, s.
+
+        Raises:
+            DeclarationError: a control step is no whole number of them.
+        """
+        ratio = self.control_timestep / timestep
+        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+            found = f"found {self.control_timestep:g} s; expected a whole number of steps of"
+            raise DeclarationError([Problem("control_timestep", f"{found} {timestep:g} s")])
+        return round(ratio)
+
+    def make_action(self, robot: SerialRobot, timestep: float) -> Action:
+        """What an agent commands a robot, at a timestep of the simulation in s."""
+        if self.action == "torque":
+            return TorqueAction(robot)
+        return ImpedanceAction(robot, self.control_timestep, timestep, self.stiffness, self.damping)
 
 
 class Environment(dm_env.Environment):  # type: ignore[misc]

@@ -1,0 +1,400 @@
+"""Tasks of environments: `Reach`, `Hold`, and `Expectations` of a scenario.
+
+A task is declared by its options; for a robot it makes an `Episode`, with the reward, what is
+observed, and what pictures show.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, Literal
+
+import mujoco
+import numpy as np
+from dm_env import specs
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ..assemble.cartesian import SmartArrow
+from ..assemble.robot import SerialRobot
+from ..declaration import Declaration
+from ..errors import SimulationError
+from ..frames import rotation_angle
+from ..runs.measures import MEASURES
+from ..runs.run_log import RunLog
+from ..simulate.expect import Expect
+from ..simulate.plant import Plant
+from ..simulate.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+GOAL = "goal"  # the double at a task's goal is called `ROBOT_goal`
+_MAX_TRIES = 2000
+_FROM_LIMITS = 0.05  # share of a joint's range that sampled poses keep from either end
+
+
+class AgentRobot:
+    """The simulated robot that an agent drives, as tasks see it.
+
+    Args:
+        simulation: that it is in.
+        name: of the robot.
+
+    Attributes:
+        simulation: of the current episode.
+        name: as given.
+    """
+
+    def __init__(self, simulation: Simulation, name: str) -> None:
+        self.simulation, self.name = simulation, name
+        self._scratch = self.plant.world.make_data()
+
+    @property
+    def declared(self) -> SerialRobot:
+        """Its declaration."""
+        return self.simulation.robots[self.name]
+
+    @property
+    def plant(self) -> Plant:
+        """The simulated robots of the current episode."""
+        return self.simulation.plant
+
+    @property
+    def angles(self) -> Array:
+        """True joint angles now, (n,), rad or m: a view."""
+        return self.plant.actual[0, self.plant.world.robots[self.name].joints]
+
+    @property
+    def measured_angles(self) -> Array:
+        """Measured joint angles now, (n,), rad or m: a view."""
+        return self.plant.measured[0, self.plant.world.robots[self.name].joints]
+
+    def flange(self) -> Array:
+        """T_world_flange now, (4, 4), m; the true one."""
+        return self.plant.flange(self.name)
+
+    def free_pose(self, rng: np.random.Generator) -> Array:
+        """Joint angles, (n,), within the limits, in which the robot touches nothing.
+
+        Raises:
+            SimulationError: none was found.
+        """
+        robot, model, data = self.declared, self.plant.model, self._scratch
+        part = self.plant.world.robots[self.name]
+        limits = robot.position_limits
+        if limits is None:
+            far = [np.pi if kind == "revolute" else 0.0 for kind in robot.types]
+            limits = np.stack([-np.array(far), np.array(far)], axis=1)
+        low, high = limits.T
+        gap = _FROM_LIMITS * (high - low)
+        torques = np.full(robot.n, np.inf) if robot.torque_limits is None else robot.torque_limits
+        for _ in range(_MAX_TRIES):
+            angles = rng.uniform(low + gap, high - gap)
+            data.qpos[part.qpos] = angles
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            if data.ncon == 0 and (np.abs(data.qfrc_bias[part.dofs]) < torques).all():
+                return np.asarray(angles)
+        reason = f"found no pose in {_MAX_TRIES} that touches nothing and that its torques hold"
+        raise SimulationError(0.0, robot.name, f"{reason}; expected other limits, or a start")
+
+
+class Episode:
+    """A task from episode to episode; by itself one in which nothing happens or is shown."""
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Begins an episode; the robot stands where it starts."""
+
+    def advance(self) -> None:
+        """Begins a control step."""
+
+    def reward(self) -> float:
+        """0 to 1, for the state now."""
+        return 0.0
+
+    def observation(self) -> dict[str, Array]:
+        """What an agent has to know of the task."""
+        return {}
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Shapes and bounds of that."""
+        return {}
+
+    def inputs(self) -> dict[str, Array]:
+        """Inputs of the scene to what pictures show there: `lwr_goal.joint_angles`, (n,)."""
+        return {}
+
+
+class Task(Declaration, ABC):
+    """Base of the declarations of tasks.
+
+    Attributes:
+        observed: signals of every robot that an agent observes.
+    """
+
+    observed: ClassVar[tuple[str, ...]] = ("joint_angles", "joint_velocities", "torques")
+
+    @abstractmethod
+    def make(self, robot: AgentRobot) -> Episode:
+        """The task for a robot, to be begun."""
+
+    def arrows(self, robot: str) -> list[SmartArrow]:
+        """What pictures of it show beside the robot and a double at its goal."""
+        return []
+
+
+def closeness(distance: float, within: float, margin: float) -> float:
+    """1 up to `within`, then 1 / (1 + 9 ((distance - within) / margin)^2): it never gets flat.
+
+    Args:
+        distance: from 0.
+        within: up to which it is as good as none, in the same unit.
+        margin: that far beyond the reward is 0.1.
+
+    Source: Tunyasuvunakool et al. 2020, dm_control: Software and Tasks for Continuous Control,
+    Software Impacts 6 (`tolerance` with a long tail).
+    """
+    beyond = max(distance - within, 0.0) / margin
+    return 1.0 / (1.0 + 9.0 * beyond * beyond)
+
+
+class Reach(Task):
+    """Brings the flange to a random target that the robot can reach.
+
+    The reward is c(d, 0.005 m, 0.3 m) with the distance d between flange and target, and for poses
+    that times c(a, 2 deg, 90 deg) with the angle a between them; c is 1 within the first number
+    and 0.1 the second beyond it: `closeness`.
+
+    Attributes:
+        target: `position`, or `pose`: with orientation.
+        within: m, that is as good as there.
+        margin: m beyond, at which the reward has fallen to 0.1.
+        within_angle: likewise rad.
+        margin_angle: likewise rad.
+    """
+
+    target: Literal["position", "pose"] = "position"
+    within: float = Field(0.005, ge=0)
+    margin: float = Field(0.3, gt=0)
+    within_angle: float = Field(float(np.deg2rad(2.0)), ge=0)
+    margin_angle: float = Field(float(np.deg2rad(90.0)), gt=0)
+
+    def make(self, robot: AgentRobot) -> Episode:
+        """The task for a robot, to be begun."""
+        return ReachEpisode(self, robot)
+
+
+class ReachEpisode(Episode):
+    """`Reach` from episode to episode.
+
+    Attributes:
+        goal: (n,), joint angles at which the flange is there, rad or m.
+        target: T_world_target, (4, 4), m.
+    """
+
+    def __init__(self, task: Reach, robot: AgentRobot) -> None:
+        self._task, self._robot = task, robot
+        self.goal: Array = np.zeros(robot.declared.n)
+        self.target: Array = np.eye(4)
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Chooses a target: where the flange is in a pose that touches nothing."""
+        robot = self._robot.declared
+        self.goal = self._robot.free_pose(rng)
+        self.target = robot.base_frame @ robot.fwd_kin_base_to_flange(self.goal)
+
+    def reward(self) -> float:
+        """0 to 1, for the state now."""
+        task, flange = self._task, self._robot.flange()
+        distance = float(np.linalg.norm(flange[:3, 3] - self.target[:3, 3]))
+        reward = closeness(distance, task.within, task.margin)
+        if task.target == "pose":
+            angle = rotation_angle(flange[:3, :3].T @ self.target[:3, :3])
+            reward *= closeness(angle, task.within_angle, task.margin_angle)
+        return reward
+
+    def observation(self) -> dict[str, Array]:
+        """Where flange and target are, in the world, m; for poses also quaternions, w first."""
+        angles = self._robot.measured_angles
+        robot = self._robot.declared
+        flange = robot.base_frame @ robot.fwd_kin_base_to_flange(angles)
+        found = {
+            "flange_position": flange[:3, 3].copy(),
+            "target_position": self.target[:3, 3].copy(),
+        }
+        if self._task.target == "pose":
+            found["flange_quaternion"] = _quaternion(flange)
+            found["target_quaternion"] = _quaternion(self.target)
+        return found
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Shapes and bounds of that."""
+        found: dict[str, specs.Array] = {
+            name: specs.Array((3,), np.float64, name=name)
+            for name in ("flange_position", "target_position")
+        }
+        if self._task.target == "pose":
+            for name in ("flange_quaternion", "target_quaternion"):
+                found[name] = specs.BoundedArray((4,), np.float64, -1.0, 1.0, name=name)
+        return found
+
+    def inputs(self) -> dict[str, Array]:
+        """A double at the goal."""
+        return {f"{self._robot.name}_{GOAL}.joint_angles": self.goal}
+
+
+def _quaternion(T: Array) -> Array:
+    """w, x, y, z with w from 0 on: one for every orientation."""
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, T[:3, :3].ravel())
+    return np.clip(quaternion if quaternion[0] >= 0 else -quaternion, -1.0, 1.0)
+
+
+class Hold(Task):
+    """Holds the pose of the start under random pushes at the flange.
+
+    Pushes come in all directions, begin at random times and may overlap. They cannot be seen, but
+    the torque sensors feel them. The reward is c(e, 0.005, 0.3) with the largest error e of any
+    joint, rad or m; c is 1 within the first number and 0.1 the second beyond it.
+
+    Attributes:
+        most_force: N, of a push; its size is anything from 0 up to it.
+        every: s, mean time from one push to the next.
+        shortest: s, that a push lasts at least.
+        longest: s, at most.
+        within: rad or m, error that is as good as none.
+        margin: rad or m beyond, at which the reward has fallen to 0.1.
+    """
+
+    most_force: float = Field(40.0, ge=0, le=1e4)
+    every: float = Field(1.0, ge=0.01)
+    shortest: float = Field(0.1, gt=0)
+    longest: float = Field(0.5, gt=0)
+    within: float = Field(0.005, ge=0)
+    margin: float = Field(0.3, gt=0)
+
+    def make(self, robot: AgentRobot) -> Episode:
+        """The task for a robot, to be begun."""
+        return HoldEpisode(self, robot)
+
+    def arrows(self, robot: str) -> list[SmartArrow]:
+        """The push."""
+        return [SmartArrow(name="push", kind="force", at=f"{robot}/flange", expressed_in="world")]
+
+
+class HoldEpisode(Episode):
+    """`Hold` from episode to episode."""
+
+    def __init__(self, task: Hold, robot: AgentRobot) -> None:
+        self._task, self._robot = task, robot
+        self._pose: Array = np.zeros(robot.declared.n)
+        self._times: Array = np.zeros((0, 2))
+        self._forces: Array = np.zeros((0, 3))
+        self._force: Array = np.zeros(3)
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Draws all pushes of the episode."""
+        task, robot = self._task, self._robot
+        self._pose = robot.angles.copy()
+        duration = robot.simulation.scenario.run.duration
+        many = rng.poisson(duration / task.every)
+        begins = rng.uniform(0.0, duration, many)
+        lasting = rng.uniform(task.shortest, max(task.longest, task.shortest), many)
+        self._times = np.stack([begins, begins + lasting], axis=1)
+        directions = rng.standard_normal((many, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        self._forces = directions * rng.uniform(0.0, task.most_force, (many, 1))
+        self._force = np.zeros(3)
+        self._push = robot.plant.push(f"{robot.name}/flange")
+
+    def advance(self) -> None:
+        """Pushes as hard as it is time for."""
+        now = self._robot.plant.time
+        acting = (self._times[:, 0] <= now) & (now < self._times[:, 1])
+        self._force = self._forces[acting].sum(axis=0)
+        self._push.force[:] = self._force
+
+    def reward(self) -> float:
+        """0 to 1, for the state now."""
+        error = float(np.abs(self._robot.angles - self._pose).max())
+        return closeness(error, self._task.within, self._task.margin)
+
+    def observation(self) -> dict[str, Array]:
+        """The pose to be held, (n,)."""
+        return {"hold_angles": self._pose.copy()}
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Shapes and bounds of that."""
+        return {"hold_angles": specs.Array(self._pose.shape, np.float64, name="hold_angles")}
+
+    def inputs(self) -> dict[str, Array]:
+        """A double in the pose, and the push, (3,), N."""
+        return {f"{self._robot.name}_{GOAL}.joint_angles": self._pose, "push.vector": self._force}
+
+
+class Expectations(Task):
+    """Keeps the measures of a scenario within the bounds that it expects.
+
+    The reward is the mean over what is expected of a measure at this time: 1 while it is within
+    its bounds, `below / value` or `value / above` beyond them, and 1 where nothing is expected.
+    Expectations of findings, of `rms` and of `mean` are judged at the end alone, by the
+    simulation's `outcomes`.
+    """
+
+    observed: ClassVar[tuple[str, ...]] = (
+        "joint_angles", "joint_velocities", "torques", "external_torques", "target_angles",
+        "target_velocities",
+    )  # fmt: skip
+
+    def make(self, robot: AgentRobot) -> Episode:
+        """The task for a robot, to be begun."""
+        return ExpectationsEpisode(robot)
+
+
+class ExpectationsEpisode(Episode):
+    """`Expectations` from episode to episode."""
+
+    def __init__(self, robot: AgentRobot) -> None:
+        self._robot = robot
+        self._expected = [
+            each
+            for each in robot.simulation.scenario.expect.values()
+            if each.measure is not None and each.of in ("max", "min", "final")
+        ]
+
+    def reward(self) -> float:
+        """0 to 1, for the state now."""
+        simulation = self._robot.simulation
+        now = simulation.time
+        active = [
+            each
+            for each in self._expected
+            if each.after - 1e-9 <= now <= (np.inf if each.before is None else each.before) + 1e-9
+        ]
+        if not active:
+            return 1.0
+        log = RunLog.from_rows(  # the first row is what drift counts from
+            simulation.layout, simulation.rows[[0, simulation.step]], simulation.robots
+        )
+        return float(np.mean([_share(each, log) for each in active]))
+
+
+def _share(expect: Expect, log: RunLog) -> float:
+    """How far a measure is from what is expected, 1 to 0, in the last row of a log."""
+    assert expect.measure is not None
+    measure = MEASURES[expect.measure][1]
+    found = [1.0]
+    for robot in log.robots if expect.robot is None else [expect.robot]:
+        values = np.abs(measure(log, robot)[-1])
+        if expect.joints and len(values) > 1:
+            names = log.robots[robot].names
+            values = values[[k for k, name in enumerate(names) if name in expect.joints]]
+        if not len(values):
+            continue
+        if expect.below is not None:
+            value = float(values.max())
+            found.append(1.0 if value < expect.below else max(expect.below, 0.0) / value)
+        if expect.above is not None:
+            value = float(values.min() if expect.of == "min" else values.max())
+            found.append(1.0 if value > expect.above else value / expect.above)
+    return min(found)
