@@ -240,14 +240,7 @@ class CartesianImpedanceController:
         return self._spring_wrench
 
     def check(self, angles: Array) -> None:
-        """Refuses gains for which the time step is too long.
-
-        Args:
-            angles: (n,), rad or m, where the robot starts, at rest at its target.
-
-        Raises:
-            DeclarationError: names the joint that would shake most.
-        """
+        """Refuses gains for which the time step is too long; see `LimitedController.check`."""
         model = self.model
         model.update(angles, np.zeros(model.n))
         jacobian, mass, rotation = model.jacobian(), model.mass(), model.flange_rotation

@@ -114,10 +114,6 @@ class LimitedController:
         if check is not None:
             check(angles)
 
-    def restart(self) -> None:
-        """Forgets the last torques, as after a reset."""
-        self._last = None
-
     def not_finite(self, sensed: Sensed) -> SimulationError:
         """Names the joint whose sensor is to blame, else the one whose torque is."""
         for values, what in zip(sensed.values, ("angle", "velocity", "torque"), strict=True):

@@ -221,14 +221,7 @@ class JointImpedanceController:
             np.add(out, target.torques, out)
 
     def check(self, angles: Array) -> None:
-        """Refuses gains for which the time step is too long.
-
-        Args:
-            angles: (n,), rad or m, where the robot starts.
-
-        Raises:
-            DeclarationError: names the joint that would shake most.
-        """
+        """Refuses gains for which the time step is too long; see `LimitedController.check`."""
         model = self.model
         model.update(angles, np.zeros(model.n))
         mass = model.mass()

@@ -65,11 +65,7 @@ class MomentumObserver:
         self._scale: Array = gains / (1.0 + gains * timestep)
         self._motors: Array | None = model.motor_inertia.copy() if motor_side else None
         self._sum: Array = np.zeros(n)
-        self._flow: Array = np.zeros(n)
-        self._own: Array = np.zeros(n)
-        self._before: Array = np.zeros(n)
-        self._momentum: Array = np.zeros(n)
-        self._started = False
+        self._before: Array | None = None  # C^T dq - g of the last step
 
     def update(self, sensed: Sensed) -> Array:
         """Takes one step and returns `external`.
@@ -87,29 +83,16 @@ class MomentumObserver:
             velocities: (n,), those that the model was updated with.
             torques: (n,), Nm or N, of the step that led there.
         """
-        model, flow, own = self.model, self._flow, self._own
+        model = self.model
         momentum = model.link_momentum()
         if self._motors is not None:
-            np.multiply(self._motors, velocities, self._momentum)
-            momentum = np.add(momentum, self._momentum, self._momentum)
-        np.subtract(model.transposed_coriolis(), model.gravity(), own)
-        if not self._started:
-            self._sum[:], self._before[:] = momentum, own
-            self._started = True
-            return self.external
-        np.add(own, self._before, flow)
-        np.multiply(flow, 0.5, flow)
-        np.add(flow, torques, flow)
-        np.multiply(flow, self._timestep, flow)
-        np.add(self._sum, flow, self._sum)
-        np.subtract(momentum, self._sum, self.external)
-        np.multiply(self.external, self._scale, self.external)
-        np.multiply(self.external, self._timestep, flow)
-        np.add(self._sum, flow, self._sum)
-        self._before[...] = own
+            momentum = momentum + self._motors * velocities
+        own: Array = model.transposed_coriolis() - model.gravity()
+        if self._before is None:
+            self._sum[:] = momentum
+        else:
+            self._sum += ((own + self._before) * 0.5 + torques) * self._timestep
+            self.external[:] = (momentum - self._sum) * self._scale
+            self._sum += self.external * self._timestep
+        self._before = own
         return self.external
-
-    def reset(self) -> None:
-        """Forgets what was observed; the next step is the first."""
-        self._started = False
-        self.external[:] = 0.0

@@ -18,31 +18,21 @@ Array = NDArray[np.float64]
 class Push:
     """A force and a torque at a frame, which go with it; change them while time passes.
 
-    Args:
-        world: whose frame it is.
-        frame: name of the frame at whose origin they act, e.g. `lwr/flange`.
-        force: (3,), N.
-        torque: (3,), Nm.
-        expressed_in: name of the frame in whose axes both are given.
-        at: (3,), where in the frame they act, m.
+    For arguments and errors see `Plant.push`.
 
     Attributes:
         force: (3,), N.
         torque: (3,), Nm.
-
-    Raises:
-        UnknownName: no such frame.
-        ValueError: not three finite numbers.
     """
 
     def __init__(
         self,
         world: World,
         frame: str,
-        force: ArrayLike = (0.0, 0.0, 0.0),
-        torque: ArrayLike = (0.0, 0.0, 0.0),
-        expressed_in: str = "world",
-        at: ArrayLike = (0.0, 0.0, 0.0),
+        force: ArrayLike,
+        torque: ArrayLike,
+        expressed_in: str,
+        at: ArrayLike,
     ) -> None:
         self.frame, self.expressed_in = frame, expressed_in
         self.force, self.torque, self._at = (
@@ -91,21 +81,10 @@ def attach_payload(
     model: mujoco.MjModel,
     robot: str,
     mass: float,
-    center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
-    inertia: ArrayLike | None = None,
+    center_of_mass: ArrayLike,
+    inertia: ArrayLike | None,
 ) -> None:
-    """Gives the payload body of a robot a mass, in the frame of its flange.
-
-    Args:
-        model: of a dynamic world.
-        robot: its name.
-        mass: kg.
-        center_of_mass: (3,), m.
-        inertia: about it, 6 numbers or (3, 3), kg m2; that of a ball of steel when None.
-
-    Raises:
-        ValueError: no rigid body has this mass and inertia.
-    """
+    """Gives the payload body of a robot a mass; see `Plant.attach_payload`."""
     if not 0 < mass < np.inf:
         raise ValueError(f"payload of {robot}: found {mass:g} kg; expected a positive mass")
     center = numbers(center_of_mass)

@@ -25,9 +25,9 @@ _MAX_TORQUE = 1e9  # Nm, of all motors together, and what NaN is not below
 class Plant:
     """All robots of a dynamic world, joint after joint in the order of `world.robots`.
 
-    After construction and, if it `looks_ahead`, after every step `data` holds the kinematics, the
-    mass matrix and the bias torques (`qfrc_bias`) of the state that it is in, so a controller has
-    them for nothing.
+    After construction and, if `joints.looks_ahead`, after every step `data` holds the kinematics,
+    the mass matrix and the bias torques (`qfrc_bias`) of the state that it is in, so a controller
+    has them for nothing.
 
     Args:
         world: compiled with `dynamic=True`.
@@ -169,18 +169,6 @@ class Plant:
             np.copyto(self._actual, self.measured)
             self._is_measured = False
         return self.measured if self._is_measured else self._actual
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether `data` is up to date after a step, as by default; else up to a step behind.
-
-        What the robots do is the same to the last bit; without it a step is a sixth faster.
-        """
-        return self.joints.looks_ahead
-
-    @looks_ahead.setter
-    def looks_ahead(self, looks: bool) -> None:
-        self.joints.looks_ahead = looks
 
     def _gather_pushes(self) -> Array:
         """What pushes do at the joints now, (nv,), Nm; also clears what they did before."""

@@ -18,7 +18,7 @@ from ..control.joint_control import GravityCompensation, Torque
 from ..control.laws import Law
 from ..control.plan import law_from
 from ..declaration import Declaration, by_kind
-from ..errors import DeclarationError, Problem, did_you_mean
+from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..runs.monitor import Monitor
 from .disturbances import DISTURBANCES, FAULTS, Disturbance, Fault, Force, Payload
 from .expect import Expect
@@ -115,38 +115,32 @@ class Scenario:
         self.problems: list[Problem] = []
         self.scene, self.name, self.description = scene, name, description
         self.file: Path | None = scene.file
-        self.run: Run = self._read("run", lambda: Run(**run)) or Run()
-        self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
+        self.run = Run()
+        with collect(self.problems, "run"):
+            self.run = Run(**run)
+        each = self._each
+        self.controllers: dict[str, ControllerDeclaration | Controller] = each(
             "controllers", controllers, _controller
         )
-        self.targets: dict[str, Law] = self._each("targets", targets, law_from)
-        self.sensors: dict[str, RobotSensors] = self._each(
+        self.targets: dict[str, Law] = each("targets", targets, law_from)
+        self.sensors: dict[str, RobotSensors] = each(
             "sensors", sensors, lambda table: _built(RobotSensors, table)
         )
-        self.disturbances: dict[str, Disturbance] = self._each(
+        self.disturbances: dict[str, Disturbance] = each(
             "disturbances", disturbances, lambda table: by_kind(table, DISTURBANCES, Disturbance)
         )
-        self.faults: dict[str, Fault] = self._each(
+        self.faults: dict[str, Fault] = each(
             "faults",
             faults,
             lambda table: by_kind(table, FAULTS, Fault),  # type: ignore[type-abstract]
         )
-        self.expect: dict[str, Expect] = self._each(
-            "expect", expect, lambda table: _built(Expect, table)
-        )
-        self.monitor: Monitor = (
-            self._read("monitor", lambda: _built(Monitor, monitor or {})) or Monitor()
-        )
+        self.expect: dict[str, Expect] = each("expect", expect, lambda table: _built(Expect, table))
+        self.monitor = Monitor()
+        with collect(self.problems, "monitor"):
+            self.monitor = _built(Monitor, monitor or {})
         self._check_names()
         if self.problems:
             raise DeclarationError(scene.located(self.problems))
-
-    def _read(self, key: str, build: Any) -> Any:
-        try:
-            return build()
-        except DeclarationError as error:
-            self.problems += [problem.inside(key) for problem in error.problems]
-            return None
 
     def _each(self, section: str, tables: Mapping[str, Any] | None, build: Any) -> dict[str, Any]:
         if tables is not None and not isinstance(tables, Mapping):
@@ -154,9 +148,8 @@ class Scenario:
             return {}
         found = {}
         for name, table in (tables or {}).items():
-            built = self._read(f"{section}.{name}", lambda table=table: build(table))
-            if built is not None:
-                found[name] = built
+            with collect(self.problems, f"{section}.{name}"):
+                found[name] = build(table)
         return found
 
     def _check_names(self) -> None:
@@ -178,9 +171,11 @@ class Scenario:
                     self.problems.append(Problem(f"{section}.{name}.begin", message))
         self._check_starts()
         for name, fault in self.faults.items():
-            self._read(f"faults.{name}", lambda fault=fault: fault.check(robots))
+            with collect(self.problems, f"faults.{name}"):
+                fault.check(robots)
         for name, expect in self.expect.items():
-            self._read(f"expect.{name}", lambda expect=expect: expect.check(self))
+            with collect(self.problems, f"expect.{name}"):
+                expect.check(self)
 
     def _check_starts(self) -> None:
         """Looks whether robots begin within their position limits."""
@@ -255,9 +250,9 @@ class Scenario:
             for name, robot in self.scene.robots.items():
                 declared = self.sensors.get(name) or RobotSensors()
                 place = f"sensors.{name}.{signal}"
-                errors = (
-                    self._read(place, lambda d=declared, s=signal: d.errors(s)) or SensorErrors()
-                )
+                errors = SensorErrors()
+                with collect(self.problems, place):
+                    errors = declared.errors(signal)
                 for key, values in parts.items():
                     value = np.asarray(getattr(errors, key))
                     if value.shape not in ((), (1,), (robot.n,)):

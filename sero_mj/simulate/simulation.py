@@ -15,7 +15,7 @@ from ..control.controllers import make_controller
 from ..control.joint_control import GravityCompensation
 from ..control.observer import MomentumObserver
 from ..control.plan import Plan, make_plan
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, collect
 from ..receive.structure import Structure
 from ..runs.monitor import Finding
 from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
@@ -76,7 +76,7 @@ class Simulation:
             file=scene.file,
         )
         self.plant = Plant(self.compiler.world(stripped), sensors, run.timestep)
-        self.plant.looks_ahead = False  # controllers have models of their own
+        self.plant.joints.looks_ahead = False  # controllers have models of their own
         self._observed_every = max(round(OBSERVED_EVERY / run.timestep), 1)
         self._contacts = None
         if scenario.has_surroundings:
@@ -140,12 +140,11 @@ class Simulation:
 
     def _of_robots(self, section: str, make: Callable[[str], T]) -> dict[str, T]:
         """What is made for every robot, by name; tells all that is wrong in a section at once."""
-        made, problems = {}, []
+        made: dict[str, T] = {}
+        problems: list[Problem] = []
         for name in self.robots:
-            try:
+            with collect(problems, f"{section}.{name}"):
                 made[name] = make(name)
-            except DeclarationError as error:
-                problems += [problem.inside(f"{section}.{name}") for problem in error.problems]
         if problems:
             raise DeclarationError(self.scenario.scene.located(problems))
         return made
