@@ -12,8 +12,9 @@ from dm_env import test_utils
 
 import sero_mj
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.environment.make import ScenarioSettings, list_environments, scenario_environment
-from sero_mj.environment.tasks import closeness
+from sero_mj.environment.environment import Environment
+from sero_mj.environment.make import ScenarioSettings, list_environments
+from sero_mj.environment.tasks import Expectations, closeness
 from sero_mj.errors import DeclarationError, SimulationError, UnknownName
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
@@ -415,7 +416,9 @@ def test_a_picture_is_of_the_state_now_however_long_drawing_takes() -> None:
 def test_the_users_scenario_keeps_its_controllers() -> None:
     scenario = read_scenario("impedance_push", LONG)
     before = dict(scenario.controllers)
-    environment = scenario_environment(scenario, ScenarioSettings(control_timestep=0.05))
+    environment = Environment(
+        scenario, "lwr", Expectations(), ScenarioSettings(control_timestep=0.05)
+    )
     play(environment, 2)
     assert scenario.controllers == before
     assert environment.scenario.controllers != before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -136,59 +135,25 @@ def make_environment(name: str, **options: Any) -> Environment:
         UnknownName: no such robot, task or scenario.
         DeclarationError: everything that is wrong with the options, or in a file.
     """
-    robot, slash, task = name.rpartition("/")
     if name.endswith(".toml") or name in list_scenarios():
-        return scenario_environment(name, ScenarioSettings(**_known(options, ScenarioSettings)))
-    if not slash or not robot:
+        chosen = ScenarioSettings(**_known(options, ScenarioSettings))
+        scenario = read_scenario(name, chosen.overrides)
+        agent = next(iter(scenario.scene.robots)) if chosen.robot is None else chosen.robot
+        return Environment(scenario, agent, Expectations(), chosen)
+    model, slash, kind = name.rpartition("/")
+    if not slash or not model:
         raise UnknownName("environment", name, list_environments())
-    if task not in TASKS:
-        raise UnknownName(f"task of {robot}", task, TASKS)
-    kind = TASKS[task]
-    known = _known(options, RobotSettings, kind)
-    own = {key: value for key, value in known.items() if key in kind.model_fields}
+    if kind not in TASKS:
+        raise UnknownName(f"task of {model}", kind, TASKS)
+    known = _known(options, RobotSettings, TASKS[kind])
+    own = {key: value for key, value in known.items() if key in TASKS[kind].model_fields}
     settings = RobotSettings(**{key: value for key, value in known.items() if key not in own})
-    fields = {"show_arrows": True, **settings.robot}
-    return robot_environment(SerialRobot.from_model(robot, **fields), kind(**own), settings)
-
-
-def robot_environment(
-    robot: SerialRobot, task: Task, settings: RobotSettings | None = None
-) -> Environment:
-    """A robot alone with a task.
-
-    Args:
-        robot: its declaration.
-        task: what it is to do.
-        settings: how it is driven; the usual ones when None.
-
-    Raises:
-        DeclarationError: what does not fit the robot.
-    """
-    settings = settings or RobotSettings()
-    scenario = settings.make_scenario(robot, task)
+    robot = SerialRobot.from_model(model, **{"show_arrows": True, **settings.robot})
+    task = TASKS[kind](**own)
     return Environment(
-        scenario, robot.name, task, settings, random_start=settings.start == "random"
-    )
-
-
-def scenario_environment(
-    scenario: Scenario | Path | str, settings: ScenarioSettings | None = None
-) -> Environment:
-    """A scenario in which an agent takes the place of a robot's controller.
-
-    Args:
-        scenario: a file, the name of a shipped one, or a `Scenario`, which is left as it is.
-        settings: how the robot is driven; the usual ones when None.
-
-    Raises:
-        UnknownName: no such scenario or robot.
-        DeclarationError: what is wrong in the file, or does not fit the robot.
-    """
-    settings = settings or ScenarioSettings()
-    if not isinstance(scenario, Scenario):
-        scenario = read_scenario(scenario, settings.overrides)
-    robot = next(iter(scenario.scene.robots)) if settings.robot is None else settings.robot
-    return Environment(scenario, robot, Expectations(), settings)
+        settings.make_scenario(robot, task), robot.name, task, settings,
+        random_start=settings.start == "random",
+    )  # fmt: skip
 
 
 def _known(options: dict[str, Any], *kinds: type[Declaration]) -> dict[str, Any]:
