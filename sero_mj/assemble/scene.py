@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +29,8 @@ MOST_ENTRIES = {
     "sources": 1000,
     "routes": 10000,
 }
+# Sections whose entries have frames or are moved.
+_WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 NOT = "not"
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
 _TOKENS = re.compile(
@@ -220,9 +222,8 @@ class Scene:
             if name not in frames and not self.is_broken(name.partition("/")[0])
         ]
 
-    def is_broken(self, name: str) -> bool:
+    def is_broken(self, name: str, sections: Sequence[str] = _WITH_FRAMES) -> bool:
         """Whether an entry of this name, or its whole section, is invalid."""
-        sections = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
         return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
 
     def _double_problems(self) -> list[Problem]:

@@ -281,8 +281,7 @@ class _RouteChecker:
             return self._event(owner, key)
         if owner in self._owners or owner in self._scene.robots:
             return self._output(owner, key)
-        sections = ("robots", "doubles", "arrows")
-        if {*sections, *(f"{section}.{owner}" for section in sections)} & self._scene.broken:
+        if self._scene.is_broken(owner, ("robots", "doubles", "arrows")):
             return None
         return Problem("", f"no {self._unknown(owner, is_bare=not key)}")
 
