@@ -9,18 +9,19 @@ import re
 import signal
 import threading
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DeclarationError, Problem, UsageError
+from ..errors import DeclarationError, Problem, RecordingError, UsageError
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
     from ..record.recording import Recording
+    from ..runs.run_log import RunLog
 
 # Subparsers have no public type.
 Commands = Any
@@ -88,11 +89,21 @@ def _number(text: str, expected: str, fits: Callable[[float], bool]) -> float:
     return value
 
 
+def check_whole(text: str, expected: str, least: int, most: int = 10**15 - 1) -> int:
+    """A whole number in a range, for argparse; `expected` says which."""
+    if text.isdecimal() and len(text) <= 15 and least <= int(text) <= most:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected {expected}")
+
+
 def port(text: str) -> int:
     """A port from 1 to 65535, for argparse."""
-    if text.isdecimal() and 1 <= int(text) <= 65535:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected a port from 1 to 65535")
+    return check_whole(text, "a port from 1 to 65535", 1, 65535)
+
+
+def seed(text: str) -> int:
+    """A seed of random numbers, for argparse."""
+    return check_whole(text, "a whole number from 0", 0, 2**32 - 1)
 
 
 def size(text: str) -> tuple[int, int]:
@@ -118,8 +129,21 @@ def numbers(text: str, what: str) -> NDArray[np.float64]:
     return values
 
 
+def refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
+    """Raises UsageError where one of these options is given: its name, and why not."""
+    for name in names:
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name}{why}")
+
+
+def check_ending(given: str, path: Path, endings: Collection[str], between: str = " or ") -> None:
+    """Raises UsageError for a file name that ends otherwise; `given` is what is cited."""
+    if path.suffix.lower() not in endings:
+        raise UsageError(f"{given}: expected a name that ends in {between.join(endings)}")
+
+
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
-    """Adds `--camera`, `--look` and `--set`."""
+    """Adds `--camera`, `--look`, `--set`, `--replay` and `--start`."""
     parser.add_argument(
         "--camera",
         metavar="CAM",
@@ -133,6 +157,15 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         dest="settings",
         metavar="ROBOT.FIELD=VALUE",
         help="set a field over the scene's; may be repeated",
+    )
+    parser.add_argument(
+        "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
+    )
+    parser.add_argument(
+        "--start",
+        type=not_negative,
+        metavar="S",
+        help="where in the recording to begin (default: its first packet)",
     )
 
 
@@ -199,11 +232,15 @@ def read_shown_scene(options: argparse.Namespace) -> Scene:
     """The scene that a command with `add_scene_options` names, with what these set.
 
     Raises:
-        SeroError: see `read_scene`.
+        SeroError: see `read_scene` and `replay_instead`.
     """
     scene = read_scene(options.scene, options.settings)
     if options.look is not None:
         scene.view.look = options.look
+    if options.replay is not None:
+        replay_instead(scene, options.replay, options.start)
+    elif options.start is not None:
+        raise UsageError("--start is for recordings; give --replay REC.mcap as well")
     return scene
 
 
@@ -235,6 +272,27 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         scene.routes = routes_from_recording(scene.routes, name, recorded[name])
         if start is not None:
             scene.sources[name]["start"] = start
+
+
+def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
+    """Reads a recording as a run, for a command with `--scene`.
+
+    Args:
+        path: the recording.
+        source: which of its sources; all of them when None.
+        scene: its robots and routes; those in the recording when None.
+
+    Raises:
+        SeroError: see `read_run`.
+    """
+    from ..runs.run_recording import read_run
+
+    try:
+        return read_run(path, source, scene=scene)
+    except RecordingError as error:
+        if scene is None and "give" in error.reason:
+            raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
+        raise
 
 
 def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:

@@ -9,8 +9,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from ..errors import RecordingError, UsageError
-from ._arguments import Commands, add_command, not_negative, read_scene, size
+from ..errors import UsageError
+from ._arguments import (
+    Commands,
+    add_command,
+    check_ending,
+    not_negative,
+    read_recorded_run,
+    read_scene,
+    size,
+)
 
 if TYPE_CHECKING:
     from ..runs.run_log import RunLog
@@ -124,15 +132,12 @@ def _check_names(options: argparse.Namespace) -> None:
     """Refuses unsuitable file names before anything is computed."""
     from ..study.figure import SUFFIXES
 
-    if options.plot is not None and options.plot.suffix.lower() not in SUFFIXES:
-        expected = ", ".join(SUFFIXES)
-        raise UsageError(f"--plot {options.plot}: expected a name that ends in {expected}")
+    if options.plot is not None:
+        check_ending(f"--plot {options.plot}", options.plot, SUFFIXES, ", ")
     if options.render is not None:
         from ..show.headless.film import FILMS
 
-        if options.render.suffix.lower() not in FILMS:
-            expected = ", ".join(FILMS)
-            raise UsageError(f"--render {options.render}: expected a name that ends in {expected}")
+        check_ending(f"--render {options.render}", options.render, FILMS, ", ")
 
 
 def _angle(options: argparse.Namespace) -> float | None:
@@ -141,18 +146,11 @@ def _angle(options: argparse.Namespace) -> float | None:
 
 
 def _read(options: argparse.Namespace) -> list[RunLog]:
-    from ..runs.run_recording import read_run
-
     scene = None if options.scene is None else read_scene(options.scene)
     of_a, _, of_b = (options.source or "").partition(",")
     runs = []
     for path, source in ((options.a, of_a), (options.b, of_b or of_a)):
-        try:
-            runs.append(read_run(path, source or None, scene=scene))
-        except RecordingError as error:
-            if scene is None and "give" in error.reason:
-                raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
-            raise
+        runs.append(read_recorded_run(path, source or None, scene))
     return runs
 
 

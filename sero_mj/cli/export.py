@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, read_scene
+from ._arguments import Commands, add_command, check_ending, read_scene
 
 _EPILOG = """\
 example:
@@ -28,8 +28,7 @@ def run(options: argparse.Namespace) -> int:
     """Writes; returns 0."""
     from ..assemble.world import World
 
-    if options.output.suffix.lower() != ".xml":
-        raise UsageError(f"{options.output}: expected a name that ends in .xml")
+    check_ending(str(options.output), options.output, (".xml",))
     world = World(read_scene(options.scene))
     try:
         written = world.export(options.output)

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import RecordingError, UsageError
-from ._arguments import Commands, add_command, not_negative, positive, read_scene
+from ..errors import UsageError
+from ._arguments import Commands, add_command, not_negative, positive, read_recorded_run, read_scene
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -88,19 +88,13 @@ def run(options: argparse.Namespace) -> int:
 def _read(path: Path, scene: Scene | None, options: argparse.Namespace) -> RunLog:
     """A recording or a table, and of it the time that was asked for."""
     from ..runs.run_csv import read_run_csv
-    from ..runs.run_recording import read_run
 
     if path.suffix.lower() == ".csv":
         if scene is None:
             raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
         log = read_run_csv(path, scene.robots)
     else:
-        try:
-            log = read_run(path, options.source, scene=scene)
-        except RecordingError as error:
-            if scene is None and "give" in error.reason:
-                raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
-            raise
+        log = read_recorded_run(path, options.source, scene)
     if options.begin is None and options.end is None:
         return log
     return log.between(options.begin, options.end)

@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, not_negative, positive, read_scene, until_ended
+from ._arguments import (
+    Commands,
+    add_command,
+    check_ending,
+    not_negative,
+    positive,
+    read_scene,
+    until_ended,
+)
 
 if TYPE_CHECKING:
     from ..record.recorder import Recorder
@@ -54,8 +62,7 @@ def run(options: argparse.Namespace) -> int:
     from ..drive.record_sources import record_sources
     from ..drive.wiring import wire
 
-    if options.output.suffix.lower() != ".mcap":
-        raise UsageError(f"{options.output}: expected a name that ends in .mcap")
+    check_ending(str(options.output), options.output, (".mcap",))
     scene = read_scene(options.scene)
     wiring = wire(scene).check(scene)
     if not any(source.is_live for source in wiring.sources.values()):

@@ -16,7 +16,6 @@ from ._arguments import (
     not_negative,
     positive,
     read_shown_scene,
-    replay_instead,
     size,
 )
 
@@ -74,15 +73,6 @@ def add_to(commands: Commands) -> None:
         "double, hover or touch (as with a finger); may be repeated",
     )
     parser.add_argument(
-        "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
-    )
-    parser.add_argument(
-        "--start",
-        type=not_negative,
-        metavar="S",
-        help="where in the recording to begin (default: its first packet)",
-    )
-    parser.add_argument(
         "--wait",
         type=not_negative,
         default=2.0,
@@ -116,10 +106,6 @@ def run(options: argparse.Namespace) -> int:
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
     scene = read_shown_scene(options)
-    if options.replay is not None:
-        replay_instead(scene, options.replay, options.start)
-    elif options.start is not None:
-        raise UsageError("--start is for recordings; give --replay REC.mcap as well")
     if is_film:
         silent = film_with_progress(
             scene,

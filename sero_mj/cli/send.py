@@ -1,17 +1,22 @@
-"""`sero-mj send`: plays a motion as a robot would."""
+"""`sero-mj send`: plays a motion, a recording, a table, a scenario or an LWR's controller."""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import UsageError
-from . import _send_fri, _send_play
-from ._arguments import Commands, add_command, not_negative, port, positive, read_scene
-from ._sink import make_sink
+from ..paths import list_scenarios
+from ._arguments import Commands, add_command, not_negative, positive, read_scene, refuse
+from ._sending import Sender, add_sink_options, goes_to_shm, make_sink
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
+    from ..receive.fri import FriReceiver
+    from ..receive.source import Source
+    from ..receive.structure import Structure
+    from ..send.playback import Playback
 
 _EPILOG = """\
 examples:
@@ -25,16 +30,16 @@ examples:
   sero-mj send lwr_udp --play TABLE.csv --rate 500
 
 Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
-robot's name the packet is its joint angles and its torques. Above 1 kHz values
-go along straight lines between packets of 1 kHz. Ctrl-C stops.
+robot's name the packet is its joint angles and its torques, to port 32000. Above 1 kHz values go
+along straight lines between packets of 1 kHz. Ctrl-C stops.
 
 A recording is sent bit for bit, at the times at which it came, where the scene's structure is the
 recorded one; else its events are packed anew, by their names. The columns of a table are called
 like the numbers of the packet (`values0[0]`, as export-csv has them), or are all of them in order.
 """
 
-
 FASTEST = 1e5  # packets/s; a Python loop does not send faster
+_FRI_CYCLE = 0.005  # s; as in many a laboratory, and no burden for one core
 
 
 def add_to(commands: Commands) -> None:
@@ -47,29 +52,50 @@ def add_to(commands: Commands) -> None:
         _EPILOG,
     )
     parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
-    parser.add_argument("--source", metavar="NAME", help="which source of the scene to feed")
-    parser.add_argument("--structure", metavar="S", help="packet layout instead of the scene's")
+    add_sink_options(parser)
     parser.add_argument(
         "--rate", type=positive, metavar="HZ", help="packets/s (default 1000; FRI: 200)"
     )
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="seconds to send (default: until Ctrl-C)"
     )
-    parser.add_argument("--host", help="where to (default 127.0.0.1)")
-    parser.add_argument("--port", type=port, help="UDP port (default: the scene's, or 32000)")
-    parser.add_argument(
-        "--shm", metavar="NAME", help="write to this shared memory (default: the scene's)"
-    )
     parser.add_argument(
         "--amplitude", type=not_negative, metavar="A", help="0 still to 1 (default)"
     )
-    _send_play.add_options(parser)
-    _send_fri.add_options(parser)
+    group = parser.add_argument_group("for a recording or a table")
+    group.add_argument(
+        "--play",
+        type=Path,
+        metavar="FILE",
+        help="REC.mcap, TABLE.csv or a scenario, instead of a motion",
+    )
+    group.add_argument("--speed", type=positive, metavar="X", help="2 is twice as fast")
+    group.add_argument("--loop", action="store_true", default=None, help="again and again")
+    group.add_argument(
+        "--recorded",
+        metavar="NAME",
+        help="which source of the recording (default: the one of the same name, or the only one)",
+    )
+    group = parser.add_argument_group('for a source of kind = "fri"')
+    group.add_argument(
+        "--cycle", type=positive, metavar="MS", help="1 to 100 ms between packets (default 5)"
+    )
+    group.add_argument("--loss", type=not_negative, metavar="P", help="share of lost packets")
+    group.add_argument(
+        "--quality",
+        metavar="NAME",
+        help="unacceptable, bad, ok, perfect or invalid, whatever is answered (default: by the "
+        "answers, or ok where the scene gives none)",
+    )
+    group.add_argument("--seed", type=int, metavar="N", help="of what is lost (default 0)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
+    from ..drive.wiring import wire
+    from ..receive.fri import FriReceiver
     from ..receive.structure import Structure
+    from ..send.play import choose_source
 
     if (options.rate or 0.0) > FASTEST:
         raise UsageError(f"--rate {options.rate:g}: expected at most {FASTEST:g} packets/s")
@@ -80,13 +106,17 @@ def run(options: argparse.Namespace) -> int:
     scene = read_scene(options.scene)
     if not scene.sources and len(scene.robots) == 1:
         _declare_source(scene, options)
-    if options.play is not None:
-        return _send_play.send_file(options, scene, make_sink)
-    _send_play.refuse_options(options)
-    controller = _send_fri.source_of(scene, options.source)
-    if controller is not None:
-        return _send_fri.send(options, scene, controller)
-    _send_fri.refuse_options(options)
+    file: Path | None = options.play
+    if file is not None and (file.suffix.lower() == ".toml" or str(file) in list_scenarios()):
+        return _send_simulation(options)
+    source = choose_source(wire(scene).check(scene), options.source)
+    if file is not None:
+        return _send_file(options, source)
+    refuse(options, ("speed", "loop", "recorded"), " is for --play FILE")
+    if isinstance(source, FriReceiver):
+        return _send_fri(options, scene, source)
+    why = ' is for a scene whose source is of kind = "fri"'
+    refuse(options, ("cycle", "loss", "quality", "seed"), why)
     return _send_motion(options, scene)
 
 
@@ -129,3 +159,131 @@ def _declare_source(scene: Scene, options: argparse.Namespace) -> None:
     scene.routes[f"{robot.name}.joint_angles"] = "robot.values0"
     if len(structure.upper().split("F")) > 2:
         scene.routes[f"{robot.name}.torques"] = "robot.values1"
+
+
+def _send_file(options: argparse.Namespace, source: Source) -> int:
+    """Sends what is in a recording or a table; returns 0."""
+    from ..send.play import structure_for
+    from ..send.playback import timed
+    from ..send.sender import send
+
+    if options.amplitude is not None:
+        raise UsageError("--amplitude is for a motion; it does nothing with --play")
+    structure = structure_for(source, options.structure)
+    playback = _open_file(options, source, structure, goes_to_shm(options, source))
+    printed = _print_notes(playback.notes)
+    with make_sink(options, source, structure) as to:
+        print(
+            f"sending {playback.about}: {playback.count} packets, {playback.duration:.2f} s, "
+            f"to {to.place}; Ctrl-C stops",
+            flush=True,
+        )
+        packets = timed(
+            playback,
+            speed=options.speed or 1.0,
+            loop=bool(options.loop),
+            duration=options.duration,
+        )
+        report = send(packets, to)
+    print(report)
+    _print_notes(playback.notes[printed:])
+    if playback.skipped:
+        print(f"{playback.skipped} could not be sent in '{structure.text}'")
+    return 0
+
+
+def _print_notes(notes: list[str]) -> int:
+    for note in notes:
+        print(f"note: {note}", flush=True)
+    return len(notes)
+
+
+def _open_file(
+    options: argparse.Namespace, source: Source, structure: Structure, to_shm: bool
+) -> Playback:
+    from ..record.recording import Recording
+    from ..send.playback import RecordedPackets, TablePackets
+
+    file: Path = options.play
+    if file.suffix.lower() == ".csv":
+        if options.recorded is not None:
+            raise UsageError(f"--recorded is for recordings; {file} is a table")
+        return TablePackets(file, structure, options.rate)
+    if options.rate is not None:
+        raise UsageError("--rate: a recording has its own times; --speed changes them")
+    name = options.recorded or ""
+    if not name:
+        with Recording(file) as recording:
+            name = source.name if source.name in recording.sources else ""
+    return RecordedPackets(file, name, structure, only_whole=to_shm)
+
+
+def _send_simulation(options: argparse.Namespace) -> int:
+    """Simulates a scenario and sends it while it runs; returns 0."""
+    from ..simulate.scenario_file import read_scenario
+    from ..simulate.simulation import Simulation
+
+    why = ": a scenario is sent as it is simulated, in real time"
+    refuse(options, ("amplitude", "rate", "speed", "loop", "recorded"), why)
+    over = {} if options.duration is None else {"run.duration": options.duration}
+    options.send = options.scene
+    with Sender(Simulation(read_scenario(options.play, over)), options) as sender:
+        for _ in sender.run():
+            pass
+    return 0
+
+
+def _send_fri(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
+    """Sends as the controller of the robot that the source moves; returns 0."""
+    from ..send.fri_controller import FriController, NetworkFaults
+    from ..send.sender import UdpSink
+
+    if options.shm is not None:
+        raise UsageError("--shm: FRI is a protocol of UDP; leave it out")
+    if options.structure is not None:
+        raise UsageError("--structure: FRI fixes it; leave it out")
+    if options.cycle is not None and options.rate is not None:
+        raise UsageError("--cycle and --rate say the same; give one")
+    if (options.loss or 0.0) > 1.0:
+        raise UsageError(f"--loss {options.loss:g}: expected a share from 0 to 1")
+    if (options.seed or 0) < 0:
+        raise UsageError(f"--seed {options.seed}: expected 0 or a number above")
+    cycle = _FRI_CYCLE if options.rate is None else 1.0 / options.rate
+    controller = FriController(
+        scene.robots[_robot_of(scene, source.name)],
+        cycle=cycle if options.cycle is None else options.cycle / 1e3,
+        quality=options.quality or (None if source.answer else "ok"),
+        amplitude=1.0 if options.amplitude is None else options.amplitude,
+        faults=NetworkFaults(loss=options.loss or 0.0, seed=options.seed or 0),
+    )
+    to_port = options.port or source.udpport
+    if not to_port:
+        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
+    with UdpSink(options.host or "127.0.0.1", to_port) as sink:
+        print(
+            f"sending FRI 1.0 measurements (916 bytes) to {sink.place} "
+            f"every {controller.cycle * 1e3:g} ms; Ctrl-C stops",
+            flush=True,
+        )
+        report = controller.run(sink, options.duration)
+    print(
+        f"made {report.packets} packets in {report.seconds:.2f} s ({report.rate:.1f} Hz), "
+        f"lost {controller.faults.withheld} on purpose, got {controller.answers} answers, "
+        f"late by {report.jitter_p50 * 1e6:.0f} us (median), {report.jitter_p99 * 1e6:.0f} us (p99)"
+        + (f", {report.refused} refused by the system" if report.refused else "")
+    )
+    return 0
+
+
+def _robot_of(scene: Scene, source: str) -> str:
+    """The robot that a source moves, or has something to say of."""
+    fed = {
+        target.partition(".")[::2]: origin
+        for target, origin in scene.routes.items()
+        if f"{source}." in str(origin)
+    }
+    names = [name for name, _ in sorted(fed, key=lambda key: key[1] != "joint_angles")]
+    found = [name for name in names if name in scene.robots]
+    if not found:
+        raise UsageError(f"no route leads from '{source}' to a robot: there is nothing to send")
+    return found[0]

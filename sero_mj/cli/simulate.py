@@ -10,8 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SimulationError, UsageError
-from . import _simulate_send
-from ._arguments import Commands, add_command, not_negative, overrides, positive, size
+from ._arguments import (
+    Commands,
+    add_command,
+    check_ending,
+    not_negative,
+    overrides,
+    positive,
+    seed,
+    size,
+)
+from ._sending import Sender, add_sink_options, in_real_time
 from .render import check_picture_or_film, film_with_progress
 
 if TYPE_CHECKING:
@@ -59,22 +68,20 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--camera", metavar="CAM", help="name of a camera, or azimuth,elevation,distance"
     )
-    parser.add_argument("--seed", type=_whole, metavar="N", help="of the noise, over the file's")
+    parser.add_argument("--seed", type=seed, metavar="N", help="of the noise, over the file's")
     parser.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
         help="set anything over the file's: controllers.lwr.stiffness=200; may be repeated",
     )  # fmt: skip
     parser.add_argument("--real-time", action="store_true", help="no faster than a real robot")
-    _simulate_send.add_options(parser)
+    group = parser.add_argument_group("to send it in real time, as a robot would")
+    group.add_argument(
+        "--send", metavar="SCENE", help="what that scene's source expects: its structure and routes"
+    )
+    add_sink_options(group)
     parser.add_argument("--overwrite", action="store_true", help="record over a file that exists")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress bar, no table")
-
-
-def _whole(text: str) -> int:
-    if text.isdecimal() and int(text) < 2**32:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected a whole number from 0")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -124,12 +131,8 @@ def _check_options(options: argparse.Namespace) -> None:
         path: Path | None = getattr(options, key)
         if path is None:
             continue
-        if path.suffix.lower() not in expected:
-            raise UsageError(
-                f"--{key} {path}: expected a name that ends in {' or '.join(expected)}"
-            )
-        if not path.parent.is_dir():
-            path.parent.mkdir(parents=True, exist_ok=True)
+        check_ending(f"--{key} {path}", path, expected)
+        path.parent.mkdir(parents=True, exist_ok=True)
     is_picture = False
     if options.render is not None:
         is_picture = not check_picture_or_film("--render", options.render)
@@ -168,10 +171,10 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
         )
         task = progress.add_task("", total=simulation.steps)
         if options.send is not None:
-            sender = stack.enter_context(_simulate_send.Sender(simulation, options))
+            sender = stack.enter_context(Sender(simulation, options))
             batches = sender.run()
         elif options.real_time:
-            batches = _simulate_send.in_real_time(simulation)
+            batches = in_real_time(simulation)
         else:
             batches = simulation.run()
         try:

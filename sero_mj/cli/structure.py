@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from importlib import resources
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..errors import StructureError, UsageError
-from ._arguments import Commands, add_command, port, positive, read_scene
-from ._layout_table import as_json, make_console, print_layout
+from ._arguments import Commands, add_command, check_whole, port, positive, read_scene, refuse
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+    from ..receive.language import Item
+    from ..receive.sniffer import Guess, Sniffer, Stream
     from ..receive.structure import Structure
 
+_REFRESH = 0.25  # s between two pictures of a terminal
+_TELL_EVERY = 2.0  # s between two lines about a stream where there is no terminal
+_FIRST_NUMBERS = 4  # of an event
 _EPILOG = """\
 examples:
   sero-mj structure 7F7F                        offsets, types, events, size
@@ -59,12 +71,6 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
-def _count(text: str) -> int:
-    if text.isdecimal() and 1 <= len(text) <= 15 and int(text):
-        return int(text)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected a whole number above 0")
-
-
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
     _check_options(options)
@@ -72,23 +78,23 @@ def run(options: argparse.Namespace) -> int:
         return _print_scene(options)
     layout = None if options.structure is None else _read(options)
     if options.sniff:
-        from ._sniff import sniff
-
-        return sniff(options, layout)
+        return _sniff(options, layout)
     if layout is None:
         _print_page()
     elif options.json:
-        print(json.dumps(as_json(layout), indent=2))
+        print(json.dumps(_layout_as_json(layout), indent=2))
     else:
-        print_layout(layout)
+        _print_layout(layout)
     return 0
+
+
+def _count(text: str) -> int:
+    return check_whole(text, "a whole number above 0", 1)
 
 
 def _check_options(options: argparse.Namespace) -> None:
     if not options.sniff:
-        for name in ("host", "interface", "duration", "count"):
-            if getattr(options, name) is not None:
-                raise UsageError(f"--{name} is for --sniff PORT")
+        refuse(options, ("host", "interface", "duration", "count"), " is for --sniff PORT")
     elif options.scene:
         raise UsageError("--scene: a scene's layout cannot be sniffed with; give its structure")
     if options.scene and options.structure is not None:
@@ -121,10 +127,14 @@ def _print_scene(options: argparse.Namespace) -> int:
     scene = read_scene(options.scene)
     layouts = {name: source.layout for name, source in wire(scene).sources.items()}
     if options.json:
-        print(json.dumps({name: as_json(layout) for name, layout in layouts.items()}, indent=2))
+        print(
+            json.dumps(
+                {name: _layout_as_json(layout) for name, layout in layouts.items()}, indent=2
+            )
+        )
         return 0
     for name, layout in layouts.items():
-        print_layout(layout, f"source {name}: ")
+        _print_layout(layout, f"source {name}: ")
     if not layouts:
         print(f"{scene.name} has no sources that receive packets")
     return 0
@@ -137,4 +147,269 @@ def _print_page() -> None:
         return
     from rich.markdown import Markdown
 
-    make_console().print(Markdown(page))
+    _make_console().print(Markdown(page))
+
+
+def _make_console() -> Console:
+    """Prints to a terminal in its width, and to files and pipes without a limit."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else 250, highlight=False, markup=False)
+
+
+def _print_layout(layout: Structure, title: str = "") -> None:
+    """Prints a table of what stands where."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    table.add_column("offset", justify="right")
+    table.add_column("bytes", justify="right")
+    heads = ["type", "event", "shape"]
+    if any(item.constant is not None for item in layout.fields):
+        heads.append("must be")
+    for head in heads:
+        table.add_column(head)
+    end = 0
+    for item in layout.fields:
+        if item.offset > end:
+            table.add_row(str(end), str(item.offset - end), "hole", style="dim")
+        style = "dim" if item.kind == "x" else "" if item.name else "yellow"
+        place = (str(item.offset), str(item.end - item.offset))
+        cells = (_type_in_words(item), item.name, _shape(item, layout), _must_be(item))
+        table.add_row(*place, *cells[: len(heads)], style=style)
+        end = item.end
+    notes = [f"{layout.size} bytes"]
+    if layout.alignment > 1:
+        notes.append(f"alignment {layout.alignment}")
+    if layout.scale != 1.0:
+        notes.append(f"floating-point numbers times {layout.scale:g}")
+    console = _make_console()
+    with console.capture() as captured:
+        console.print(f"{title}{layout.text}: {', '.join(notes)}", style="bold")
+        console.print(table)
+    for line in captured.get().splitlines():
+        print(line.rstrip())
+
+
+def _type_in_words(item: Item) -> str:
+    """For example `7 float64, little-endian`."""
+    if item.kind == "x":
+        return "skipped"
+    kind = {"f": "float", "i": "int", "u": "uint"}[item.type[-2]]
+    name = "bool" if item.is_bool else f"{kind}{8 * item.item_bytes}"
+    order = {"<": ", little-endian", ">": ", big-endian"}.get(item.type[0], "")
+    return f"{item.numbers} {name}{order}"
+
+
+def _shape(item: Item, layout: Structure) -> str:
+    if not item.name:
+        return ""
+    shape = " x ".join(map(str, item.shape))
+    if len(item.shape) < 3:
+        return shape
+    order = "column by column" if layout.column_major else "row by row"
+    return f"{shape}, {order}{', 3 rows sent' if item.kind == 'T' else ''}"
+
+
+def _must_be(item: Item) -> str:
+    """The constant that is demanded, as ids are written as well."""
+    if item.constant is None:
+        return ""
+    if item.is_size:
+        return f"{item.constant}, the size"
+    if isinstance(item.constant, int) and item.constant > 9:
+        return f"{item.constant} = 0x{item.constant:x}"
+    return f"{item.constant:g}"
+
+
+def _layout_as_json(layout: Structure) -> dict[str, Any]:
+    """The layout as plain lists and numbers."""
+    return {
+        "structure": layout.text,
+        "size": layout.size,
+        "alignment": layout.alignment,
+        "column_major": layout.column_major,
+        "scale": layout.scale,
+        "fields": [
+            {
+                "offset": item.offset,
+                "bytes": item.end - item.offset,
+                "type": "skipped" if item.kind == "x" else "?" if item.is_bool else item.type,
+                "numbers": item.numbers,
+                "event": item.name or None,
+                "shape": list(item.shape) if item.name else None,
+                "constant": item.constant,
+            }
+            for item in layout.fields
+        ],
+    }
+
+
+def _sniff(options: argparse.Namespace, layout: Structure | None) -> int:
+    """Listens until the time is over, the packets have come, or Ctrl-C; returns 0."""
+    from ..receive.sniffer import Sniffer
+
+    host, interface = options.host or "127.0.0.1", options.interface or ""
+    with Sniffer(host, options.sniff, interface) as sniffer:
+        place = f"UDP {host}:{sniffer.port}"
+        begin = time.monotonic()
+        with (
+            contextlib.suppress(KeyboardInterrupt),
+            _shown(options, sniffer, layout, place) as show,
+        ):
+            _listen(sniffer, options, show)
+        seconds = time.monotonic() - begin
+        if options.json:
+            print(json.dumps(_sniffed_as_json(sniffer, layout, seconds), indent=2))
+        else:
+            _make_console().print(_picture(sniffer, layout, _summary(place, sniffer, seconds)))
+    return 0
+
+
+def _listen(sniffer: Sniffer, options: argparse.Namespace, show: Callable[[], None]) -> None:
+    end = np.inf if options.duration is None else time.monotonic() + options.duration
+    most = options.count or 10**15
+    shown = -np.inf
+    while (now := time.monotonic()) < end and sniffer.received < most:
+        sniffer.receive(min(_REFRESH, end - now), most - sniffer.received)
+        if time.monotonic() - shown >= _REFRESH:
+            shown = time.monotonic()
+            show()
+    show()
+
+
+@contextlib.contextmanager
+def _shown(
+    options: argparse.Namespace, sniffer: Sniffer, layout: Structure | None, place: str
+) -> Iterator[Callable[[], None]]:
+    """A function that shows the current state."""
+    if options.json:
+        yield lambda: None
+    elif not sys.stdout.isatty():
+        print(f"listening on {place}; Ctrl-C ends", flush=True)
+        yield _Lines(sniffer, layout).tell
+    else:
+        from rich.live import Live
+
+        title = f"listening on {place}; Ctrl-C ends"
+        with Live(console=_make_console(), auto_refresh=False, transient=True) as live:
+            yield lambda: live.update(_picture(sniffer, layout, title), refresh=True)
+
+
+class _Lines:
+    """Tells of every stream when it begins, and every two seconds."""
+
+    def __init__(self, sniffer: Sniffer, layout: Structure | None) -> None:
+        self._sniffer, self._layout = sniffer, layout
+        self._told: dict[tuple[bytes, int], tuple[float, int]] = {}
+
+    def tell(self) -> None:
+        now = time.monotonic()
+        for key, stream in self._sniffer.streams.items():
+            when, count = self._told.get(key, (-np.inf, 0))
+            if stream.count > count and now - when >= _TELL_EVERY:
+                self._told[key] = now, stream.count
+                words = _values(stream, self._layout)
+                print(f"{_head(stream)}{f': {words}' if words else ''}", flush=True)
+
+
+def _summary(place: str, sniffer: Sniffer, seconds: float) -> str:
+    count = len(sniffer.streams)
+    if not count:
+        return f"nothing came to {place} within {seconds:.1f} s"
+    return (
+        f"{sniffer.received} packets in {seconds:.1f} s on {place}, of {count} "
+        f"sender{'s and sizes' if count > 1 else ''}"
+        + (f"; {sniffer.untold} packets of further ones" if sniffer.untold else "")
+    )
+
+
+def _head(stream: Stream) -> str:
+    host, port = stream.sender
+    rate = f", {stream.timing.rate:.5g}/s" if stream.timing.rate else ""
+    return f"{host}:{port} sends {stream.size} bytes, {stream.count} times{rate}"
+
+
+def _picture(sniffer: Sniffer, layout: Structure | None, title: str) -> RenderableType:
+    """All streams, for a terminal or a file."""
+    from rich.console import Group
+    from rich.text import Text
+
+    lines = [Text(title, style="bold")]
+    for stream in sniffer.streams.values():
+        lines.append(Text(_head(stream)))
+        if words := stream.description:
+            lines.append(Text(f"    {words}", style="yellow"))
+        if words := _values(stream, layout):
+            lines.append(Text(f"    {words}", style="green" if _fits(stream, layout) else "red"))
+        if not _fits(stream, layout):
+            lines += [Text(f"    {line}") for line in _guess_lines(stream)]
+    return Group(*lines)
+
+
+def _fits(stream: Stream, layout: Structure | None) -> bool:
+    return (
+        layout is not None
+        and stream.size == layout.size
+        and not layout.find_wrong_constants(stream.rows[-1:])[0]
+    )
+
+
+def _values(stream: Stream, layout: Structure | None) -> str:
+    """The last packet by the structure that was given, or why it does not fit."""
+    if layout is None:
+        return ""
+    if stream.size != layout.size:
+        return f"{stream.size} bytes; '{layout.text}' has {layout.size}"
+    if wrong := layout.describe_wrong_constant(stream.rows[-1:]):
+        return wrong
+    values = layout.decode(stream.last[-1])
+    return "  ".join(f"{event} {_first(array)}" for event, array in values.items())
+
+
+def _first(array: Any) -> str:
+    numbers = [f"{number:.4g}" for number in array.ravel()[:_FIRST_NUMBERS]]
+    return " ".join(numbers) + (" ..." if array.size > _FIRST_NUMBERS else "")
+
+
+def _guess_lines(stream: Stream) -> list[str]:
+    if not stream.is_binary:
+        return []  # its description says what it is
+    guesses = stream.guesses()
+    if not guesses:
+        return ["would fit nothing that is made of numbers of 4 or 8 bytes"]
+    width = min(max(len(guess.structure) for guess in guesses), 40)
+    return [
+        f"{'would fit ' if i == 0 else '':10}{guess.structure:{width}}  {_about(guess)}"
+        for i, guess in enumerate(guesses)
+    ]
+
+
+def _about(guess: Guess) -> str:
+    likely = f"{guess.plausible:.0%} plausible"
+    options = "" if guess.is_double else ", double = false"
+    options += "" if guess.column_major else ", column_major = false"
+    return f"{guess.about}; {likely}{options}"
+
+
+def _sniffed_as_json(sniffer: Sniffer, layout: Structure | None, seconds: float) -> dict[str, Any]:
+    streams = []
+    for stream in sniffer.streams.values():
+        found: dict[str, Any] = {
+            "sender": "{}:{}".format(*stream.sender),
+            "size": stream.size,
+            "packets": stream.count,
+            "rate": stream.timing.rate,
+            "jitter": stream.timing.jitter,
+            "guesses": [asdict(guess) for guess in stream.guesses()],
+        }
+        if layout is not None and _fits(stream, layout):
+            values = layout.decode(stream.last[-1])
+            found["values"] = {}
+            for event, array in values.items():
+                numbers = array.astype(object)
+                numbers[~np.isfinite(array)] = None  # JSON has no NaN and no infinity
+                found["values"][event] = numbers.tolist()
+        streams.append(found)
+    return {"seconds": seconds, "packets": sniffer.received, "streams": streams}

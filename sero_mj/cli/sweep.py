@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, overrides
+from ._arguments import Commands, add_command, check_ending, check_whole, overrides, seed
 
 if TYPE_CHECKING:
     from ..study.sweep import Sweep
@@ -51,7 +51,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--jobs", type=_count, metavar="J", help="how many at once (default: one per core)"
     )
-    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="of the samples")
+    parser.add_argument("--seed", type=seed, default=0, metavar="S", help="of the samples")
     parser.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
         help="set anything in all variants: run.duration=2; may be repeated",
@@ -65,15 +65,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _count(text: str) -> int:
-    if text.isdecimal() and 1 <= int(text) <= 200_000:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected a whole number from 1 to 200000")
-
-
-def _seed(text: str) -> int:
-    if text.isdecimal() and int(text) < 2**32:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected a whole number from 0")
+    return check_whole(text, "a whole number from 1 to 200000", 1, 200_000)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -119,9 +111,8 @@ def run(options: argparse.Namespace) -> int:
 def _check_options(options: argparse.Namespace) -> None:
     for key, endings in (("out", (".csv",)), ("plot", (".png", ".pdf", ".svg"))):
         path: Path | None = getattr(options, key)
-        if path is not None and path.suffix.lower() not in endings:
-            expected = " or ".join(endings)
-            raise UsageError(f"--{key} {path}: expected a name that ends in {expected}")
+        if path is not None:
+            check_ending(f"--{key} {path}", path, endings)
     if options.resume and options.out is None:
         raise UsageError("--resume: expected the file to go on with, -o OUT.csv")
     if options.resume and options.overwrite:

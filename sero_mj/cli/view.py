@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from pathlib import Path
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
@@ -13,10 +12,8 @@ from ._arguments import (
     Commands,
     add_command,
     add_scene_options,
-    not_negative,
     port,
     read_shown_scene,
-    replay_instead,
     size,
     until_ended,
 )
@@ -63,12 +60,6 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
     add_scene_options(parser)
-    parser.add_argument(
-        "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
-    )
-    parser.add_argument(
-        "--start", type=not_negative, metavar="S", help="where in the recording to begin"
-    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -80,10 +71,6 @@ def run(options: argparse.Namespace) -> int:
     scene = read_shown_scene(options)
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
-    if options.replay is not None:
-        replay_instead(scene, options.replay, options.start)
-    elif options.start is not None:
-        raise UsageError("--start is for recordings; give --replay REC.mcap as well")
     with until_ended():  # as good as closing it
         _serve(scene, options) if on_page else _open_window(scene, options)
     return 0

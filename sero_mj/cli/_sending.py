@@ -1,4 +1,4 @@
-"""`sero-mj simulate --send SCENE`: one process simulates, and another one mirrors it."""
+"""Where `sero-mj send` and `simulate --send` put packets, and a simulation as packets."""
 
 from __future__ import annotations
 
@@ -7,26 +7,68 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Self
 
-from ..errors import SimulationError
+from ..errors import SimulationError, UsageError
 from ._arguments import port, read_scene
 
 if TYPE_CHECKING:
+    from ..receive.source import Source
+    from ..receive.structure import Structure
+    from ..send.sender import ShmWriter, UdpSink
     from ..simulate.simulation import Simulation
 
 _EVERY = 0.05  # s between two looks at the clock, where nobody waits for packets
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Adds where to send to."""
-    group = parser.add_argument_group("to send it in real time, as a robot would")
-    group.add_argument(
-        "--send", metavar="SCENE", help="what that scene's source expects: its structure and routes"
+def add_sink_options(parser: Any) -> None:
+    """Adds which source to feed, and where to send to."""
+    parser.add_argument("--source", metavar="NAME", help="which source of that scene to feed")
+    parser.add_argument("--structure", metavar="S", help="packet layout instead of that scene's")
+    parser.add_argument("--host", help="where to (default 127.0.0.1)")
+    parser.add_argument("--port", type=port, help="UDP port (default: that scene's)")
+    parser.add_argument(
+        "--shm", metavar="NAME", help="write to this shared memory (default: that scene's)"
     )
-    group.add_argument("--source", metavar="NAME", help="which source of that scene to feed")
-    group.add_argument("--structure", metavar="S", help="packet layout instead of that scene's")
-    group.add_argument("--host", help="where to (default 127.0.0.1)")
-    group.add_argument("--port", type=port, help="UDP port (default: that scene's)")
-    group.add_argument("--shm", metavar="NAME", help="write to this shared memory instead")
+
+
+def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
+    """Whether packets go to shared memory: by `--shm`, or for a source that reads it."""
+    from ..receive.shm import ShmReader
+
+    return options.shm is not None or (isinstance(source, ShmReader) and options.port is None)
+
+
+def make_sink(
+    options: argparse.Namespace, source: Source, structure: Structure
+) -> UdpSink | ShmWriter:
+    """Where the packets go: what the command line says, else where the source receives.
+
+    Args:
+        options: `host`, `port` and `shm`.
+        source: that receives the packets.
+        structure: of the packets.
+
+    Raises:
+        UsageError: neither says where.
+        SourceError: the address cannot be resolved, or the memory not be written.
+    """
+    from ..receive.shm import ShmReader
+    from ..receive.udp import UdpReceiver
+    from ..send.sender import ShmWriter, UdpSink
+
+    if goes_to_shm(options, source):
+        if not isinstance(source, ShmReader):
+            return ShmWriter(options.shm, structure)
+        if options.host is not None:
+            raise UsageError(f"source '{source.name}' is {source.about}; --host needs --port")
+        lock = source.lock if source.lock in structure.events else ""
+        return ShmWriter(options.shm or source.block, structure, lock, source.offset)
+    port = options.port or (source.udpport if isinstance(source, UdpReceiver) else 0)
+    if not port and not source.is_live:
+        reason = "is a recording, to which nothing can be sent; give --port, and --host"
+        raise UsageError(f"source '{source.name}' of the scene {reason}")
+    if not port:
+        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
+    return UdpSink(options.host or "127.0.0.1", port)
 
 
 def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
@@ -58,7 +100,6 @@ class Sender:
     def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
         from ..send.play import MotionPackets
         from ..simulate.log_output import LogSignals
-        from ._sink import make_sink
 
         scene = read_scene(options.send)
         players = {name: LogSignals(simulation, name) for name in simulation.scenario.scene.robots}
