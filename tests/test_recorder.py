@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 from polling import until
 
 from sero_mj.errors import RecordingError, UnknownName
+from sero_mj.receive.intake import pad_packets
 from sero_mj.receive.structure import Structure
 from sero_mj.record.recorder import Recorder
 from sero_mj.record.recording import Recording
@@ -42,6 +43,10 @@ def begin(path: Path, *names: str, decode: Any = LAYOUT.decode, **more: Any) -> 
             decode=decode,
         )
     return recorder
+
+
+def give(recorder: Recorder, name: str, packets: list[bytes], arrivals: list[float]) -> bool:
+    return recorder.take(name, *pad_packets(packets, LAYOUT.size), np.array(arrivals))
 
 
 def packets_in(path: Path, name: str = "arm") -> list[bytes]:
@@ -78,7 +83,7 @@ def test_packets_of_several_threads_are_all_there_in_their_order(tmp_path: Path)
     def send(name: str) -> None:
         for i in range(0, 500, 5):
             now = time.monotonic()
-            assert recorder.take(name, [packet(i + k) for k in range(5)], [now] * 5)
+            assert give(recorder, name, [packet(i + k) for k in range(5)], [now] * 5)
 
     with begin(path, *names) as recorder:
         recorder.attach("scene.toml", "application/toml", b"x")
@@ -101,10 +106,11 @@ def test_rows_are_copied_and_as_long_as_they_say(tmp_path: Path) -> None:
     rows = np.arange(40, dtype=np.uint8).reshape(4, 10)
     lengths = np.array([10, 3, 0, 99])
     with begin(tmp_path / "a.mcap") as recorder:
-        recorder.take("arm", rows[:4], np.full(4, time.monotonic()), lengths)
+        now = np.full(4, time.monotonic())
+        recorder.take("arm", rows, lengths, now)
         rows[:] = 255
-        recorder.take("arm", rows[:1], [time.monotonic()])
-        recorder.take("arm", rows[:0], [])
+        recorder.take("arm", rows[:1], lengths[:1], now[:1])
+        recorder.take("arm", rows[:0], lengths[:0], now[:0])
     assert packets_in(tmp_path / "a.mcap") == [
         bytes(range(10)),
         bytes([10, 11, 12]),
@@ -117,7 +123,7 @@ def test_rows_are_copied_and_as_long_as_they_say(tmp_path: Path) -> None:
 def test_what_packets_mean_is_there_for_the_good_ones(tmp_path: Path) -> None:
     now = time.monotonic()
     with begin(tmp_path / "a.mcap") as recorder:
-        recorder.take("arm", [packet(3), b"short", packet(6)], [now, now, now])
+        give(recorder, "arm", [packet(3), b"short", packet(6)], [now, now, now])
     assert list(signals_in(tmp_path / "a.mcap")) == [
         (0, {"values0": [3.0, 1.0], "vectors0": [{"x": 3.0, "y": None, "z": -3.0}]}),
         (2, {"values0": [6.0, 2.0], "vectors0": [{"x": 6.0, "y": None, "z": -6.0}]}),
@@ -133,7 +139,7 @@ def test_signals_are_thinned_to_their_rate_and_packets_are_not(
     now = time.monotonic()
     with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
         for i in range(0, 2000, batch):  # two seconds at 1 kHz, which come in batches
-            recorder.take("arm", [packet(i)] * batch, [now + i / 1000] * batch)
+            give(recorder, "arm", [packet(i)] * batch, [now + i / 1000] * batch)
     statistics = recorder.statistics
     assert statistics.packets == 2000
     assert 0.9 * 2.0 * rate <= statistics.signals <= 2.1 * rate + 1
@@ -142,7 +148,7 @@ def test_signals_are_thinned_to_their_rate_and_packets_are_not(
 @pytest.mark.parametrize(("rate", "expected"), [(0.0, 0), (math.inf, 200)])
 def test_no_signals_or_all_of_them(tmp_path: Path, rate: float, expected: int) -> None:
     with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
-        recorder.take("arm", [packet(0)] * 200, [time.monotonic()] * 200)
+        give(recorder, "arm", [packet(0)] * 200, [time.monotonic()] * 200)
     assert recorder.statistics.signals == expected
 
 
@@ -152,9 +158,11 @@ def test_a_full_queue_counts_and_tells_what_it_does_not_take(
     entered = threading.Event()
     recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered), queue_bytes=20_000)
     try:
-        recorder.take("arm", [b"first"], [time.monotonic()])
+        give(recorder, "arm", [b"first"], [time.monotonic()])
         assert entered.wait(5.0)
-        taken = [recorder.take("arm", [bytes(1000)] * 2, [time.monotonic()] * 2) for _ in range(50)]
+        taken = [
+            give(recorder, "arm", [bytes(1000)] * 2, [time.monotonic()] * 2) for _ in range(50)
+        ]
         assert taken == [True] * sum(taken) + [False] * (50 - sum(taken))
         assert 7 <= sum(taken) <= 10  # 20 kB, in batches of two times 1,064 bytes
         lost = 2 * (50 - sum(taken))
@@ -166,17 +174,17 @@ def test_a_full_queue_counts_and_tells_what_it_does_not_take(
     with Recording(tmp_path / "a.mcap") as recording:
         assert recording.lost == {"arm": lost}
         assert recording.faults == [f"{lost} packets of source 'arm' could not be kept"]
-    assert not recorder.take("arm", [b"late"], [time.monotonic()])
+    assert not give(recorder, "arm", [b"late"], [time.monotonic()])
     assert recorder.statistics.not_recorded == {"arm": lost + 1}
 
 
 def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event) -> None:
     entered = threading.Event()
     recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered))
-    recorder.take("arm", [b"first"], [time.monotonic()])
+    give(recorder, "arm", [b"first"], [time.monotonic()])
     assert entered.wait(5.0)
     # It would wait for ever if it did: the thread that writes stands still.
-    assert recorder.take("arm", [b"second"], [time.monotonic()])
+    assert give(recorder, "arm", [b"second"], [time.monotonic()])
     assert recorder.statistics.packets == 1
     held.set()
     recorder.close()
@@ -186,9 +194,9 @@ def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event
 def test_wrong_use_is_told(tmp_path: Path) -> None:
     with begin(tmp_path / "a.mcap") as recorder:
         with pytest.raises(UnknownName, match=r"no source 'arn'; did you mean 'arm'\?"):
-            recorder.take("arn", [b""], [0.0])
-        with pytest.raises(ValueError, match="found 2 arrivals and no lengths for 1 packets"):
-            recorder.take("arm", [b""], [0.0, 1.0])
+            give(recorder, "arn", [b""], [0.0])
+        with pytest.raises(ValueError, match="found 2 arrivals and 1 lengths for 1 packets"):
+            give(recorder, "arm", [b""], [0.0, 1.0])
     with pytest.raises(RecordingError, match="exists already"):
         begin(tmp_path / "a.mcap")
 
@@ -200,9 +208,9 @@ def test_an_error_of_the_decoder_ends_the_recording_and_is_raised(tmp_path: Path
 
     recorder = begin(tmp_path / "a.mcap", decode=decode)
     now = time.monotonic()
-    recorder.take("arm", [b"good", b"bad", b"after"], [now, now, now])
+    give(recorder, "arm", [b"good", b"bad", b"after"], [now, now, now])
     assert until(lambda: recorder.error is not None)
-    assert not recorder.take("arm", [b"late"], [now])
+    assert not give(recorder, "arm", [b"late"], [now])
     for _ in range(2):
         with pytest.raises(ZeroDivisionError, match="in the decoder"):
             recorder.close()
@@ -214,18 +222,18 @@ def test_an_error_of_the_decoder_ends_the_recording_and_is_raised(tmp_path: Path
 CHILD = """
 import sys, time
 from pathlib import Path
-from test_recorder import begin, packet, Recording, until
+from test_recorder import begin, give, packet, Recording, until
 path = Path(sys.argv[1])
 recorder = begin(path)
 taken = time.monotonic()
-recorder.take("arm", [packet(i) for i in range(1000)], [taken] * 1000)
+give(recorder, "arm", [packet(i) for i in range(1000)], [taken] * 1000)
 def count():
     with Recording(path) as recording:
         return recording.sources["arm"].count if recording.sources else 0
 assert until(lambda: count() == 1000, 20.0)
 print(time.monotonic() - taken, flush=True)
 while True:
-    recorder.take("arm", [packet(i) for i in range(100)], [time.monotonic()] * 100)
+    give(recorder, "arm", [packet(i) for i in range(100)], [time.monotonic()] * 100)
     time.sleep(0.001)
 """
 
@@ -260,17 +268,17 @@ def test_a_killed_process_leaves_a_file_that_all_can_read(tmp_path: Path) -> Non
 FULL = """
 import resource, sys, time
 from pathlib import Path
-from test_recorder import begin, packet, until
+from test_recorder import begin, give, packet, until
 recorder = begin(Path(sys.argv[1]))
 hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))  # Python ignores SIGXFSZ
 while recorder.error is None:
-    recorder.take("arm", [packet(i) for i in range(100)], [time.monotonic()] * 100)
+    give(recorder, "arm", [packet(i) for i in range(100)], [time.monotonic()] * 100)
 try:
     recorder.close()
 except OSError as error:
     print(error is recorder.error, type(error).__name__, error)
-assert not recorder.take("arm", [packet(0)], [time.monotonic()])
+assert not give(recorder, "arm", [packet(0)], [time.monotonic()])
 assert recorder.statistics.not_recorded["arm"] > 0
 assert recorder.statistics.file_size == Path(sys.argv[1]).stat().st_size
 """

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import __version__
 from ..assemble.inputs import Input
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
-from ..frames import Array, Ints
+from ..frames import Array
 from ..receive.source import Source
 from ..record.recorder import SIGNALS_RATE, Recorder
 from ..record.recording_format import Signals
@@ -99,10 +99,7 @@ def _add(
         signals=None if routed is None else routed.signals,
     )
 
-    def tap(rows: NDArray[np.uint8], lengths: Ints, arrivals: Array) -> None:
-        recorder.take(name, rows, arrivals, np.minimum(lengths, rows.shape[1]))
-
-    source.record_to(tap)
+    source.record_to(partial(recorder.take, name))
 
 
 def _files_of(scene: Scene) -> list[Path]:

@@ -46,7 +46,7 @@ _DECODING = (
     "time_scale",
 )  # fmt: skip
 # Gets packets as they came: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
-Tap = Callable[[Rows, Ints, Array], None]
+Tap = Callable[[Rows, Ints, Array], object]
 
 
 @dataclass(frozen=True, eq=False)

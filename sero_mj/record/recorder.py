@@ -6,19 +6,17 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..errors import RecordingError, UnknownName
+from ..receive.structure import Array, Ints, Rows
 from .recording_format import RecordingClock
 from .recording_writer import RecordingWriter
 
-Decode = Callable[[bytes], Mapping[str, NDArray[np.float64]] | None]
+Decode = Callable[[bytes], Mapping[str, Array] | None]
 
 QUEUE_BYTES = 64 << 20
 SIGNALS_RATE = 1000.0  # decoded packets per s and source
@@ -49,24 +47,18 @@ class RecorderStatistics:
     file_size: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Batch:
-    """Packets of one source: a list, or rows of which so many bytes count."""
+    """Packets of one source, as `Recorder.take` takes them, and their bytes in memory."""
 
     name: str
-    packets: Sequence[bytes] | NDArray[np.uint8]
-    lengths: Sequence[int] | None
-    arrivals: Sequence[float]
-    size: int  # bytes in memory
+    rows: Rows
+    lengths: Ints
+    arrivals: Array
+    size: int
 
     def __len__(self) -> int:
-        return len(self.packets)
-
-    def as_bytes(self) -> Sequence[bytes]:
-        if not isinstance(self.packets, np.ndarray):
-            return self.packets
-        lengths = self.lengths or [self.packets.shape[1]] * len(self)
-        return [row[:length].tobytes() for row, length in zip(self.packets, lengths, strict=True)]
+        return len(self.rows)
 
 
 class RateLimiter:
@@ -165,21 +157,15 @@ class Recorder:
         with self._writing:
             self._writer.attach(name, media_type, data)
 
-    def take(
-        self,
-        name: str,
-        packets: Sequence[bytes] | NDArray[np.uint8],
-        arrivals: Sequence[float] | NDArray[np.float64],
-        lengths: Sequence[int] | NDArray[np.integer[Any]] | None = None,
-    ) -> bool:
+    def take(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> bool:
         """Takes packets to be written soon. Cheap, and never waits for the disk.
 
         Args:
             name: their source.
-            packets: their bytes, or an array with a row for each, which is copied.
-            arrivals: when each arrived, s on the clock of `time.monotonic`.
-            lengths: with rows, how many bytes of each are the packet; None for all of them. What
-                was longer than its row is kept as long as the row.
+            rows: (n, bytes), a packet each; they are copied.
+            lengths: how many bytes of each row are the packet, (n,). What was longer than its row
+                is kept as long as the row.
+            arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
 
         Returns:
             Whether they will be recorded. If not, all of them are counted.
@@ -190,25 +176,21 @@ class Recorder:
         """
         if name not in self._decoders:
             raise UnknownName("source", name, self._decoders)
-        count = len(packets)
-        if len(arrivals) != count or (lengths is not None and len(lengths) != count):
-            found = f"{len(arrivals)} arrivals and {'no' if lengths is None else len(lengths)}"
-            raise ValueError(f"found {found} lengths for {count} packets; expected one for each")
+        count = len(rows)
+        if len(arrivals) != count or len(lengths) != count:
+            found = f"{len(arrivals)} arrivals and {len(lengths)} lengths"
+            raise ValueError(f"found {found} for {count} packets; expected one for each")
         if not count:
             return True
-        rows = packets if isinstance(packets, np.ndarray) else None
-        size = sum(map(len, packets)) if rows is None else rows.nbytes
-        size += _PER_PACKET * count
-        ends = None if rows is None or lengths is None else list(map(int, lengths))
-        times = list(map(float, arrivals))
+        size = rows.nbytes + _PER_PACKET * count
         with self._changed:
             ended = self._closing or self.error is not None
             if ended or self._queued + size > self._queue_bytes:
                 self._not_recorded[name] += count
                 return False
-            # A copy: the rows' owner will receive into them again.
-            kept = list(packets) if rows is None else rows.copy()
-            self._queue.append(_Batch(name, kept, ends, times, size))
+            # Their owner will receive into them again.
+            batch = _Batch(name, rows.copy(), lengths.copy(), arrivals.copy(), size)
+            self._queue.append(batch)
             self._queued += size
             self._changed.notify()
         return True
@@ -282,7 +264,9 @@ class Recorder:
         decode, limiter = self._decoders[batch.name]
         before = self._packets
         try:
-            for packet, arrival in zip(batch.as_bytes(), batch.arrivals, strict=True):
+            ends, times = batch.lengths.tolist(), batch.arrivals.tolist()
+            for row, end, arrival in zip(batch.rows, ends, times, strict=True):
+                packet = row[:end].tobytes()
                 self._writer.write_raw(batch.name, packet, arrival)
                 self._packets += 1
                 self._bytes += len(packet)
@@ -309,7 +293,7 @@ class Recorder:
                     error.add_note(str(second))
 
 
-def _decoded(decode: Decode, packet: bytes) -> Mapping[str, NDArray[np.float64]] | None:
+def _decoded(decode: Decode, packet: bytes) -> Mapping[str, Array] | None:
     try:
         return decode(packet)
     except ValueError:  # what `Structure.decode` raises for a packet of another size
