@@ -51,12 +51,7 @@ def join_negative_values(arguments: list[str]) -> list[str]:
 def add_command(commands: Commands, name: str, run: Any, summary: str, epilog: str) -> Any:
     """Adds a command whose help shows its summary and its epilog as they are written.
 
-    Args:
-        commands: of the main parser.
-        name: of the command.
-        run: gets the parsed options; returns the exit status.
-        summary: one line, without a full stop.
-        epilog: what stands below the options.
+    `run` gets the parsed options and returns the exit status; the summary has no full stop.
     """
     parser = commands.add_parser(
         name,
@@ -115,11 +110,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def numbers(text: str, what: str) -> NDArray[np.float64]:
-    """Comma-separated finite numbers.
-
-    Raises:
-        UsageError: something is no number.
-    """
+    """Comma-separated finite numbers; raises UsageError."""
     try:
         values = np.array([float(part) for part in text.strip("[] ").split(",")])
     except ValueError:
@@ -150,14 +141,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         help="name of a camera, or azimuth,elevation,distance in degrees and m",
     )
     parser.add_argument("--look", choices=LOOKS, help="over the scene's; default light")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="settings",
-        metavar="ROBOT.FIELD=VALUE",
-        help="set a field over the scene's; may be repeated",
-    )
+    add_set_option(parser, "ROBOT.FIELD=VALUE", "set a field over the scene's; may be repeated")
     parser.add_argument(
         "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
     )
@@ -169,12 +153,15 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def overrides(settings: Sequence[str]) -> dict[str, Any]:
-    """Reads `--set robot.field=value` options; the value is TOML, or numbers with commas.
+def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) -> None:
+    """Adds `--set`, for `overrides`."""
+    parser.add_argument(
+        "--set", action="append", default=[], dest="settings", metavar=metavar, help=about
+    )
 
-    Raises:
-        UsageError: one has no `=`, or its key no field.
-    """
+
+def overrides(settings: Sequence[str]) -> dict[str, Any]:
+    """Reads `--set robot.field=value` options: TOML, or numbers with commas; raises UsageError."""
     result: dict[str, Any] = {}
     for setting in settings:
         key, equals, text = setting.partition("=")
@@ -198,16 +185,7 @@ def _value(text: str) -> Any:
 
 
 def read_scene(name: str, settings: Sequence[str] = ()) -> Scene:
-    """Returns the scene that `name` means; see `load.load_scene`.
-
-    Args:
-        name: a file, or the name of a shipped scene, scenario or robot.
-        settings: `--set` options, `robot.field=value`.
-
-    Raises:
-        UnknownName: neither a scene nor a robot.
-        SeroError: what is wrong in the file, or in what is set.
-    """
+    """Returns the scene that `name` means, see `load_scene`, with what `--set` options say."""
     from ..load import load_scene
 
     given = overrides(settings)
@@ -229,11 +207,7 @@ def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
 
 
 def read_shown_scene(options: argparse.Namespace) -> Scene:
-    """The scene that a command with `add_scene_options` names, with what these set.
-
-    Raises:
-        SeroError: see `read_scene` and `replay_instead`.
-    """
+    """The scene that a command with `add_scene_options` names, with what these set."""
     scene = read_scene(options.scene, options.settings)
     if options.look is not None:
         scene.view.look = options.look
@@ -275,16 +249,7 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
 
 
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
-    """Reads a recording as a run, for a command with `--scene`.
-
-    Args:
-        path: the recording.
-        source: which of its sources; all of them when None.
-        scene: its robots and routes; those in the recording when None.
-
-    Raises:
-        SeroError: see `read_run`.
-    """
+    """Calls `read_run`, for a command that can be given the `--scene` that may be missing."""
     from ..runs.run_recording import read_run
 
     try:
@@ -296,16 +261,7 @@ def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> Ru
 
 
 def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
-    """Refuses times of `--start` and `--stop` between which a recording has nothing.
-
-    Args:
-        recording: which is to be read between them.
-        start: s since the recording began; None for its beginning.
-        stop: likewise; None for its end.
-
-    Raises:
-        UsageError: it ends before the start, or the stop is not after the start.
-    """
+    """Raises UsageError for `--start` and `--stop`, s, between which a recording has nothing."""
     from ..record.replay import check_start
 
     if start is not None:

@@ -40,17 +40,7 @@ def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
 def make_sink(
     options: argparse.Namespace, source: Source, structure: Structure
 ) -> UdpSink | ShmWriter:
-    """Where the packets go: what the command line says, else where the source receives.
-
-    Args:
-        options: `host`, `port` and `shm`.
-        source: that receives the packets.
-        structure: of the packets.
-
-    Raises:
-        UsageError: neither says where.
-        SourceError: the address cannot be resolved, or the memory not be written.
-    """
+    """Where the packets go: what the command line says, else where the source receives."""
     from ..receive.shm import ShmReader
     from ..receive.udp import UdpReceiver
     from ..send.sender import ShmWriter, UdpSink
@@ -87,15 +77,7 @@ def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
 
 
 class Sender:
-    """Sends a simulation while it runs.
-
-    Args:
-        simulation: what to send.
-        options: of the command.
-
-    Raises:
-        SeroError: the scene or where it receives is wrong.
-    """
+    """Sends a simulation while it runs."""
 
     def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
         from ..send.play import MotionPackets
@@ -115,11 +97,7 @@ class Sender:
         self._sink.close()
 
     def run(self) -> Iterator[tuple[int, int]]:
-        """Sends a packet for every step; tells which rows are new.
-
-        Raises:
-            SimulationError: it cannot go on.
-        """
+        """Sends a packet for every step; tells which rows are new."""
         from ..send.sender import send
 
         simulation = self._simulation

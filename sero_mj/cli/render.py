@@ -141,11 +141,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def check_picture_or_film(option: str, path: Path) -> bool:
-    """Returns whether a name is a film's.
-
-    Raises:
-        UsageError: it is no picture's either.
-    """
+    """Whether a name is a film's; raises UsageError where it is no picture's either."""
     from ..show.headless.film import FILMS, PICTURES
 
     suffix = path.suffix.lower()
@@ -161,14 +157,7 @@ def check_picture_or_film(option: str, path: Path) -> bool:
 def film_with_progress(
     scene: Scene, output: Path, *, quiet: bool = False, **options: Any
 ) -> list[str]:
-    """Calls `render_film` with a progress bar; returns the silent sources.
-
-    Args:
-        scene: what to film.
-        output: the film.
-        quiet: no progress bar.
-        **options: of `render_film`.
-    """
+    """Calls `render_film` with a progress bar, unless `quiet`; returns the silent sources."""
     from rich import progress as bars
     from rich.console import Console
 

@@ -13,6 +13,7 @@ from ..errors import SimulationError, UsageError
 from ._arguments import (
     Commands,
     add_command,
+    add_set_option,
     check_ending,
     not_negative,
     overrides,
@@ -69,10 +70,8 @@ def add_to(commands: Commands) -> None:
         "--camera", metavar="CAM", help="name of a camera, or azimuth,elevation,distance"
     )
     parser.add_argument("--seed", type=seed, metavar="N", help="of the noise, over the file's")
-    parser.add_argument(
-        "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
-        help="set anything over the file's: controllers.lwr.stiffness=200; may be repeated",
-    )  # fmt: skip
+    about = "set anything over the file's: controllers.lwr.stiffness=200; may be repeated"
+    add_set_option(parser, "KEY=VALUE", about)
     parser.add_argument("--real-time", action="store_true", help="no faster than a real robot")
     group = parser.add_argument_group("to send it in real time, as a robot would")
     group.add_argument(

@@ -288,7 +288,7 @@ def _shown(
         yield lambda: None
     elif not sys.stdout.isatty():
         print(f"listening on {place}; Ctrl-C ends", flush=True)
-        yield _Lines(sniffer, layout).tell
+        yield _teller(sniffer, layout)
     else:
         from rich.live import Live
 
@@ -297,21 +297,20 @@ def _shown(
             yield lambda: live.update(_picture(sniffer, layout, title), refresh=True)
 
 
-class _Lines:
+def _teller(sniffer: Sniffer, layout: Structure | None) -> Callable[[], None]:
     """Tells of every stream when it begins, and every two seconds."""
+    told: dict[tuple[bytes, int], tuple[float, int]] = {}
 
-    def __init__(self, sniffer: Sniffer, layout: Structure | None) -> None:
-        self._sniffer, self._layout = sniffer, layout
-        self._told: dict[tuple[bytes, int], tuple[float, int]] = {}
-
-    def tell(self) -> None:
+    def tell() -> None:
         now = time.monotonic()
-        for key, stream in self._sniffer.streams.items():
-            when, count = self._told.get(key, (-np.inf, 0))
+        for key, stream in sniffer.streams.items():
+            when, count = told.get(key, (-np.inf, 0))
             if stream.count > count and now - when >= _TELL_EVERY:
-                self._told[key] = now, stream.count
-                words = _values(stream, self._layout)
+                told[key] = now, stream.count
+                words = _values(stream, layout)
                 print(f"{_head(stream)}{f': {words}' if words else ''}", flush=True)
+
+    return tell
 
 
 def _summary(place: str, sniffer: Sniffer, seconds: float) -> str:

@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, check_ending, check_whole, overrides, seed
+from ._arguments import (
+    Commands,
+    add_command,
+    add_set_option,
+    check_ending,
+    check_whole,
+    overrides,
+    seed,
+)
 
 if TYPE_CHECKING:
     from ..study.sweep import Sweep
@@ -52,10 +60,8 @@ def add_to(commands: Commands) -> None:
         "--jobs", type=_count, metavar="J", help="how many at once (default: one per core)"
     )
     parser.add_argument("--seed", type=seed, default=0, metavar="S", help="of the samples")
-    parser.add_argument(
-        "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
-        help="set anything in all variants: run.duration=2; may be repeated",
-    )  # fmt: skip
+    about = "set anything in all variants: run.duration=2; may be repeated"
+    add_set_option(parser, "KEY=VALUE", about)
     parser.add_argument("-o", "--out", type=Path, metavar="OUT.csv", help="a row for each variant")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="outcomes over the values")
     parser.add_argument("--resume", action="store_true", help="go on with an OUT.csv that is there")

@@ -77,11 +77,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def wants_page(options: argparse.Namespace) -> bool:
-    """Whether the scene goes to browsers instead of into a window.
-
-    Raises:
-        UsageError: options of the one are given with the other, or there is no display.
-    """
+    """Whether the scene goes to browsers instead of into a window; raises UsageError."""
     of_page = _of_page(options)
     of_window = ["size"] * (options.size is not None) + ["full-screen"] * options.full_screen
     if options.window and of_page:

@@ -214,13 +214,13 @@ class Intake:
         last = int(np.flatnonzero(~good)[-1])
         values = self.layout.decode_rows(rows[last : last + 1])
         single = {event: array[0] for event, array in values.items()}
-        fault = find_not_finite(single, but=self.nan_allowed) or "a number is out of range"
+        fault = _describe_not_finite(single, self.nan_allowed) or "a number is out of range"
         self._fault(fault, arrivals[last])
 
     def decode(self, rows: Rows) -> dict[str, Array]:
         """Decodes rows that `take` returned; infinity and NaN in what may be blank are NaN."""
         values = self.layout.decode_rows(rows)
-        blank_not_finite(values, self.nan_allowed, self.layout.matrices)
+        _blank_not_finite(values, self.nan_allowed, self.layout.matrices)
         return values
 
     def count(self) -> None:
@@ -294,7 +294,7 @@ class Intake:
             self._tally.not_frames += int(bad.sum())
             last = int(np.flatnonzero(bad)[-1])
             single = {event: values[event][last] for event in events}
-            blank_not_finite(single, events, events)
+            _blank_not_finite(single, events, events)
             column_major = layout.column_major
             fault = find_not_frame(single, events, column_major=column_major)
             self._fault(fault, arrivals[last])
@@ -350,13 +350,8 @@ class Intake:
         return self._senders.begins
 
 
-def find_not_finite(values: Mapping[str, Array], but: Collection[str] = ()) -> str:
-    """Says where the first NaN or infinity stands; empty when there is none.
-
-    Args:
-        values: event name to its array.
-        but: events that are left out.
-    """
+def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> str:
+    """Where the first NaN or infinity stands outside the events `but`; empty when nowhere."""
     for event, array in values.items():
         if event in but:
             continue
@@ -367,16 +362,12 @@ def find_not_finite(values: Mapping[str, Array], but: Collection[str] = ()) -> s
     return ""
 
 
-def blank_not_finite(
+def _blank_not_finite(
     values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
 ) -> None:
-    """Makes NaN of every infinity, and of a whole matrix when one of its numbers is either.
+    """Makes NaN of every infinity in these events, and of a whole matrix with either in it.
 
-    Args:
-        values: event name to its array, of one packet or of many; what has to change is replaced
-            by a copy.
-        events: those that are looked at.
-        matrices: those that are matrices.
+    What has to change is replaced by a copy; `values` are those of one packet or of many.
     """
     for event in events:
         array = values.get(event)

@@ -27,6 +27,7 @@ _MOST_STREAMS = 100  # more senders and sizes than anyone reads
 
 SMALLEST, LARGEST = 1e-6, 1e6  # sizes of numbers that look like measurements in SI units
 _MOST_JOINTS = 64
+_MOST_GUESSES = 4
 _MOST_NUMBERS = 512  # among which frames are looked for
 _HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # bytes to what they may be
 _TYPES = {
@@ -172,12 +173,11 @@ class Sniffer:
             stream.last.extend(batch.rows[i, : key[1]].tobytes() for i in places[-_KEPT:].tolist())
 
 
-def guess_layouts(rows: Rows, most: int = 4) -> list[Guess]:
-    """Returns layouts that would fit packets of one size, the most likely first.
+def guess_layouts(rows: Rows) -> list[Guess]:
+    """Returns up to four layouts that would fit packets of one size, the most likely first.
 
     Args:
         rows: packets of one sender one after the other, (n, size), n >= 1.
-        most: how many to return.
     """
     size = rows.shape[1]
     header, begin = find_header(rows)
@@ -202,8 +202,9 @@ def guess_layouts(rows: Rows, most: int = 4) -> list[Guess]:
         text, about = KNOWN[size]
         known = Structure(text, column_major=False)
         is_it = not known.find_wrong_constants(rows).any()
-        guesses.insert(0 if is_it else most - 1, Guess(text, False, False, about, float(is_it)))
-    return guesses[:most]
+        rank = 0 if is_it else _MOST_GUESSES - 1
+        guesses.insert(rank, Guess(text, False, False, about, float(is_it)))
+    return guesses[:_MOST_GUESSES]
 
 
 def _of(ranked: tuple[tuple[float, ...], Guess]) -> float:
