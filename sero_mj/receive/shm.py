@@ -12,7 +12,6 @@ from ..errors import SourceError
 from .language import Item
 from .shm_block import Block, block_path
 from .source import Packet, Packets, Source, log
-from .structure import Structure
 
 _LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
 _BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
@@ -117,14 +116,7 @@ class ShmReader(Source):
         """
         self.close()
         self.reset()
-        self._packets = _PacketFinder(
-            self.layout,
-            self.about,
-            lock=self.lock,
-            sequence=self.sequence,
-            offset=self.offset,
-            settle=self.settle,
-        )
+        self._packets = _PacketFinder(self)
         self._gathered, self._checked = [], -np.inf
         self._count_next, self._look_next = 0.0, clock.monotonic() + _LOOK_EVERY
         self._trouble = ""
@@ -277,40 +269,23 @@ def _why(error: OSError) -> str:
 
 
 class _PacketFinder:
-    """Reads the packets of one structure from a block that another process writes.
+    """Finds packets in a block that another process writes, which are new and not torn.
 
     A plain class: its attributes are looked up many times for a packet, thousands of times a
     second.
-
-    Args:
-        layout: of the packets.
-        about: kind and name of the block, for people.
-        lock: event that is odd while the writer writes; empty for none.
-        sequence: event that numbers the packets; empty for none.
-        offset: where in the block the packet begins, bytes.
-        settle: without a lock, how long a packet has to stand unchanged, s.
 
     Attributes:
         torn: how many reads were given up because the writer was in between.
         trouble: what keeps packets from coming, for people; empty when nothing is known to.
     """
 
-    def __init__(
-        self,
-        layout: Structure,
-        about: str,
-        *,
-        lock: str = "",
-        sequence: str = "",
-        offset: int = 0,
-        settle: float = 0.0,
-    ) -> None:
+    def __init__(self, reader: ShmReader) -> None:
         self.torn, self.trouble = 0, ""
-        self._about, self._lock_name = about, lock
-        self._size, self._offset, self._settle = layout.size, offset, settle
-        self._lock = layout.field(lock) if lock else None
-        self._sequence = layout.field(sequence) if sequence else None
-        self._block: Block | None = None
+        layout = reader.layout
+        self._about, self._lock_name = reader.about, reader.lock
+        self._size, self._offset, self._settle = layout.size, reader.offset, reader.settle
+        self._lock = layout.field(reader.lock) if reader.lock else None
+        self._sequence = layout.field(reader.sequence) if reader.sequence else None
         self.forget()
 
     def forget(self) -> None:
@@ -334,7 +309,8 @@ class _PacketFinder:
         if seen == self._done and seen:
             return None
         if len(seen) < self._size:
-            self.trouble = f"{self._about} has {block.size} bytes; expected {self._expected}"
+            expected = self._offset + self._size
+            self.trouble = f"{self._about} has {block.size} bytes; expected {expected}"
             return seen
         if not self._done and seen.count(0) == len(seen):
             self.trouble = f"{self._about} is there ({block.size} bytes), nothing is written yet"
@@ -349,10 +325,6 @@ class _PacketFinder:
             self._done, self._unfinished, self._standing = packet, b"", b""
             self.trouble = ""
         return packet
-
-    @property
-    def _expected(self) -> int:
-        return self._offset + self._size
 
     def _find_locked(self, block: Block, field: Item, seen: bytes) -> bytes | None:
         """Reads between two writes, by the writer's lock."""
@@ -392,13 +364,7 @@ class _PacketFinder:
         return False
 
     def _find_standing(self, block: Block, seen: bytes, started: float) -> bytes | None:
-        """Reads again until nothing has changed for a while.
-
-        Args:
-            block: to be read again.
-            seen: what stood there.
-            started: when it was about to be read, s.
-        """
+        """Reads again until nothing has changed for a while; `seen` was read from `started` on."""
         stands = seen == self._standing
         if stands and started - self._since >= self._settle:
             return seen
