@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat, mju_mulQuat
 from numpy import negative, subtract
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from ..declaration import numbers
+from ..frames import Array
 from .controller import (
     DEFAULT_RATIO,
     ControllerDeclaration,
@@ -22,8 +22,6 @@ from .controller import (
 )  # fmt: skip
 from .joint_control import design_damping, too_stiff, unstable_joint
 from .robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 # Below this smallest eigenvalue of J M^-1 J^T, 1/kg or 1/(kg m2), the flange counts as all but
 # blocked in a direction, and its mobility is raised by up to as much (as for inverse kinematics:

@@ -6,14 +6,12 @@ from abc import ABC, abstractmethod
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator
 
 from ..declaration import Declaration, numbers
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 from .robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 
 def _one_or_more(value: Any) -> Any:

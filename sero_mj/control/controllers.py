@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..declaration import by_kind
 from ..errors import DeclarationError, Problem, SimulationError
+from ..frames import Array, Bools
 from .cartesian_control import CartesianImpedance
 from .controller import Controller, ControllerDeclaration, Sensed, Target
 from .joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
 from .robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 
 class LimitedController:
@@ -97,7 +95,7 @@ class LimitedController:
         self._given = out
 
     @property
-    def saturated(self) -> NDArray[np.bool_]:
+    def saturated(self) -> Bools:
         """Which joints got something else than they asked for in the last step, (n,)."""
         return np.not_equal(self._given, self.asked)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 from .controller import (
     DEFAULT_RATIO,
     ControllerDeclaration,
@@ -19,8 +19,6 @@ from .controller import (
     within,
 )  # fmt: skip
 from .robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
 

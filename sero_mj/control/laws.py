@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from ..assemble.robot import SerialRobot
 from ..declaration import Declaration, Frame, Vector, of_shape
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 from .controller import MaybePerJoint, PerJoint, per_joint, within
 
-Array = NDArray[np.float64]
 Samples = tuple[Array, Array, Array]
 Rows = Annotated[Array | None, of_shape(None, None)]
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..frames import Array
 from .controller import Sensed
 from .robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 
 class MomentumObserver:

@@ -11,11 +11,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..declaration import by_kind
 from ..errors import DeclarationError, Problem
+from ..frames import Array
 from .cartesian_control import CartesianImpedance
 from .compiler import Compiler
 from .controller import Controller, ControllerDeclaration
@@ -35,8 +35,6 @@ from .laws import (
 )  # fmt: skip
 from .robot_model import RobotModel
 from .way_points import CartesianWayPoints, WayPoints
-
-Array = NDArray[np.float64]
 
 LAWS: Mapping[str, type[Law]] = {
     "constant": Constant,

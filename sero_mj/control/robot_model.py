@@ -22,14 +22,11 @@ from mujoco import (
     mj_rne,
     mj_solveM,
 )
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
-from ..frames import frame
-
-Array = NDArray[np.float64]
+from ..frames import Array, frame
 
 
 class RobotModel:

@@ -13,15 +13,14 @@ from typing import Annotated, ClassVar, Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from ..assemble.robot import SerialRobot
 from ..declaration import Frame, Vector
 from ..errors import DeclarationError, Problem
+from ..frames import Array, Ints
 from .controller import MaybePerJoint
 from .laws import (
-    Array,
     CartesianLaw,
     CartesianMotion,
     JointLaw,
@@ -336,7 +335,7 @@ def _schedule(
 
 def _along(
     times: Array, starts: Array, durations: Array, blends: Array | None
-) -> tuple[NDArray[np.intp], Array, Array, Array]:
+) -> tuple[Ints, Array, Array, Array]:
     """Index of the way (T,), and way, speed and acceleration on it, (T,) each, with rests between.
 
     Args:

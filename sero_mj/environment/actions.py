@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from dm_env import specs
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, Sensed, Target
@@ -15,8 +14,8 @@ from ..control.controllers import make_controller
 from ..control.joint_control import JointImpedance, Torque
 from ..control.robot_model import RobotModel
 from ..errors import DeclarationError, Problem, SimulationError
+from ..frames import Array
 
-Array = NDArray[np.float64]
 Kind = Literal["torque", "impedance"]
 
 _USUAL_SPEED = {"revolute": 1.0, "prismatic": 0.25}  # rad/s, m/s; where a robot has no limits

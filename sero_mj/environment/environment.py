@@ -19,6 +19,7 @@ from ..control.compiler import Compiler
 from ..declaration import Declaration
 from ..drive.mirror import Mirror
 from ..errors import DeclarationError, Problem, SimulationError, UnknownName
+from ..frames import Array
 from ..runs.run_log import event_of
 from ..runs.run_source import RunSource
 from ..show.headless.render import HeadlessRenderer
@@ -35,8 +36,6 @@ from .actions import (
     checked_action,
 )  # fmt: skip
 from .tasks import AgentRobot, Episode, Task
-
-Array = NDArray[np.float64]
 
 # rad, m: how far springs let joints into their stops, and observations beyond their limits
 BEYOND = {"revolute": 0.2, "prismatic": 0.05}

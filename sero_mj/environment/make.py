@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ..assemble.double import Double
@@ -14,6 +13,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean
+from ..frames import Array
 from ..paths import list_models, list_scenarios
 from ..runs.run_log import event_of
 from ..simulate.scenario import Scenario
@@ -21,8 +21,6 @@ from ..simulate.scenario_file import read_scenario
 from ..simulate.simulated_scene import SOURCE
 from .environment import Environment, Settings
 from .tasks import GOAL, Expectations, Hold, Reach, Task
-
-Array = NDArray[np.float64]
 
 TASKS: dict[str, type[Task]] = {"reach": Reach, "hold": Hold}
 

@@ -12,21 +12,18 @@ from typing import ClassVar, Literal
 import mujoco
 import numpy as np
 from dm_env import specs
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ..assemble.cartesian import SmartArrow
 from ..assemble.robot import SerialRobot
 from ..declaration import Declaration
 from ..errors import SimulationError
-from ..frames import rotation_angle
+from ..frames import Array, rotation_angle
 from ..runs.measures import MEASURES
 from ..runs.run_log import RunLog
 from ..simulate.expect import Expect
 from ..simulate.plant import Plant
 from ..simulate.simulation import Simulation
-
-Array = NDArray[np.float64]
 
 GOAL = "goal"  # the double at a task's goal is called `ROBOT_goal`
 _MAX_TRIES = 2000

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.double import Double
 from ..assemble.robot import SerialRobot
@@ -17,13 +16,12 @@ from ..assemble.scene import Scene, names_in, origin_text
 from ..drive.route import Affine, Origin
 from ..drive.wiring import wire
 from ..errors import RecordingError
+from ..frames import Array
 from ..receive.intake import pad_packets
 from ..receive.source import SIGNALS, Packets, Source
 from ..record.recording import Recording
 from ..record.replay import Replay
 from .run_log import event_of
-
-Array = NDArray[np.float64]
 
 # Inputs of a robot that are signals of a run.
 _SIGNALS = ("joint_angles", "torques", "commanded_torques")

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..frames import Array
 from .run_log import RunLog, event_of
-
-Array = NDArray[np.float64]
 
 
 def _actual(log: RunLog, robot: str, signal: str) -> Array:

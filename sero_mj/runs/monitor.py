@@ -6,14 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ..declaration import Declaration
+from ..frames import Array, Bools, Ints
 from .run_log import RunLog
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 KINDS = (
     "torque_error",
@@ -154,7 +151,7 @@ def _onsets(
     ]
 
 
-def _since(flags: Flags) -> NDArray[np.intp]:
+def _since(flags: Bools) -> Ints:
     """For how many rows in a row each column has been true, (T, n); 0 where it is false."""
     rows = np.arange(1, len(flags) + 1)[:, None]
     last = np.maximum.accumulate(np.where(flags, 0, rows), axis=0)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import CsvError
+from ..frames import Array
 from ..record.csv_files import column_names, csv_table, read_csv
 from .run_log import MEASURED, RunLayout, RunLog, event_of, recorded_event
 
@@ -31,7 +31,7 @@ def read_run_csv(path: Path | str, robots: Mapping[str, SerialRobot]) -> RunLog:
         CsvError: it cannot be read, or has no robot's columns.
     """
     times, columns = read_csv(path)
-    found: dict[str, dict[int, NDArray[np.float64]]] = {}
+    found: dict[str, dict[int, Array]] = {}
     for name, values in columns.items():
         if (match := _COLUMN.fullmatch(name)) is not None:
             found.setdefault(match[1], {})[int(match[2])] = values
@@ -55,7 +55,7 @@ def read_run_csv(path: Path | str, robots: Mapping[str, SerialRobot]) -> RunLog:
     return RunLog(known, signals, times, Path(path).stem)
 
 
-def write_run_csv(layout: RunLayout, rows: NDArray[np.float64], path: Path) -> None:
+def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
     """Writes a log as a table: `time`, s, and `ROBOT_SIGNAL[JOINT]`, SI units.
 
     Args:

@@ -9,13 +9,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import UsageError
+from ..frames import Array
 from ..receive.structure import Structure
-
-Array = NDArray[np.float64]
 
 # Per joint of every robot, in blocks of three that lie in a row as the plant has them.
 MEASURED = ("joint_angles", "joint_velocities", "torques")

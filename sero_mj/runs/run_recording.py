@@ -8,18 +8,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import paths
 from ..assemble.robot import SerialRobot, build_robot
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, RecordingError, UnknownName, UsageError, did_you_mean
+from ..frames import Array
 from ..record.recording import Recording
 from ..toml_file import parse_toml
 from ._recorded_signals import follow_routes, read_events, receiver_of
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
-
-Array = NDArray[np.float64]
 
 _ROBOT_FILE = "robot.toml"
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"

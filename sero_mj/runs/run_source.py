@@ -7,14 +7,12 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
 from ..errors import SimulationError
+from ..frames import Array
 from ..receive.source import Source
 from ..receive.structure import Structure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,17 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from ..assemble.dynamics import inertia_problem, tensors_from
 from ..assemble.robot import SerialRobot
 from ..declaration import Declaration, Frame, Name, Point, Vector
 from ..errors import DeclarationError, Problem, did_you_mean
+from ..frames import Array
 from .plant import Plant
 from .sensors import Signal
 
-Array = NDArray[np.float64]
 Part = Literal["sensors", "drives", "friction"]
 
 

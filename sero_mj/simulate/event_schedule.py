@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..frames import Array
 from ..runs.run_log import event_of
 from .disturbances import Fault, Force, Payload
 from .external_loads import Push
 from .plant import Plant
 from .scenario import Scenario
-
-Array = NDArray[np.float64]
 
 
 @dataclass

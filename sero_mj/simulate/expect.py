@@ -7,18 +7,16 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..assemble.scene import Scene
 from ..declaration import Declaration, Name
 from ..errors import DeclarationError, Problem, did_you_mean
+from ..frames import Array
 from ..runs.measures import MEASURES, NEED_TARGET
 from ..runs.monitor import KINDS, Finding
 from ..runs.run_log import RunLog
 from .disturbances import Disturbance, Fault
-
-Array = NDArray[np.float64]
 
 
 class RunContext(Protocol):

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..assemble.dynamics import inertia_problem, principal_moments, tensors_from
 from ..assemble.mjcf_dynamics import PAYLOAD
 from ..assemble.world import World
 from ..declaration import numbers
 from ..errors import UnknownName
-
-Array = NDArray[np.float64]
+from ..frames import Array
 
 
 class Push:

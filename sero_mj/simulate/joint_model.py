@@ -27,13 +27,12 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from mujoco import mj_step, mj_step1, mj_step2
-from numpy.typing import NDArray
 
 from ..assemble.mjcf_dynamics import deflection_joint, spring_damping
 from ..assemble.world import World
+from ..frames import Array, Ints
 
-Array = NDArray[np.float64]
-Index = slice | NDArray[np.intp]
+Index = slice | Ints
 
 _POSITION, _VELOCITY, _ACCELERATION = (
     int(kind)
@@ -45,7 +44,7 @@ _POSITION, _VELOCITY, _ACCELERATION = (
 )
 
 
-def as_slice(indices: NDArray[np.intp]) -> Index:
+def as_slice(indices: Ints) -> Index:
     """Indices with equal steps as a slice, which numpy reads in place; others as they are."""
     if not len(indices):
         return slice(0, 0)
@@ -113,7 +112,7 @@ class JointModel:
         self._applied = data.qfrc_applied
         self._warned = memoryview(data.warning.number)
         # Where joints stand in equal steps these are views, which are always up to date.
-        self._copies: list[tuple[Array, NDArray[np.intp], Array]] = []
+        self._copies: list[tuple[Array, Ints, Array]] = []
         self.motor_angles = self._watch(self._qpos, self.motor_positions)
         self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
         self.given: Array = np.zeros(self.n)

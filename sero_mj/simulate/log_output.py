@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import __version__
 from ..drive.record_sources import joint_names
+from ..frames import Array
 from ..record.recording_format import Signals
 from ..record.recording_writer import RecordingWriter
 from ..runs.run_log import MEASURED, PER_JOINT, event_of
 from .scenario import Scenario
 from .simulated_scene import SOURCE
 from .simulation import Simulation
-
-Array = NDArray[np.float64]
 
 SIGNALS_RATE = 5.0  # decoded rows per simulated second, for programs that plot; 0 for none
 

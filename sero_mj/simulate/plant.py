@@ -7,17 +7,16 @@ from typing import Any, NoReturn
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..assemble.parts import RobotPart
 from ..assemble.world import World
 from ..declaration import numbers
 from ..errors import SimulationError, UnknownName
+from ..frames import Array
 from .external_loads import Push, attach_payload, detach_payload
 from .joint_model import JointModel
 from .sensors import Sensors
-
-Array = NDArray[np.float64]
 
 _MAX_TORQUE = 1e9  # Nm, of all motors together, and what NaN is not below
 

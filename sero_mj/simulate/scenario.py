@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ..assemble.scene import Scene
@@ -19,12 +18,11 @@ from ..control.laws import Law
 from ..control.plan import law_from
 from ..declaration import Declaration, by_kind
 from ..errors import DeclarationError, Problem, collect, did_you_mean
+from ..frames import Array
 from ..runs.monitor import Monitor
 from .disturbances import DISTURBANCES, FAULTS, Disturbance, Fault, Force, Payload
 from .expect import Expect
 from .sensors import SIGNALS, SensorErrors, Sensors
-
-Array = NDArray[np.float64]
 
 
 class RobotSensors(Declaration):

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
@@ -20,14 +19,13 @@ from ..errors import (
     UnknownName,
     did_you_mean,
 )  # fmt: skip
+from ..frames import Array
 from ..paths import find_scenario, find_scene
 from ..record.csv_files import read_csv
 from ..runs.run_recording import read_run
 from ..toml_file import key_lines, located, read_toml
 from .scenario import Run, Scenario
 from .sections import OTHERS, SECTIONS
-
-Array = NDArray[np.float64]
 
 # s between two rows that are kept: encoders are not that good that more would tell accelerations.
 _EVERY = 0.02

@@ -10,13 +10,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy import add, copyto, divide, multiply, rint
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ..declaration import Declaration, numbers
 from ..errors import UnknownName
+from ..frames import Array, Ints
 
-Array = NDArray[np.float64]
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")
 _ERRORS = ("gain", "bias", "noise", "resolution")
@@ -177,7 +176,7 @@ class Sensors:
         self._delay(row, delays)
         self._plan()
 
-    def _delay(self, row: int, delays: NDArray[np.intp]) -> None:
+    def _delay(self, row: int, delays: Ints) -> None:
         """Sets the delays of a signal's joints, (n,)."""
         was_late = self._delays[row].any()
         self._delays[row] = delays

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.scene import Scene
 from ..control.compiler import Compiler
@@ -16,6 +15,7 @@ from ..control.joint_control import GravityCompensation
 from ..control.observer import MomentumObserver
 from ..control.plan import Plan, make_plan
 from ..errors import DeclarationError, Problem, collect
+from ..frames import Array
 from ..receive.structure import Structure
 from ..runs.monitor import Finding
 from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
@@ -25,7 +25,6 @@ from .external_loads import Contacts
 from .plant import Plant
 from .scenario import Scenario
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 OBSERVED_EVERY = 0.01  # s; half the observer's time constant, and a tenth of the cost

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import UsageError, did_you_mean
+from ..frames import Array
 from ..runs.run_log import RunLog, compared_signal
-
-Array = NDArray[np.float64]
 
 _MIN_OVERLAP = 0.3  # of the shorter one
 _MIN_SPEED = 1e-4  # rad/s or m/s, root mean square

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.double import Double
 from ..assemble.robot import SerialRobot
 from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
+from ..frames import Array
 from ..receive.structure import Structure
 from ..record.csv_files import csv_table
 from ..runs.run_log import TIME
@@ -24,7 +24,6 @@ from .reduction import peak, rms
 if TYPE_CHECKING:
     from rich.table import Table
 
-Array = NDArray[np.float64]
 
 _MAX_RATE = 240.0  # rows per second; more than any film shows
 _GREEN = np.array([0.10, 0.62, 0.30, 0.42])

@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import RenderError, UsageError
+from ..frames import Array
 from .reduction import envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 SUFFIXES = (".png", ".pdf", ".svg")
 # The two that the round arrows have: told apart by any eye, and in grey as well.

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import UsageError, did_you_mean
+from ..frames import Array
 from ..runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
 from .compare import unit_of
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from ..runs.monitor import Finding
     from ..simulate.scenario import Scenario
 
-Array = NDArray[np.float64]
 
 _IN_VIEW = 0.6  # share of its limit from which on a torque is shown together with it
 _MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..frames import Array
 from ..runs.run_log import RunLog, torque_error
 from .compare import shown_as, unit_of
 from .reduction import peak, rms
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from ..runs.monitor import Finding
 
-Array = NDArray[np.float64]
 
 _NOTHING = 5e-4  # Nm, N, deg or mm, in the table
 _USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")

@@ -14,17 +14,15 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import DeclarationError, UsageError
+from ..frames import Array
 from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from .variant import VariantRunner, outcome_columns
 from .workers import Result, run_in_processes
-
-Array = NDArray[np.float64]
 
 _TRIED = 20  # variants that are read beforehand: if none can be, a key is wrong
 MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
