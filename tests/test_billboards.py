@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import examples
-from decor_tools import GEOM, drawn, labels, of_kind, rectangle, view_at, world_of
+from decor_tools import GEOM, drawn, labels, of_kind, rectangle, toggles_of, view_at, world_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +12,7 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.pen import Kind
 from sero_mj.decor.picture_view import PictureView
 from sero_mj.decor.quantities import joint_values
 from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
@@ -296,3 +297,21 @@ def test_a_double_has_its_robots_own_inputs_with_values_of_its_own() -> None:
     assert said(world, data)[6:8] == ["A6  T    40 C", "goal A1  T no data"]
     world.set_input(data, "goal.temperatures", np.full(7, 55.0))
     assert said(world, data)[6:8] == ["A6  T    40 C", "goal A1  T    55 C"]
+
+
+def test_panels_stand_on_the_side_of_their_robot() -> None:
+    bases = np.stack([np.eye(4)] * 2)
+    bases[:, 1, 3] = 0.5, -0.5
+    robots = [
+        SerialRobot.from_model("lwr", name=name, base_frame=base, show_billboards=True)
+        for name, base in zip(("first", "second"), bases, strict=True)
+    ]
+    world = World(Scene(robots=robots, floor=False))
+    decor, data, toggles = Decor(world), world.make_data(), toggles_of(world)
+    for azimuth, first_is_left in ((0.0, True), (np.pi, False), (0.0, True)):
+        view = view_at(azimuth=azimuth, distance=3.0)
+        pen = decor.draw(data, toggles, view)
+        panels = np.flatnonzero(pen.kinds[: pen.count] == Kind.BILLBOARD)
+        across = view.project(pen.rows["pos"][panels])[0][:, 0]
+        is_of_first = pen.items[panels] < robots[0].n
+        assert ((across < view.width / 2) == (is_of_first == first_is_left)).all()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.decor.cards import columns, spread
+from sero_mj.decor.cards import columns, crossings, spread, spread_around, uncross
 
 heights = st.lists(st.floats(5, 60), min_size=1, max_size=12)
 
@@ -97,3 +97,53 @@ def test_a_robot_that_fills_the_picture_has_its_panels_over_it() -> None:
         anchors, np.full((2, 2), (100.0, 30.0)), np.array([0, 1]), 8.0, 50.0, 1280, 800
     )
     assert centres[:, 0] == pytest.approx([58.0, 1222.0])
+
+
+pixels = st.tuples(st.floats(0, 1280), st.floats(0, 800))
+
+
+@given(st.lists(st.tuples(pixels, pixels), min_size=1, max_size=14))
+def test_leaders_do_not_cross_and_become_shorter(leaders) -> None:
+    starts, ends = (np.array(of_all) for of_all in zip(*leaders, strict=True))
+    index = uncross(starts, ends)
+    assert sorted(index) == list(range(len(starts)))
+    assert not crossings(starts[index], ends).any()
+    length = np.linalg.norm(starts - ends, axis=1).sum()
+    assert np.linalg.norm(starts[index] - ends, axis=1).sum() <= length + 1e-6
+
+
+def test_crossing_is_as_two_lines_through_each_other() -> None:
+    starts = np.array([[0.0, 0.0], [0.0, 10.0], [0.0, 20.0], [0.0, 40.0]])
+    ends = np.array([[10.0, 10.0], [10.0, 0.0], [10.0, 20.0], [10.0, 30.0]])
+    assert np.argwhere(crossings(starts, ends)).tolist() == [[0, 1], [1, 0]]
+
+
+def test_those_that_barely_cross_stay_as_they_are() -> None:
+    starts, ends = np.array([[0.0, 0.0], [0.0, 10.0]]), np.array([[100.0, 5.1], [100.0, 5.0]])
+    assert uncross(starts, ends).tolist() == [1, 0]
+    assert uncross(starts, ends, least_gain=1.0).tolist() == [0, 1]
+
+
+@given(heights=heights, data=st.data())
+def test_panels_leave_blocked_ranges_free_where_there_is_room(heights, data) -> None:
+    size = np.array(heights)
+    wanted = np.array([data.draw(st.floats(0, 3000)) for _ in heights])
+    ranges = st.tuples(st.floats(0, 3000), st.floats(1, 300))
+    blocked = np.array(
+        [(low, low + size) for low, size in data.draw(st.lists(ranges, min_size=1, max_size=3))]
+    )
+    got = spread_around(wanted, size, 4.0, 0.0, 3000.0, blocked)
+    low, high = got - size / 2, got + size / 2
+    assert (low[1:] - high[:-1] > -1e-6).all()
+    # The largest room between three ranges of 300 is at least 525 high: they fit into it.
+    if size.sum() + 4.0 * len(size) < 500:
+        assert (
+            (high[:, None] <= blocked[:, 0] + 1e-6) | (low[:, None] >= blocked[:, 1] - 1e-6)
+        ).all()
+
+
+def test_panels_without_anything_behind_them_are_spread_as_usual() -> None:
+    wanted = np.array([100.0, 110.0, 300.0])
+    args = (wanted, np.full(3, 30.0), 5.0, 0.0, 800.0)
+    assert spread_around(*args, np.zeros((0, 2))) == pytest.approx(spread(*args))
+    assert spread_around(*args, np.array([[0.0, 800.0]])) == pytest.approx(spread(*args))

@@ -117,6 +117,7 @@ class Billboards(Feature):
             anchors=anchors,
             sizes=self._sizes(view, lines, texts),
             texts=texts,
+            owners=joints.owner[index],
             side=self._side[index],
             rank=self._rank[index],
             clear=clear,

@@ -6,9 +6,11 @@ import logging
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
-from .cards import LEADER_RGBA, lay_out
+from .cards import LEADER_RGBA, CardLayout, Outline
 from .feature import Feature, Frame, make_features
 from .panels import Panels, draw_panels, labels_at, panel_sizes
 from .pen import CAPACITY, Pen
@@ -47,6 +49,8 @@ class Decor:
         self._world = world
         self._max_segments = max_segments
         self._staleness = Staleness(world)
+        self._cards = CardLayout(_groups(world))
+        self._outline = Outline(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Pen:
         """Lays out one frame and returns the pen that holds it.
@@ -57,7 +61,7 @@ class Decor:
             view: camera and picture size.
         """
         pen, world = self.pen, self._world
-        data = world.state(data)
+        of_model, data = data, world.state(data)
         pen.clear()
         toggles.apply_inputs(data)
         pen.hidden = toggles.hidden_geoms()
@@ -82,11 +86,11 @@ class Decor:
             max_segments=self._max_segments,
         )
         self._each("lay_out", frame)
-        points = data.site_xpos[world.joints.centre_site[frame.shown.joints]]
+        body = self._outline.points(of_model, pen.hidden)
         leaders = LEADER_RGBA[world.scene.view.look]
         panels = [
             *frame.corners,
-            *lay_out(pen, view, frame.cards, points, frame.corners, leaders),
+            *self._cards.lay_out(pen, view, frame.cards, *body, frame.corners, leaders),
             *frame.panels,
             *self._staleness.panels(pen, data, view, stale),
         ]
@@ -105,6 +109,18 @@ class Decor:
                     raise
                 log.exception("%s cannot be drawn and is disabled", type(feature))
                 self.features.remove(feature)
+
+
+def _groups(world: WorldView) -> NDArray[np.intp]:
+    """Returns the index of the robot of every owner of joints: a double's is that of its robot."""
+    names = list(world.owners)
+    return np.array(
+        [
+            names.index(part.double.of if isinstance(part, DoublePart) else name)
+            for name, part in world.owners.items()
+        ],
+        np.intp,
+    )
 
 
 def _is_own(feature: Feature) -> bool:

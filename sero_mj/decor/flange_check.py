@@ -128,6 +128,7 @@ class FlangeCheck(Feature):
             anchors=anchors,
             sizes=panel_sizes(widths, 2, view),
             texts=texts,
+            owners=np.array(items, np.intp),
             side=np.full(len(items), RIGHT, np.intp),
             rank=np.array(items, np.intp) + top,
             clear=clear,

@@ -201,6 +201,7 @@ class _VectorCards:
             anchors=anchors,
             sizes=panel_sizes(widest, np.array([len(lines) for lines in texts]), view),
             texts=texts,
+            owners=np.full(len(index), -1),
             side=(index + 1) % 2,
             rank=self._rank[index],
             clear=float((reach[index] / view.pixel_size(1.0) / depth).max()),
