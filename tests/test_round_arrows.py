@@ -19,6 +19,7 @@ from sero_mj.decor.round_arrows import (
     TURNING_SPEED,
     WIDEST,
     arrow_widths,
+    ribbon_shape,
 )
 from sero_mj.drive.place import follow
 
@@ -233,11 +234,20 @@ def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None
 
 
 def test_an_arrow_beyond_its_limit_is_striped_and_one_at_it_is_not() -> None:
-    for torque, stripes in ((100.0, 0), (101.0, 17), (-150.0, 17)):
+    for torque, stripes in ((100.0, 0), (101.0, 27), (-150.0, 27)):
         _, arrows = one_arrow(torque)
         dark = (arrows["rgba"][0][:, :3] < 0.2).all(axis=1)
         assert dark.sum() == stripes
         assert not dark[0]
+
+
+@pytest.mark.parametrize("segments", [10, 18, 27, 54])
+def test_direction_marks_are_spread_over_the_ribbon(segments: int) -> None:
+    middle, half_angle, is_head, taper = ribbon_shape(segments)
+    assert (middle[1:] - half_angle[1:]) == pytest.approx(middle[:-1] + half_angle[:-1])
+    tips = middle[is_head & ~np.append(is_head[1:], False) | (np.diff(taper, append=9.0) > 0)]
+    count = min(segments // 9, 3)
+    assert tips == pytest.approx((np.arange(count) + 1) * np.deg2rad(315) / count, abs=0.2)
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,12 @@ Array = NDArray[np.float64]
 STRIPE_RGB = (0.08, 0.08, 0.09)
 TURNING_SPEED = 1.6  # rad/s
 
-_ARC = np.deg2rad(300.0)
-_HEAD_ARC = np.deg2rad(52.0)
+_ARC = np.deg2rad(315.0)
+_HEAD_ARC = np.deg2rad(46.0)
+_MOST_HEADS = 3  # the last is at the tip; wherever the joint's link hides one, another is seen
+_MARK_SIZE = 0.6  # how far the heads before the last protrude, of what the last does
+_PER_HEAD = 9  # segments, at least
+_SHARE_OF_HEADS = 0.6  # of the segments; they are narrow, so that the edge of a head is smooth
 _THICKNESS = 0.05  # of the radius
 _HEAD_THICKNESS = 0.30  # of the radius, maximum thickness of the head
 # Width of the head: factor of the ribbon's width, plus fraction of the radius.
@@ -47,7 +51,7 @@ WIDEST = 1.5  # of the radius
 
 _STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
-MAX_SEGMENTS, _FEWEST_SEGMENTS = 34, 10  # bounds of the boxes of a ribbon
+MAX_SEGMENTS, _FEWEST_SEGMENTS = 54, 10  # bounds of the boxes of a ribbon
 _GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
 
 
@@ -200,7 +204,8 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
     rows = pen.take(count * segments, box, kind, np.repeat(ribbons.items, segments))
     if not len(rows):
         return
-    middle, half_angle, head, taper = _shape(segments)
+    middle, half_angle, head, taper = ribbon_shape(segments)
+    flare = np.where(middle < _ARC - _HEAD_ARC, _MARK_SIZE, 1.0)  # of the heads before the last
     sign, radius, widths = ribbons.sign[:, None], ribbons.radius, ribbons.width
     angle = sign * (ribbons.phase[:, None] + middle)
     cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
@@ -214,9 +219,10 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
     grid["mat"][..., 2] = ribbons.axes[:, None, :, 2]
     # A head of constant size on a very thin arrow would make noise look like a torque.
     grown = np.minimum(widths / (_FULL_HEAD_WIDTH * radius), 1.0)
-    head_width = _HEAD_WIDER[0] * widths + _HEAD_WIDER[1] * radius * grown
-    width = np.where(head, head_width[:, None] * taper, widths[:, None])
-    thickness = np.where(head, _HEAD_THICKNESS * grown[:, None] * taper, _THICKNESS)
+    wider = (_HEAD_WIDER[0] - 1.0) * widths + _HEAD_WIDER[1] * radius * grown
+    head_width = (widths[:, None] + wider[:, None] * flare) * taper
+    width = np.where(head, head_width, widths[:, None])
+    thickness = np.where(head, _HEAD_THICKNESS * grown[:, None] * flare * taper, _THICKNESS)
     thickness = radius[:, None] * np.maximum(thickness, _THICKNESS)
     grid["size"][..., 0] = thickness / 2
     # Adjacent boxes meet at the ribbon's outer edge.
@@ -230,22 +236,23 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
 
 
 @cache
-def _shape(segments: int) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+def ribbon_shape(segments: int) -> tuple[Array, Array, NDArray[np.bool_], Array]:
     """Returns the ribbon's shape along its arc, from tail to tip.
 
     Returns:
-        centre angle and half the angle of every segment (rad), which segments form the head, and
-        the head's taper from 1 to 0.
+        centre angle and half the angle of every segment (rad), which segments form heads, and the
+        taper of heads from 1 to 0, NaN elsewhere.
     """
-    heads = max(4, round(0.35 * segments))
-    tails = segments - heads
-    edges = np.concatenate(
-        [
-            np.linspace(0.0, _ARC - _HEAD_ARC, tails + 1),
-            np.linspace(_ARC - _HEAD_ARC, _ARC, heads + 1)[1:],
-        ]
-    )
-    head = np.arange(segments) >= tails
-    taper = np.ones(segments)
-    taper[head] = 1.0 - (np.arange(heads) + 0.5) / heads
-    return (edges[:-1] + edges[1:]) / 2, np.diff(edges) / 2, head, taper
+    heads = min(max(segments // _PER_HEAD, 1), _MOST_HEADS)
+    of_head = max(round(_SHARE_OF_HEADS * segments / heads), 3)
+    of_tail = np.diff(np.linspace(0, segments - heads * of_head, heads + 1).round().astype(int))
+    ends = np.linspace(0.0, _ARC, heads + 1)
+    edges, taper = [np.zeros(1)], []
+    for start, end, tail in zip(ends, ends[1:], of_tail, strict=False):
+        barbs = end - _HEAD_ARC
+        edges.append(np.linspace(start, barbs, tail + 1)[1:])
+        edges.append(np.linspace(barbs, end, of_head + 1)[1:])
+        taper.append(np.full(tail, np.nan))
+        taper.append(1.0 - (np.arange(of_head) + 0.5) / of_head)
+    edges, taper = np.concatenate(edges), np.concatenate(taper)
+    return (edges[:-1] + edges[1:]) / 2, np.diff(edges) / 2, ~np.isnan(taper), taper
