@@ -197,7 +197,11 @@ def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width()
     toggles = Toggles(world)
     decor, data = Decor(world), world.make_data()
     pen = decor.draw(data, toggles, view_at())
-    legend = ["arrows: joint torque", "orange: + about z, blue: -", "full width: torque limit"]
+    legend = [
+        "arrows: joint torque",
+        "orange: + about z, blue: -",
+        "     10 %     50 %     torque limit",
+    ]
     assert labels(pen.rows[: pen.count]) == legend
     toggles.arrow_quantity[3:] = 1  # switched live
     pen = decor.draw(data, toggles, view_at())

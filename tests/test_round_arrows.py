@@ -330,9 +330,10 @@ def test_a_torque_that_cannot_be_is_said_where_no_arrow_shows_it() -> None:
     for value, said in (
         (1e12, ["E1: 1e+12 Nm is over 1000 times the limit; not drawn"]),
         (-1e300, ["E1: -1e+300 Nm is over 1000 times the limit; not drawn"]),
-        (999.0 * limit, []),  # an arrow, striped
+        (999.0 * limit, [f"E1: {999 * limit:.3g} Nm is 999 times the limit"]),
+        (9.9 * limit, []),  # an arrow, striped
         (np.nan, []),
     ):
         data.userdata[slot][2] = value
         pen = Decor(world).draw(data, toggles_of(world), view_at())
-        assert [text for text in labels(pen.rows[: pen.count]) if "not drawn" in text] == said
+        assert [text for text in labels(pen.rows[: pen.count]) if "times the limit" in text] == said

@@ -25,6 +25,8 @@ log = logging.getLogger(__name__)
 _BESIDE = 0.6  # distance of the label from the pointer, of a line's height
 # Positions of the label: lower right, where pointers do not cover it, then above, then left.
 _CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
+# Fraction of white in panels: on the dark floor of the dark look they would not be seen.
+_LIGHTER = {"light": 0.0, "dark": 0.14}
 _HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
 
 
@@ -87,15 +89,16 @@ class Decor:
         )
         self._each("lay_out", frame)
         body = self._outline.points(of_model, pen.hidden)
-        leaders = LEADER_RGBA[world.scene.view.look]
+        look = world.scene.view.look
         panels = [
             *frame.corners,
-            *self._cards.lay_out(pen, view, frame.cards, *body, frame.corners, leaders),
+            *self._cards.lay_out(pen, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]),
             *frame.panels,
             *self._staleness.panels(pen, data, view, stale),
         ]
         # Text first: where the capacity is exceeded, arrows are dropped and not text.
-        draw_panels(pen, view, [*panels, *_hover_panel(toggles, view, panels)])
+        panels += _hover_panel(toggles, view, panels)
+        draw_panels(pen, view, panels, _LIGHTER[look])
         self._each("draw", frame)
         return pen
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
 from .feature import Feature, Frame
-from .panels import Panels, panel_sizes
+from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
 from .toggles import Toggles
 
@@ -20,15 +21,21 @@ _SIGNS = b"orange: + about z, blue: -"
 _LARGEST_SHARE = 0.10  # maximum fraction of the picture
 _MARGIN = 0.5  # of a line's height
 _WORDS = {
-    "torques": ("joint torque", "full width: torque limit"),
-    "torque_error": ("torque error, commanded - measured", "full width: torque limit"),
-    "joint_accelerations": ("joint acceleration", "full width: acceleration limit"),
-    "singularity": ("towards the singularity", "full width: at it"),
+    "torques": ("joint torque", "torque limit"),
+    "torque_error": ("torque error, commanded - measured", "torque limit"),
+    "joint_accelerations": ("joint acceleration", "acceleration limit"),
+    "singularity": ("towards the singularity", "at it"),
 }
 _NICE = (1.0, 2.0, 5.0)
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
+# A line with a bar before each number, as wide as an arrow of that share of the limit.
+_SHARES = np.array([0.1, 0.5, 1.0])
+_SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
+_BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
+_BAR_RGBA = (0.93, 0.93, 0.93, 1.0)
+_BAR_DEPTH = 1.45  # in units of the near plane: between panel and text
 
 
 class Legend(Feature):
@@ -40,12 +47,42 @@ class Legend(Feature):
         super().__init__(world)
         self._key: object = None
         self._panels: Panels | None = None
+        self._last: Panels | None = None  # of this frame
 
     def lay_out(self, frame: Frame) -> None:
         """Adds the legend if it is switched on and an arrow is."""
-        panels = self._shown(frame.toggles, frame.view, frame.arrow_limit)
-        if panels is not None:
-            frame.corners.append(panels)
+        self._last = self._shown(frame.toggles, frame.view, frame.arrow_limit)
+        if self._last is not None:
+            frame.corners.append(self._last)
+
+    def draw(self, frame: Frame) -> None:
+        """Draws the bars of the scale: as wide as the arrows, by the square root of the share."""
+        panels, view = self._last, frame.view
+        if panels is None:
+            return
+        line = view.font.height
+        starts = [view.font.width("".join(_SCALE[:k]) + _SCALE[-1]) for k in range(len(_SCALE))]
+        heights = _BAR_HEIGHT * line * np.sqrt(_SHARES)
+        for centre, size, texts in zip(panels.centres, panels.sizes, panels.texts, strict=True):
+            if not texts[-1].startswith(_SCALE[0].encode()):
+                continue
+            rows = frame.pen.take(len(_SHARES), int(mujoco.mjtGeom.mjGEOM_BOX))
+            if not len(rows):
+                return
+            left, bottom = centre - size / 2 + PADDING * line * np.array([1.0, 0.5])
+            middles = np.stack(
+                [left + np.array(starts) - _BAR_WIDTH * line, bottom + 0.1 * line + heights / 2],
+                axis=1,
+            )
+            depth = _BAR_DEPTH * view.near
+            pixel = view.pixel_size(depth)
+            rows["pos"] = view.at(middles, depth)
+            rows["mat"] = view.facing
+            rows["size"][:, 0] = _BAR_WIDTH * line * pixel / 2
+            rows["size"][:, 1] = heights * pixel / 2
+            rows["size"][:, 2] = pixel / 10
+            rows["rgba"] = _BAR_RGBA
+            rows["emission"] = 1.0
 
     def _shown(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
         if not toggles.legend or not (toggles.arrows.any() or toggles.vectors.any()):
@@ -79,7 +116,8 @@ class Legend(Feature):
                 width = _UNLIMITED
             if not self.world.joints.revolute[shown].all() and code < _TORQUES:
                 what += ", or force"
-            lines = [f"arrows: {what}".encode(), _SIGNS, width.encode()]
+            scale = width if width == _UNLIMITED else "".join(_SCALE) + width
+            lines = [f"arrows: {what}".encode(), _SIGNS, scale.encode()]
             texts.append(lines)
         sizes = np.array(
             [

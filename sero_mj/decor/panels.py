@@ -76,13 +76,14 @@ def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tu
     return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
 
 
-def draw_panels(pen: Pen, view: PictureView, groups: list[Panels]) -> None:
+def draw_panels(pen: Pen, view: PictureView, groups: list[Panels], lighter: float = 0.0) -> None:
     """Draws all panels of a frame in one vectorized pass.
 
     Args:
         pen: where to.
         view: of the picture.
         groups: panels of different colours.
+        lighter: fraction of white that is added to all of them.
     """
     groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
     if not groups:
@@ -103,6 +104,7 @@ def draw_panels(pen: Pen, view: PictureView, groups: list[Panels]) -> None:
             pen.kinds[first + start : first + stop] = group.kind
             pen.items[first + start : first + stop] = group.items
         start = stop
+    rows["rgba"][:, :3] += lighter * (1.0 - rows["rgba"][:, :3])
     rows["rgba"][:, 3] = np.maximum(rows["rgba"][:, 3], view.least_alpha)
     rows["pos"] = view.at(centres, depth)
     rows["mat"] = view.facing

@@ -247,12 +247,10 @@ def ribbon_shape(segments: int) -> tuple[Array, Array, NDArray[np.bool_], Array]
     of_head = max(round(_SHARE_OF_HEADS * segments / heads), 3)
     of_tail = np.diff(np.linspace(0, segments - heads * of_head, heads + 1).round().astype(int))
     ends = np.linspace(0.0, _ARC, heads + 1)
-    edges, taper = [np.zeros(1)], []
+    parts, tapers = [np.zeros(1)], []
     for start, end, tail in zip(ends, ends[1:], of_tail, strict=False):
         barbs = end - _HEAD_ARC
-        edges.append(np.linspace(start, barbs, tail + 1)[1:])
-        edges.append(np.linspace(barbs, end, of_head + 1)[1:])
-        taper.append(np.full(tail, np.nan))
-        taper.append(1.0 - (np.arange(of_head) + 0.5) / of_head)
-    edges, taper = np.concatenate(edges), np.concatenate(taper)
+        parts += [np.linspace(start, barbs, tail + 1)[1:], np.linspace(barbs, end, of_head + 1)[1:]]
+        tapers += [np.full(tail, np.nan), 1.0 - (np.arange(of_head) + 0.5) / of_head]
+    edges, taper = np.concatenate(parts), np.concatenate(tapers)
     return (edges[:-1] + edges[1:]) / 2, np.diff(edges) / 2, ~np.isnan(taper), taper
