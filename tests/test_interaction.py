@@ -248,6 +248,7 @@ def test_a_click_on_an_arrow_brings_up_its_precise_numbers() -> None:
         "    err   -2.00 Nm",
         "    limit  100.0 Nm",
         "    share   30.0 %",
+        "z",  # of the axis
     ]
 
 

@@ -337,3 +337,16 @@ def test_a_torque_that_cannot_be_is_said_where_no_arrow_shows_it() -> None:
         data.userdata[slot][2] = value
         pen = Decor(world).draw(data, toggles_of(world), view_at())
         assert [text for text in labels(pen.rows[: pen.count]) if "times the limit" in text] == said
+
+
+def test_the_z_axis_is_drawn_at_joints_that_were_clicked_on() -> None:
+    world = world_of(torques=np.full(7, 20.0), show_arrows=True, joint_angles=POSE)
+    data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
+    assert "z" not in labels(decor.draw(data, toggles, view_at()).rows[: decor.pen.count])
+    toggles.details[3] = True
+    rows = decor.draw(data, toggles, view_at()).rows[: decor.pen.count]
+    axis = of_kind(rows, GEOM.mjGEOM_ARROW)
+    site = world.joints.centre_site[3]
+    assert axis["pos"][0] == pytest.approx(data.site_xpos[site], abs=1e-6)
+    assert axis["mat"][0][:, 2] == pytest.approx(world.robots["lwr"].dh.frames(POSE)[4][:3, 2])
+    assert labels(rows).count("z") == 1

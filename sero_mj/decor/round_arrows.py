@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from .axes import AXIS_RGB
 from .feature import Feature, Frame
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
 
@@ -50,6 +51,7 @@ INVISIBLE_WIDTH = 0.03  # of the radius; narrower arrows (0.1 % of a torque limi
 WIDEST = 1.5  # of the radius
 
 _STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
+_Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
 MAX_SEGMENTS, _FEWEST_SEGMENTS = 54, 10  # bounds of the boxes of a ribbon
 _GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
@@ -119,8 +121,31 @@ class RoundArrows(Feature):
                 striped=over[turning],
             )
             draw_ribbons(pen, Kind.ARROW, ribbons, _segments(frame))
+        clicked = (shown.arrows & frame.toggles.details).nonzero()[0]
+        if len(clicked):
+            self._draw_z(frame, clicked)
         if len(sliding):
             self._draw_straight(pen, data, sliding, (values, widths, over, rgba))
+
+    def _draw_z(self, frame: Frame, index: NDArray[np.intp]) -> None:
+        """Draws the z axis, about which positive torques turn, of joints that were clicked on."""
+        joints, pen = self.world.joints, frame.pen
+        sites = joints.centre_site[index]
+        z = frame.data.site_xmat[sites].reshape(-1, 3, 3)[:, :, 2]
+        length = _Z_LENGTH * joints.arrow_radius[index][:, None]
+        centre = frame.data.site_xpos[sites]
+        rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW))
+        if len(rows):
+            rows["pos"] = centre
+            rows["mat"] = frame.data.site_xmat[sites].reshape(-1, 3, 3)
+            rows["size"][:, :2] = _Z_WIDTH * length
+            rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
+            rows["rgba"] = (*AXIS_RGB[2], 1.0)
+        labels = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_LABEL))
+        if len(labels):
+            labels["pos"] = centre + 1.1 * length * z
+            labels["rgba"] = 1.0
+            labels["label"] = b"z"
 
     def _draw_straight(
         self,
