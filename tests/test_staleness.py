@@ -65,6 +65,19 @@ def test_a_robot_says_how_old_its_data_is(age: float, text: str | None) -> None:
     assert (pen.grey is None) == (text is None)
 
 
+def test_a_robot_without_fresh_data_has_no_numbers_of_its_flange_check() -> None:
+    world = two_arms()
+    for age, text in ((0.0, b"left flange check   0.00 mm    0.00 deg"),
+                      (1.2, b"left flange check: no data for 1.2 s")):  # fmt: skip
+        data = with_age(world, age)
+        own = world.fwd_kin_base_to_flange(data, "left")
+        world.set_input(data, "left.flange_check", own)
+        pen = Decor(world).draw(data, toggles_of(world), view_at(distance=5))
+        rows = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_LABEL)
+        found = [label for label in rows["label"].tolist() if b"flange" in label]
+        assert found == [text]
+
+
 def test_bad_packets_are_no_silence() -> None:
     world = two_arms()
     data = with_age(world, 1.2, fault_age=0.01)

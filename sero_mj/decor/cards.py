@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.mjcf_double import OUT_OF_SIGHT
+from ..assemble.double import OUT_OF_SIGHT
 from ..assemble.world_view import WorldView
 from .panels import PANEL_RGBA, Panels, draw_leaders
 from .pen import Kind, Pen

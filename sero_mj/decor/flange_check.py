@@ -78,7 +78,8 @@ class FlangeCheck(Feature):
         """Draws the received flange frames and adds panels with the differences.
 
         Differences above tolerance are shown on a card at the flange; the others, and those of
-        flanges outside the picture, in the upper right corner.
+        flanges outside the picture, in the upper right corner. A robot without fresh data has no
+        numbers there.
         """
         data, view = frame.data, frame.view
         if not frame.toggles.flange_checks or not (data.userdata[self._flags] > 0).any():
@@ -88,6 +89,10 @@ class FlangeCheck(Feature):
         for i, (name, part) in enumerate(self.world.robots.items()):
             difference = flange_difference(self.world, data, name)
             if difference is None:
+                continue
+            if name in frame.stale:
+                text = f"{name} flange check: {frame.stale[name]}"
+                right.append(text.encode("ascii", "replace")[:99])
                 continue
             distance, angle = difference[0], float(np.rad2deg(difference[1]))
             robot = part.robot
