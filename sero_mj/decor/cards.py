@@ -381,7 +381,7 @@ def spread_around(
     Returns:
         centres (k,), the first lowest.
     """
-    rooms = _rooms_between(blocked, low, high) if len(blocked) else []
+    rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
     for between in (gap, _LEAST_GAP * gap) if rooms else ():
         firsts = _assign_rooms(centres, heights, between, rooms)
         if firsts is None:
@@ -423,14 +423,16 @@ def _assign_rooms(
     return found[::-1]
 
 
-def _rooms_between(blocked: Array, low: float, high: float) -> list[tuple[float, float]]:
-    """Returns the ranges from low to high that no blocked range covers, the lowest first."""
+def _rooms_between(
+    blocked: Array, low: float, high: float, least: float
+) -> list[tuple[float, float]]:
+    """Returns ranges from low to high, of a least size, that no blocked range covers, in order."""
     rooms = []
-    for bottom, top in blocked[np.argsort(blocked[:, 0])]:
+    for bottom, top in blocked[np.argsort(blocked[:, 0])].tolist():
         if bottom > low:
             rooms.append((low, min(bottom, high)))
         low = max(low, top)
-    return [(bottom, top) for bottom, top in [*rooms, (low, high)] if top > bottom]
+    return [(bottom, top) for bottom, top in [*rooms, (low, high)] if top >= bottom + least]
 
 
 def columns(

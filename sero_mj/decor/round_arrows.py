@@ -53,7 +53,7 @@ WIDEST = 1.5  # of the radius
 _STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
 _Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
-MAX_SEGMENTS, _FEWEST_SEGMENTS = 54, 10  # bounds of the boxes of a ribbon
+MAX_SEGMENTS, _FEWEST_SEGMENTS = 45, 10  # bounds of the boxes of a ribbon
 _GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
 
 
