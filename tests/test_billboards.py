@@ -11,6 +11,7 @@ from sero_mj.assemble.double import Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.decor.billboards import shortened
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
 from sero_mj.decor.picture_view import PictureView
@@ -222,6 +223,18 @@ def test_with_several_robots_a_billboard_says_whose_joint_it_is() -> None:
     ]
     rows = drawn(World(Scene(robots=robots, floor=False)), view_at(distance=20))
     assert sorted(labels(rows)) == ["left J1    2.0 Nm", "right J1    2.0 Nm"]
+
+
+def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
+    assert shortened(["left", "right_manipulator_arm"]) == ["left", "right_..or_arm"]
+    same = ["front_left_of_the_hip", "front_lost_of_the_hip"]
+    assert shortened(same) == same
+    robots = [
+        SerialRobot(name=name, dh_convention="craig", torques=[2.0], show_billboards=True)
+        for name in ("left_manipulator_arm", "right_manipulator_arm")
+    ]
+    rows = drawn(World(Scene(robots=robots, floor=False)), view_at(distance=20))
+    assert sorted(labels(rows)) == ["left_m..or_arm J1    2.0 Nm", "right_..or_arm J1    2.0 Nm"]
 
 
 def test_the_legend_leaves_small_pictures_alone() -> None:

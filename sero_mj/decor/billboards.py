@@ -53,6 +53,7 @@ _DETAILS = {
 }
 
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
+_LONGEST_NAME = 14  # characters of a robot's or a joint's name on a billboard
 _TINT = 0.30  # fraction of the double's colour in the colour of its panels
 
 
@@ -68,11 +69,13 @@ class Billboards(Feature):
         self._lines: list[list[Line]] = []
         self._details: list[list[Line]] = []
         declared = [declared_lines(part, world.scene) for part in parts]
-        for owner, joint, revolute in zip(joints.owner, joints.names, joints.revolute, strict=True):
+        owners = shortened([part.declared.name for part in parts])
+        of_joints = shortened(list(joints.names))
+        for owner, joint, revolute in zip(joints.owner, of_joints, joints.revolute, strict=True):
             name, part = joint, parts[owner]
             # With several robots, joint names alone are ambiguous.
             if len(world.robots) > 1 or isinstance(part, DoublePart):
-                name = f"{part.declared.name} {joint}"
+                name = f"{owners[owner]} {joint}"
             self._lines.append(billboard_lines(name, declared[owner], not revolute))
             self._details.append(detail_lines(name, not revolute))
         self._side = np.concatenate(
@@ -137,6 +140,17 @@ class Billboards(Feature):
                 if len(text) > len(line.widest):
                     widths[k] = max(widths[k], font.width(text))
         return panel_sizes(widths, np.array([len(of_joint) for of_joint in lines]), view)
+
+
+def shortened(names: list[str]) -> list[str]:
+    """Returns names of at most `_LONGEST_NAME` characters, long ones without their middle.
+
+    Those that would become the same are returned as they are.
+    """
+    half = (_LONGEST_NAME - 2) // 2
+    short = [n if len(n) <= _LONGEST_NAME else f"{n[:half]}..{n[-half:]}" for n in names]
+    of_short = {text: {n for n, s in zip(names, short, strict=True) if s == text} for text in short}
+    return [s if len(of_short[s]) == 1 else n for n, s in zip(names, short, strict=True)]
 
 
 def _tinted(part: object) -> Array:
