@@ -52,6 +52,26 @@ def test_waiting_ends_when_a_packet_comes(lwr: SerialRobot) -> None:
         assert not mirror.wait_next(0.0)  # only what came since
 
 
+def test_a_picture_waits_for_a_packet_that_is_new(lwr: SerialRobot) -> None:
+    source = UdpReceiver(structure="7F")
+    scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
+    with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        mirror.wait_fresh(20.0)  # at once: it has sent nothing that could be old
+        sock.sendto(struct.pack("<7d", *[0.1] * 7), ("127.0.0.1", source.port))
+        assert source.wait(10.0)
+        mirror.wait_fresh(0.0)
+        assert mirror.data.qpos.tolist() == [0.1] * 7  # the best there is
+        waiting = threading.Thread(target=mirror.wait_fresh, args=(20.0,))
+        waiting.start()
+        sent = 0
+        while waiting.is_alive():
+            sent += 1
+            sock.sendto(struct.pack("<7d", *[0.2] * 7), ("127.0.0.1", source.port))
+            waiting.join(0.01)
+        assert sent < 100
+        assert mirror.data.qpos.tolist() == [0.2] * 7
+
+
 def test_a_switch_follows_whether_packets_come(lwr: SerialRobot) -> None:
     source = UdpReceiver(structure="7F")
     routes = {

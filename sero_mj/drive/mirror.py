@@ -153,6 +153,22 @@ class Mirror:
             if not source.wait(max(deadline - time.monotonic(), 0.0))
         ]
 
+    def wait_fresh(self, timeout: float) -> None:
+        """Waits until live sources that send have sent anew, up to `timeout` s; applies it.
+
+        A packet that came while this thread was busy, making an OpenGL context for example, may
+        be old by then.
+        """
+        deadline = time.monotonic() + timeout
+        live = {name: source for name, source in self.sources.items() if source.is_live}
+        since = {name: source.now() for name, source in live.items() if source.wait(0.0)}
+        while True:
+            self.advance()
+            if all(self._latest[name].arrival >= start for name, start in since.items()):
+                return
+            if not self.wait_next(max(deadline - time.monotonic(), 0.0)):
+                return
+
     def wait_next(self, timeout: float) -> bool:
         """Waits up to `timeout` s for packets that came since it last returned; did any come?"""
         came = self._news.wait(timeout)

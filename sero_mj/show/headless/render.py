@@ -206,6 +206,7 @@ def _make_renderer(world: WorldView, width: int, height: int) -> Any:
         ) from error
 
 
+_NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
 MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
 # Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
 Click = tuple[float, float, str, bool]
@@ -244,6 +245,8 @@ def render_picture(
         with HeadlessRenderer(mirror.world, *size, camera) as renderer:
             silent = mirror.wait(wait)
             mirror.advance(at)
+            if mirror.is_live:
+                mirror.wait_fresh(min(wait, _NEXT_WITHIN))
             _click(renderer, mirror.data, clicks)
             save_picture(Path(path), renderer.render(mirror.data))
     return silent
