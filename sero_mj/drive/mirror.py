@@ -153,17 +153,21 @@ class Mirror:
             if not source.wait(max(deadline - time.monotonic(), 0.0))
         ]
 
-    def wait_fresh(self, timeout: float) -> None:
-        """Waits until live sources that send have sent anew, up to `timeout` s; applies it.
+    def wait_fresh(self, timeout: float, now: float | None = None) -> None:
+        """Waits until live sources that send have sent anew, and applies that.
 
         A packet that came while this thread was busy, making an OpenGL context for example, may
         be old by then.
+
+        Args:
+            timeout: maximum time, s.
+            now: see `advance`.
         """
         deadline = time.monotonic() + timeout
         live = {name: source for name, source in self.sources.items() if source.is_live}
         since = {name: source.now() for name, source in live.items() if source.wait(0.0)}
         while True:
-            self.advance()
+            self.advance(now)
             if all(self._latest[name].arrival >= start for name, start in since.items()):
                 return
             if not self.wait_next(max(deadline - time.monotonic(), 0.0)):

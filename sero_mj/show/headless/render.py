@@ -244,9 +244,7 @@ def render_picture(
         check_writable(Path(path))
         with HeadlessRenderer(mirror.world, *size, camera) as renderer:
             silent = mirror.wait(wait)
-            mirror.advance(at)
-            if mirror.is_live:
-                mirror.wait_fresh(min(wait, _NEXT_WITHIN))
+            mirror.wait_fresh(min(wait, _NEXT_WITHIN), at)
             _click(renderer, mirror.data, clicks)
             save_picture(Path(path), renderer.render(mirror.data))
     return silent
