@@ -21,7 +21,7 @@ from rich.table import Table
 
 from sero_mj import Scene, SerialRobot, World
 from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.controllers import controller_from, make_controller
+from sero_mj.control.make_controller import controller_from, make_controller
 from sero_mj.control.observer import MomentumObserver
 from sero_mj.control.robot_model import RobotModel
 

@@ -11,9 +11,9 @@ Conventions, everywhere in this package:
   arrays are (n,). Joint values are rad for revolute and m for prismatic joints, efforts Nm and N.
 - Pictures are (height, width, 3), uint8, top row first, and pixels of clicks (`--click`,
   `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y down. Within
-  `decor`, where panels are laid out, they are counted from the lower left one, y up.
+  `decor` and `show` they are counted from the lower left one, y up.
 - The data moves one way: assemble, receive, drive, decor, show. A file imports only from folders
-  above its own in that list.
+  above its own in the README's list, which has the others as well.
 
 The public names are imported when they are first used, because `import mujoco` takes a while.
 Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet imported, importing this

@@ -1,4 +1,4 @@
-"""What robots, objects, cameras and sources share: fields that are checked all at once.
+"""What all that is declared in files shares: fields that are checked all at once.
 
 A `Declaration` is a pydantic model that refuses unknown keys and turns everything that is wrong
 with its fields into `Problem`s that say what was found and what would be right.
@@ -222,7 +222,7 @@ _MESSAGES: dict[str, Callable[[ErrorDetails, type[Declaration]], str]] = {
 
 
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
-    """Builds the declaration that a table's `kind` names; one of class `base` is one already.
+    """Builds the declaration that a table's `kind` names; returns an instance of `base` as it is.
 
     Args:
         table: as a file has it.

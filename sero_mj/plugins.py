@@ -1,7 +1,7 @@
 """What other packages add: entry points, by which sero-mj's own parts are found as well.
 
-    sero_mj.sources   kinds of sources in scenes, classes like `receive.source.Source`
-    sero_mj.decor     visual features, see `decor.draw`
+    sero_mj.sources   kinds of sources in scenes, subclasses of `receive.source.Source`
+    sero_mj.decor     visual features, subclasses of `decor.feature.Feature`
 
 A package adds a kind in its pyproject.toml, and no line of sero-mj changes:
 

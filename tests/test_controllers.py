@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from simulated import START, lwr_model, lwr_robot
 
 from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.controllers import CONTROLLERS, controller_from, make_controller
 from sero_mj.control.joint_control import JointImpedance
+from sero_mj.control.make_controller import CONTROLLERS, controller_from, make_controller
 from sero_mj.errors import DeclarationError, SimulationError
 
 Array = NDArray[np.float64]

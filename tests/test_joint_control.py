@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
 from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.controllers import LimitedController
 from sero_mj.control.joint_control import (
     GravityCompensation,
     JointImpedance,
@@ -24,6 +23,7 @@ from sero_mj.control.joint_control import (
     design_damping,
     unstable_joint,
 )
+from sero_mj.control.make_controller import LimitedController
 from sero_mj.control.robot_model import RobotModel
 from sero_mj.errors import DeclarationError, SimulationError
 

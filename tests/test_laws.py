@@ -14,8 +14,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sero_mj.assemble.robot import SerialRobot
-from sero_mj.control.laws import Chirp, Constant, JointLaw, Motion, Recorded, Sine, Step, quintic
 from sero_mj.control.plan import LAWS, law_from
+from sero_mj.control.target_motions import (
+    Chirp,
+    Constant,
+    JointLaw,
+    Motion,
+    Recorded,
+    Sine,
+    Step,
+    quintic,
+)
 from sero_mj.control.way_points import (
     WayPoints,
     quintic_duration,

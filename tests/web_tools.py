@@ -38,7 +38,7 @@ from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.viewer import open_page
 from sero_mj.show.web import page_windows
-from sero_mj.show.web.studio_controls import KEYS
+from sero_mj.show.web.studio_controls import IMGUI_KEYS
 from pathlib import Path
 page_windows._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
 
@@ -58,7 +58,7 @@ def looked(build):
     def built():
         seen["at"] = [imgui.GetIO().MousePos.x, imgui.GetIO().MousePos.y]
         seen["is_down"] = imgui.IsMouseDown(int(imgui.MouseButton.Left))
-        seen["is_key_down"] = any(imgui.IsKeyDown(key) for key in KEYS.values())
+        seen["is_key_down"] = any(imgui.IsKeyDown(key) for key in IMGUI_KEYS.values())
         return build()
     return built
 imgui.BeginMainMenuBar = looked(imgui.BeginMainMenuBar)

@@ -34,8 +34,8 @@ from ._arguments import OneLineParser, join_negative_values
 _DESCRIPTION = """\
 sero-mj shows what a torque-controlled robot feels.
 
-It mirrors a robot from UDP packets, draws round arrows that turn about the joints to show
-torques, and billboards with their numbers, and renders pictures and films without a window.
+It mirrors a robot from packets or simulates one, draws round arrows that turn about the joints to
+show torques, and billboards with their numbers: in a window, on a web page, in pictures and films.
 """
 
 _EPILOG = """\

@@ -100,7 +100,7 @@ def _print_scenario_fields() -> None:
 
 def scenario_tables() -> dict[str, type[Declaration]]:
     """The tables that a scenario file has beside those of a scene, by their headers."""
-    from ..control.controllers import CONTROLLERS
+    from ..control.make_controller import CONTROLLERS
     from ..control.plan import LAWS
     from ..runs.monitor import Monitor
     from ..simulate.disturbances import DISTURBANCES, FAULTS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat, mju_mulQuat
@@ -58,6 +58,8 @@ class CartesianImpedance(ControllerDeclaration):
         nullspace_damping: ratio per joint; without stiffness as for 1 Nm/rad.
         damping_every: s between two designs of the damping matrices.
     """
+
+    needs_pose: ClassVar[bool] = True
 
     kind: Literal["cartesian_impedance"] = "cartesian_impedance"
     stiffness: Annotated[Array, BeforeValidator(_stiffness)] = np.diag([2e3] * 3 + [1e2] * 3)

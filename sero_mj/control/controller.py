@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator
@@ -70,8 +70,8 @@ class Sensed:
         velocities: (n,), per second.
         torques: (n,), Nm or N, as the sensors on the link side of the gears read them.
         motor_state: (2n,), angles, then velocities of the motors, on the link's side of the gear.
-            Springs and dampers act on these: on the links' they would make energy, because between
-            them and the motors the joint swings (Ott 2008).
+            Springs and dampers act on these: with those of the links the control would not be
+            passive, because the elastic joint is between them and the motors (Ott 2008).
         motor_angles: (n,), the first half of it.
         motor_velocities: (n,), the second.
 
@@ -125,8 +125,8 @@ class Target:
         velocities: (n,), per second; the second half of `state`.
         accelerations: (n,), per second squared.
         torques: (n,), Nm or N, added to what the controller computes.
-        has_torques: whether to; false where `torques` and `wrench` are zero all the time, which is
-            faster.
+        has_torques: whether `torques` and `wrench` are added; false, which is faster, where both are
+            zero all the time.
         pose: (4, 4), T_world_flange, m.
         position: (3,), of it.
         rotation: (3, 3), of it.
@@ -196,7 +196,12 @@ class ControllerDeclaration(Declaration, ABC):
     Attributes:
         torque_limits: (n,), Nm or N, where they are below those of the robot.
         torque_rate_limits: (n,), Nm/s or N/s; None for none.
+        needs_target: whether it holds a pose, so that a robot without a target stays where it is.
+        needs_pose: whether it follows the flange's pose, and not only joint angles.
     """
+
+    needs_target: ClassVar[bool] = True
+    needs_pose: ClassVar[bool] = False
 
     torque_limits: MaybePerJoint = None
     torque_rate_limits: MaybePerJoint = None

@@ -1,8 +1,8 @@
-"""Controllers in joint space: gravity compensation, torque, impedance, position; their damping."""
+"""Joint-space controllers (gravity compensation, torque, impedance, position) and their damping."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -30,6 +30,8 @@ class GravityCompensation(ControllerDeclaration):
         damping: Nm s/rad or N s/m per joint, against motion.
     """
 
+    needs_target: ClassVar[bool] = False
+
     kind: Literal["gravity_compensation"] = "gravity_compensation"
     damping: Annotated[PerJoint, within(0.0, 1e4, "Nm s/rad")] = np.zeros(1)
 
@@ -45,6 +47,8 @@ class Torque(ControllerDeclaration):
         torques: Nm per joint, all the time; what a target brings comes on top.
         compensate_gravity: whether gravity is added.
     """
+
+    needs_target: ClassVar[bool] = False
 
     kind: Literal["torque"] = "torque"
     torques: PerJoint = np.zeros(1)

@@ -16,11 +16,10 @@ from ..assemble.robot import SerialRobot
 from ..declaration import by_kind
 from ..errors import DeclarationError, Problem
 from ..frames import Array
-from .cartesian_control import CartesianImpedance
 from .compiler import Compiler
 from .controller import Controller, ControllerDeclaration
-from .joint_control import GravityCompensation, Torque
-from .laws import (
+from .robot_model import RobotModel
+from .target_motions import (
     CartesianConstant,
     CartesianLaw,
     CartesianMotion,
@@ -33,7 +32,6 @@ from .laws import (
     Sine,
     Step,
 )  # fmt: skip
-from .robot_model import RobotModel
 from .way_points import CartesianWayPoints, WayPoints
 
 LAWS: Mapping[str, type[Law]] = {
@@ -117,8 +115,7 @@ def make_plan(
         DeclarationError: the motion leaves the robot's limits or reach.
     """
     start = np.asarray(robot.home if start is None else start, np.float64)
-    is_cartesian = isinstance(controller, CartesianImpedance)
-    if law is None and isinstance(controller, GravityCompensation | Torque):
+    if law is None and not getattr(controller, "needs_target", True):
         return Plan(None, None, moves=False)
     if isinstance(law, CartesianLaw):
         first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)
@@ -130,7 +127,9 @@ def make_plan(
     assert isinstance(law, JointLaw)
     joints = law.sample(times, robot, start)
     moves = bool(np.ptp(joints.angles, axis=0).max() > 0)
-    return Plan(joints, _poses(robot, joints) if is_cartesian else None, moves)
+    return Plan(
+        joints, _poses(robot, joints) if getattr(controller, "needs_pose", False) else None, moves
+    )
 
 
 def _motion(times: Array, angles: Array) -> Motion:

@@ -20,7 +20,7 @@ from ..declaration import Frame, Vector
 from ..errors import DeclarationError, Problem
 from ..frames import Array, Ints
 from .controller import MaybePerJoint
-from .laws import (
+from .target_motions import (
     CartesianLaw,
     CartesianMotion,
     JointLaw,

@@ -1,4 +1,7 @@
-"""Billboards: panels with the values of every joint that face the camera (section 2.1)."""
+"""Billboards: panels that face the camera, with the values of every joint.
+
+Source: section 2.1 of Hulin, Hertkorn, Preusche: Interactive Features for Robot Viewers.
+"""
 
 from __future__ import annotations
 

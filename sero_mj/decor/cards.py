@@ -1,8 +1,9 @@
 """Cards: panels beside the robots, with a leader line to the item they describe.
 
-Cards keep their side, column and order for all camera poses, and their heights follow the joints
-continuously, so that nothing jumps while the camera or the robot moves. Cards do not overlap as
-long as the picture is large enough.
+Each robot's cards stand on its own side of the picture; a single robot, or one in the middle, has
+cards on both sides. Their heights follow the joints continuously; a card changes its place only
+where leaders would cross, or where a robot gets behind it. Cards do not overlap as long as the
+picture is large enough.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Cards:
 
 
 class CardLayout:
-    """Places the cards of a world: each robot's on its own side, with leaders that do not cross.
+    """Places the cards of a world, and keeps their places from frame to frame.
 
     A card keeps its side and its place in the vertical order from frame to frame, until leaders
     cross: then two cards change places. So nothing moves to and fro at a limit.

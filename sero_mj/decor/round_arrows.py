@@ -5,10 +5,11 @@ the colour shows the sign as well. Arrows of doubles are transparent and slightl
 
 Width: with a limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the limit and proportional
 to the square root of the value below it, so that 2 % of the limit has a seventh of the full width;
-zero in the dead band. Without a limit, `arrow_width_scale` m per unit. Beyond the limit the ribbon
-is striped. An arrow is a ribbon of thin boxes along an arc; its head tapers in width and in
-thickness, so that it is recognizable both from the side and along the axis. Source: the paper's
-section 2.2; square root, dead band and stripes are additions.
+zero in the dead band, from which it grows to that within another one. Without a limit,
+`arrow_width_scale` m per unit, or as wide as the radius at the joint's `arrow_load`. Beyond the
+limit the ribbon is striped. An arrow is a ribbon of thin boxes along an arc; its heads taper in
+width and in thickness, so that they are recognizable both from the side and along the axis. Source:
+the paper's section 2.2; square root, dead band and stripes are additions.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ def arrow_widths(
         values: values of the arrows, (N,); the sign is ignored.
         limit: value at which an arrow has full width, (N,); inf for none.
         radius: `arrow_radius` (N,), m.
-        width_scale: `arrow_width_scale` (N,), m per unit of the value.
+        width_scale: `arrow_width_scale` (N,): m per unit of the value, and with a limit, of which
+            `DEFAULT_WIDTH_SCALE` gives full width, a factor.
         dead_band: fraction of the limit below which the width is zero, (N,).
 
     Returns:

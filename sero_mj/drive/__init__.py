@@ -1,4 +1,4 @@
-"""Values to `MjData`, every tick.
+"""Values to `MjData`, every frame: from routes to poses.
 
 In: packets of sources and the scene's routes. Out: joint angles, frames and `userdata`, with every
 follower and double in its place.

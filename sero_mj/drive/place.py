@@ -1,4 +1,4 @@
-"""Puts everything where it belongs: followers, bases on other robots' frames, doubles, frames."""
+"""Computes the poses of received frames, mounted bases, followers and doubles from the inputs."""
 
 from __future__ import annotations
 

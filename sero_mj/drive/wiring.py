@@ -105,7 +105,7 @@ def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
 
 
 def _allow_blanks(wiring: Wiring) -> None:
-    """Lets NaN through where it moves nothing, not even in the end: it blanks, or is not routed."""
+    """Allows NaN in events that do not move anything, directly or through other routes."""
     routes = {route.to.target: route for route in wiring.routes}
     todo = [target for target, route in routes.items() if route.to.kind not in BLANKABLE]
     moving: dict[str, Route] = {}  # the routes to what moves, and to what these read

@@ -10,8 +10,8 @@ from dm_env import specs
 
 from ..assemble.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, Sensed, Target
-from ..control.controllers import make_controller
 from ..control.joint_control import JointImpedance, Torque
+from ..control.make_controller import make_controller
 from ..control.robot_model import RobotModel
 from ..errors import DeclarationError, Problem, SimulationError
 from ..frames import Array

@@ -121,7 +121,7 @@ class Source(Declaration):
     time_scale: float = Field(1.0, gt=0, lt=1e100)
     debug_level: int = Field(1, ge=0, le=3)
 
-    # Whose structure it has, where nobody may declare one.
+    # Where the structure comes from, for kinds whose structure cannot be declared.
     _structure_is: ClassVar[str] = ""
     _intake: Intake | None = PrivateAttr(None)
     _nan_allowed: frozenset[str] = PrivateAttr(frozenset())

@@ -1,6 +1,9 @@
 """Values to files and back.
 
-In: packets of sources, or rows of a run. Out: MCAP recordings and CSV tables, whole also when the
-process is killed; and `Replay`, a source that plays them.
-Open first: `recorder.py` to write, `recording.py` to read, `replay.py` to play.
+In: packets of sources, or rows of a run. Out: MCAP recordings, whole also when the process is
+killed; CSV tables; and `Replay`, a source that plays recordings.
+Open first: `recorder.py` to write, `recording.py` to read, `replay.py` to play. Another format has
+what `RecordingWriter` has to be written, `Recording` to be read: raw packets, byte for byte, with
+the declaration of their source. `drive/record_sources.py` records live sources with it,
+`simulate/log_output.py` runs.
 """

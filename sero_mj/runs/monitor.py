@@ -32,8 +32,8 @@ class Monitor(Declaration):
     """Thresholds of faults; each has to be exceeded for `hold`.
 
     Attributes:
-        torque_error: |commanded - measured| torque, as a share of the joint's torque limit. What
-            drives accelerate their own motors with is in it.
+        torque_error: |commanded - measured| torque, as a share of the joint's torque limit. It
+            includes the torque that accelerates the motors' inertia.
         external_torque: what the momentum observer takes for torque from outside, likewise.
         position_error: |target - measured| angle, rad or m; None does not look.
         frozen_after: s for which a torque sensor may read the very same while it should not.

@@ -363,7 +363,7 @@ def help_columns(*, on_page: bool = False) -> list[list[Row]]:
                 shown.append((f"{gesture} {name}", CLICKS[gesture, kind][0]))
     shown += [
         ("double click background", "what the scene declares"),
-        ("Shift+click", "the same for the whole robot"),
+        ("Shift+click", "the same for the whole robot, or all smart arrows"),
     ]
     return [view, shown]
 

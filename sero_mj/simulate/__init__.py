@@ -1,4 +1,4 @@
-"""Torques in, measured angles, velocities and torques out: the robot that is simulated.
+"""Scenarios: simulated robots with controllers, sensors, disturbances and faults.
 
 In: a scenario: a scene, controllers, targets, disturbances, faults, expectations. Out: a `RunLog`,
 and whether everything held.

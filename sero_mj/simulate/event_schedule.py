@@ -26,7 +26,7 @@ class EventSchedule:
         steps: of the run.
 
     Attributes:
-        gains: (n,), what the torques that controllers ask for are multiplied by.
+        gains: (n,), factors of the commanded torques, after the limits: those of faulty drives.
     """
 
     scenario: Scenario
@@ -76,8 +76,8 @@ class EventSchedule:
             self._objects[name] = self.plant.flange(robot) @ grasp
             self._log[k, self._columns[event_of(name, "frame")]] = self._objects[name].ravel()
 
-    def events(self) -> dict[str, str]:
-        """Further events of the log: forces as they act, and objects that are carried."""
+    def log_events(self) -> dict[str, str]:
+        """Further columns of the log: forces as they act, and objects that are carried."""
         events = {}
         for name, disturbance in self.scenario.disturbances.items():
             if isinstance(disturbance, Force):

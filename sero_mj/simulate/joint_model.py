@@ -57,9 +57,9 @@ def as_slice(indices: Ints) -> Index:
 class JointModel:
     """Where motors, links and torque sensors of a world's robots are in MuJoCo's arrays.
 
-    Angles of links and their velocities are sums of two joints' where joints are elastic. All that
-    sensors feel is a sum of what was before a step, of what acted in it, and of what is after it:
-    one product gives it, because numpy takes longer to call than to compute.
+    Angles of links and their velocities are sums of two joints' where joints are elastic. Readings
+    of the sensors are linear in the states before and after a step and in the torques that acted in
+    it: one matrix product computes them all, in few calls of numpy.
 
     Args:
         world: compiled with `dynamic`.
@@ -236,7 +236,7 @@ class JointModel:
         self._readings_of.dot(self._terms, readings)
 
     def read_at_rest(self, readings: Array) -> None:
-        """The same where no step has led to: sensors feel what holds the links."""
+        """Writes the readings at rest, before any step: torque sensors read the static load."""
         self._terms[:] = 0.0
         self._terms[self._after] = np.hstack([self._qpos, self._qvel])
         equalities = self._data.ne

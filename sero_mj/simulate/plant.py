@@ -18,7 +18,7 @@ from .external_loads import Push, attach_payload, detach_payload
 from .joint_model import JointModel
 from .sensors import Sensors
 
-_MAX_TORQUE = 1e9  # Nm, of all motors together, and what NaN is not below
+_MAX_TORQUE = 1e9  # Nm, norm of all motor torques; a comparison with it refuses NaN as well
 
 
 class Plant:
@@ -26,7 +26,7 @@ class Plant:
 
     After construction and, if `joints.looks_ahead`, after every step `data` holds the kinematics,
     the mass matrix and the bias torques (`qfrc_bias`) of the state that it is in, so a controller
-    has them for nothing.
+    need not compute them.
 
     Args:
         world: compiled with `dynamic=True`.

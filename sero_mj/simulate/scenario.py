@@ -12,10 +12,10 @@ from pydantic import Field
 from ..assemble.scene import Scene
 from ..assemble.surroundings import Object
 from ..control.controller import Controller, ControllerDeclaration
-from ..control.controllers import controller_from
-from ..control.joint_control import GravityCompensation, Torque
-from ..control.laws import Law
+from ..control.joint_control import GravityCompensation
+from ..control.make_controller import controller_from
 from ..control.plan import law_from
+from ..control.target_motions import Law
 from ..declaration import Declaration, by_kind
 from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..frames import Array
@@ -222,7 +222,7 @@ class Scenario:
         return bool(self.obstacles) or self.scene.floor or len(self.scene.robots) > 1
 
     def has_target(self, robot: str) -> bool:
-        """Whether a robot is to be somewhere: by its law, or where a spring holds it."""
+        """Whether a robot has a target pose: a declared one, or that at which it starts."""
         sections = (f"controllers.{robot}", f"targets.{robot}")
         if any(
             f"{problem.key}.".startswith(f"{each}.")
@@ -231,7 +231,7 @@ class Scenario:
         ):
             return True  # what is declared wrongly is told; that nothing is declared would be wrong
         controller = self.controllers.get(robot, GravityCompensation())
-        return robot in self.targets or not isinstance(controller, GravityCompensation | Torque)
+        return robot in self.targets or getattr(controller, "needs_target", True)
 
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.

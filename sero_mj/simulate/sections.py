@@ -1,4 +1,8 @@
-"""What a scenario file has beside a scene; by itself, for every command that reads a scene asks."""
+"""Section names of scenario files.
+
+A module of its own, so that commands can tell scenarios from scenes without importing the
+simulator.
+"""
 
 from __future__ import annotations
 

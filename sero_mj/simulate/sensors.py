@@ -45,7 +45,7 @@ class SensorErrors(Declaration):
     Attributes:
         noise: standard deviation of white noise, rad, rad/s or Nm.
         bias: rad, rad/s or Nm.
-        resolution: distance of the values there are; 0 for all.
+        resolution: quantisation step; 0 for none.
         gain: 1 for a sensor that is right, 0 for one that shows its bias only.
         delay: steps until a value is read; whole, the same for all joints.
     """

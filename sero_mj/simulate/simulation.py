@@ -10,8 +10,8 @@ import numpy as np
 from ..assemble.scene import Scene
 from ..control.compiler import Compiler
 from ..control.controller import Sensed, Target
-from ..control.controllers import make_controller
 from ..control.joint_control import GravityCompensation
+from ..control.make_controller import make_controller
 from ..control.observer import MomentumObserver
 from ..control.plan import Plan, make_plan
 from ..errors import DeclarationError, Problem, collect
@@ -27,7 +27,8 @@ from .scenario import Scenario
 
 T = TypeVar("T")
 
-OBSERVED_EVERY = 0.01  # s; half the observer's time constant, and a tenth of the cost
+# s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
+OBSERVED_EVERY = 0.01
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
 
@@ -149,7 +150,7 @@ class Simulation:
         return made
 
     def _make_layout(self, plans: dict[str, Plan]) -> RunLayout:
-        events = self._schedule.events()
+        events = self._schedule.log_events()
         if self._contacts is not None:
             events |= {event_of(name, "contact_force"): "1V" for name in plans}
         for name, plan in plans.items():
@@ -212,6 +213,11 @@ class Simulation:
 
     def advance(self, to_step: int) -> None:
         """Simulates until a step.
+
+        In every step, in this order: disturbances and faults that begin or end; each robot's
+        controller, from what its sensors read, then its torque limits; the plant, with gains of
+        faulty drives, pushes, physics and sensors; the log. The observer takes several steps at
+        once.
 
         Raises:
             SimulationError: it cannot go on; the log ends with the step before.

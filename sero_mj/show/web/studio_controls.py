@@ -14,7 +14,7 @@ from ..input import LEFT, RIGHT, Clicked, Event, Mouse
 from ..live import LiveHost
 
 _BUTTONS = ((LEFT, imgui.MouseButton.Left), (RIGHT, imgui.MouseButton.Right))
-# Names of keys here and in Studio; keys that browsers reserve (F1, F3, F11) are omitted.
+# Names of keys here and in Studio; those of `interaction.OF_BROWSER` are omitted, and Escape.
 _NAMED = {
     " ": imgui.Key.Space,
     ".": imgui.Key.Period,
@@ -33,7 +33,7 @@ _NAMED = {
 _LETTERS = {letter.lower(): getattr(imgui.Key, letter) for letter in string.ascii_uppercase}
 _DIGITS = {digit: getattr(imgui.Key, f"N{digit}") for digit in string.digits}
 _HELD = (".", ",", "-", "=", "left", "right", "[", "]")  # repeated while they are held down
-KEYS = {**_NAMED, **_LETTERS, **_DIGITS}
+IMGUI_KEYS = {**_NAMED, **_LETTERS, **_DIGITS}
 _RUNS = sim.PauseState.UNPAUSED
 _PAUSED = sim.PauseState.NORMAL_PAUSED
 
@@ -95,7 +95,7 @@ class StudioApp(studio_app.App):
         io = imgui.GetIO()
         if io.WantCaptureKeyboard or io.KeyCtrl or io.KeyAlt or io.KeySuper:
             return
-        for name, key in KEYS.items():
+        for name, key in IMGUI_KEYS.items():
             if imgui.IsKeyPressed(key, name in _HELD):
                 if name == "=" and io.KeyShift:
                     self._host.press("+")

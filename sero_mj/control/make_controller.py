@@ -1,4 +1,4 @@
-"""The kinds of controllers, and their torque limits."""
+"""From a declaration to a controller whose torques are limited; the table of all kinds."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from .robot_model import RobotModel
 class LimitedController:
     """A controller behind torque limits and torque rate limits.
 
-    The rate limit counts from the first torques on: what holds the robot at the start is taken
-    for what held it before.
+    The first torques are not rate-limited: they are the reference for the next step.
 
     Args:
         controller: whose torques to limit.
