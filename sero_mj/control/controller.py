@@ -125,7 +125,7 @@ class Target:
         velocities: (n,), per second; the second half of `state`.
         accelerations: (n,), per second squared.
         torques: (n,), Nm or N, added to what the controller computes.
-        has_torques: whether `torques` and `wrench` are added; false, which is faster, where both are
+        has_torques: whether `torques` and `wrench` are added; false, and faster, where both are
             zero all the time.
         pose: (4, 4), T_world_flange, m.
         position: (3,), of it.

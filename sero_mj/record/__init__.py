@@ -4,6 +4,5 @@ In: packets of sources, or rows of a run. Out: MCAP recordings, whole also when 
 killed; CSV tables; and `Replay`, a source that plays recordings.
 Open first: `recorder.py` to write, `recording.py` to read, `replay.py` to play. Another format has
 what `RecordingWriter` has to be written, `Recording` to be read: raw packets, byte for byte, with
-the declaration of their source. `drive/record_sources.py` records live sources with it,
-`simulate/log_output.py` runs.
+the declaration of their source. The rooms `drive` (live sources) and `simulate` (runs) use them.
 """
