@@ -33,12 +33,12 @@ _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups", "nbformat", "nbclient",
     "ipykernel",
 )  # fmt: skip
-_BROWSERS = ("test_web",)
-_LIVE = (*_BROWSERS, "test_window", "test_overlay_window", "test_viewer", "test_docs")
-# These and the live ones open the ports of shipped scenes, have a screen, or keep exact times: of
-# several workers one runs them all, but for browsers, which another does.
-_ALONE = (
-    "test_ahead", "test_cli", "test_film", "test_fri", "test_mirror", "test_shm",
+# Browsers and windows take both cores; of several workers one runs them all.
+_SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer")
+_LIVE = (*_SCREENS, "test_docs")
+# These open the ports of shipped scenes, or keep exact times; another worker runs them all.
+_PORTS = (
+    "test_ahead", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
 
@@ -58,15 +58,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.name.startswith(_LIVE):
             item.add_marker(pytest.mark.live)
+    # Longest first, while browsers are busy; those that keep exact times come when they are done.
+    items.sort(key=lambda item: not item.path.name.startswith("test_docs"))
 
 
 class _GroupsByFile(LoadScopeScheduling):
     # Not marks `xdist_group`: with pytest 9.2 they are ignored (pytest-xdist issue 1386).
     def _split_scope(self, nodeid: str) -> str:
         name = nodeid.partition("::")[0].rpartition("/")[2]
-        if name.startswith(_BROWSERS):
-            return "browsers"
-        return "alone" if name.startswith(_LIVE + _ALONE) else nodeid
+        if name.startswith(_SCREENS):
+            return "screens"
+        return "ports" if name.startswith(_PORTS) else nodeid
 
 
 @pytest.hookimpl(optionalhook=True)
