@@ -7,7 +7,8 @@ from decor_tools import world_of
 
 from sero_mj.assemble.scene import Camera, Scene, View
 from sero_mj.assemble.world import World
-from sero_mj.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, nearest_font_scale
+from sero_mj.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
+from sero_mj.decor.panels import PADDING
 from sero_mj.decor.pen import ARROW_SIZE_OF_LENGTH
 from sero_mj.errors import RenderError, UnknownName, UsageError
 from sero_mj.show.camera import bounding_sphere, find_camera
@@ -81,21 +82,23 @@ def test_billboard_text_is_white_on_its_dark_panel(renderer, world) -> None:
         renderer.toggles.arrows[:], renderer.toggles.billboards[:] = True, False
     pen = renderer.decor.pen
     rows = pen.rows[: pen.count]
-    labels = rows[rows["type"] == int(mujoco.mjtGeom.mjGEOM_LABEL)]
-    assert len(labels) == 7
+    assert (rows["type"] == int(mujoco.mjtGeom.mjGEOM_LABEL)).sum() == 7
     font = renderer.decor.view.font
-    for row in labels:
-        (x, y), _ = renderer.decor.view.project(row["pos"].astype(float))
-        width = font.width(row["label"])
+    (panels,) = [panels for panels in renderer.decor.panels if panels.has_values]
+    assert len(panels.texts) == 7
+    for (x, y), (width, height) in zip(panels.centres, panels.sizes, strict=True):
+        middle = SIZE[1] - y
         box = pixels[
-            SIZE[1] - round(y) - font.height : SIZE[1] - round(y), round(x) : round(x) + width + 3
-        ]
-        bright = box.min(axis=2) > 200
-        assert 0.08 < bright.mean() < 0.5
-        # Nothing of the text lies outside the box that the font's widths predict.
+            round(middle - height / 2) : round(middle + height / 2),
+            round(x - width / 2) : round(x + width / 2),
+        ][6:-6]  # without the round corners
+        bright = box.min(axis=2) > 150
+        assert 0.02 < bright.mean() < 0.5
+        # The text reaches from one padding to the other, and is not on them.
         columns = np.nonzero(bright.any(axis=0))[0]
-        assert columns[0] <= 0.3 * font.height
-        assert columns[-1] >= width - 0.6 * font.height
+        pad = PADDING * font.height
+        assert abs(columns[0] - pad) <= 3
+        assert abs(columns[-1] - (width - pad)) <= 3
         assert np.median(box) < 90  # the panel behind it
 
 
@@ -111,8 +114,9 @@ def test_picture_without_decor_is_mujocos_own(world) -> None:
 
 
 def test_widths_of_the_font_are_those_of_mujoco(world) -> None:
-    with HeadlessRenderer(world, 640, 800) as at_150:
-        context = Font.of_context(at_150._renderer._mjr_context)
+    at_150 = mujoco.mjtFontScale.mjFONTSCALE_150
+    with mujoco.Renderer(world.model, 16, 16, font_scale=at_150) as renderer:
+        context = Font.of_context(renderer._mjr_context)
     assert context.height == DEFAULT_FONT.height
     assert context.widths[32:127].tolist() == DEFAULT_FONT.widths[32:127].tolist()
 
@@ -124,9 +128,9 @@ def test_heights_of_the_font_sizes_are_those_of_mujoco(scale: int, world) -> Non
         assert renderer._mjr_context.charHeight == FONT_HEIGHTS[scale]
 
 
-def test_text_grows_with_the_picture() -> None:
-    heights = [FONT_HEIGHTS[nearest_font_scale(0.7 * 0.05 * h)] for h in (480, 800, 1080, 2160)]
-    assert heights == [18, 28, 37, 54]
+def test_text_grows_with_the_picture(world) -> None:
+    heights = [line_height(world, h) for h in (300, 480, 800, 1080, 2160)]
+    assert heights == [18, 18, 28, 38, 76]
 
 
 def test_an_arrow_geom_is_drawn_as_long_as_we_think() -> None:

@@ -19,6 +19,7 @@ from sero_mj.drive.place import Placer
 from sero_mj.show.headless.render import HeadlessRenderer
 from sero_mj.show.interaction import KEYS, click
 from sero_mj.show.picking import Picked, pick, ray_boxes
+from sero_mj.show.scene_decor import SceneDecor
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
 SIZE = (640, 480)
@@ -82,6 +83,7 @@ def compare(world: World, camera: str) -> tuple[int, int, set[str]]:
     asked = wrong = 0
     seen: set[str] = set()
     with HeadlessRenderer(world, *SIZE, camera) as renderer:
+        renderer.decor = SceneDecor(world)  # with panels in the scene, where the oracle sees them
         renderer.toggles.legend = False
         renderer.toggles.cards[:] = True
         for _ in range(12):

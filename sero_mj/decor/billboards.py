@@ -137,11 +137,12 @@ class Billboards(Feature):
         for k, (of_joint, of_text) in enumerate(zip(lines, texts, strict=True)):
             key = (font.height, id(of_joint))
             if key not in known:
-                known[key] = max(font.width(line.widest) for line in of_joint)
+                known[key] = font.block_width(
+                    [line.widest.encode("ascii", "replace") for line in of_joint]
+                )
             widths[k] = known[key]
-            for text, line in zip(of_text, of_joint, strict=True):
-                if len(text) > len(line.widest):
-                    widths[k] = max(widths[k], font.width(text))
+            if any(len(t) > len(f.widest) for t, f in zip(of_text, of_joint, strict=True)):
+                widths[k] = max(widths[k], font.block_width(of_text))
         return panel_sizes(widths, np.array([len(of_joint) for of_joint in lines]), view)
 
 

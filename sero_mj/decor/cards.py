@@ -158,7 +158,13 @@ class CardLayout:
             these = slice(first, first + len(group.texts))
             panels.append(
                 Panels(
-                    centres[these], sizes[these], group.texts, group.rgba, group.kind, group.items
+                    centres[these],
+                    sizes[these],
+                    group.texts,
+                    group.rgba,
+                    group.kind,
+                    group.items,
+                    has_values=True,
                 )
             )
             first += len(group.texts)

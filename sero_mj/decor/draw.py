@@ -41,6 +41,7 @@ class Decor:
     Attributes:
         pen: the geoms of the last frame.
         features: the features, in drawing order.
+        panels: those of the last frame, in drawing order.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Decor:
     ) -> None:
         self.pen = Pen(capacity)
         self.features = make_features(world)
+        self.panels: list[Panels] = []
         self._world = world
         self._max_segments = max_segments
         self._staleness = Staleness(world)
@@ -98,7 +100,7 @@ class Decor:
         ]
         # Text first: where the capacity is exceeded, arrows are dropped and not text.
         panels += _hover_panel(toggles, view, panels)
-        draw_panels(pen, view, panels, _LIGHTER[look])
+        self.panels = draw_panels(pen, view, panels, _LIGHTER[look])
         self._each("draw", frame)
         return pen
 

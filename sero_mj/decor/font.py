@@ -1,4 +1,4 @@
-"""Character widths of MuJoCo's built-in label font."""
+"""`Font`: widths of a host's characters; and those of MuJoCo's built-in label font."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from .columns import columns
 
 Widths = NDArray[np.intp] | NDArray[np.float64]
 
@@ -33,11 +34,13 @@ class Font:
         widths: of the characters 0 to 127, pixels.
         anchor: point of a line at a label's position, as fractions of its width and height from
             the lower left corner.
+        has_columns: whether the host aligns the numbers of a panel, see `columns`.
     """
 
     height: int
     widths: Widths
     anchor: tuple[float, float] = (0.0, 0.0)
+    has_columns: bool = False
 
     @classmethod
     def of_context(cls, context: Any) -> Font:
@@ -50,6 +53,12 @@ class Font:
         """Returns the width of a text of printable ASCII, pixels."""
         codes = np.frombuffer(text if isinstance(text, bytes) else text.encode("ascii"), np.uint8)
         return int(np.ceil(self.widths[codes & 127].sum()))
+
+    def block_width(self, lines: list[bytes]) -> int:
+        """Returns the width of a panel's lines with values, pixels."""
+        if not self.has_columns:
+            return max(self.width(line) for line in lines)
+        return int(np.ceil(columns(lines, self.width).width))
 
     def line_widths(self, lines: list[bytes]) -> NDArray[np.float64]:
         """Returns the widths of lines of printable ASCII (k,), pixels."""
@@ -74,9 +83,12 @@ DEFAULT_FONT = _default()
 
 
 _TEXT_OF_SCALE = 0.7  # text height over picture height per unit of billboard_scale
+_LEAST_LINE = FONT_HEIGHTS[100]  # pixels; smaller text is hard to read
+_LARGEST_LINE = 0.0675  # of the picture's height
 
 
-def font_scale(world: WorldView, height: int) -> int:
-    """Returns MuJoCo's font scale, percent, for a picture of `height` pixels."""
+def line_height(world: WorldView, height: int) -> int:
+    """Returns the height of a line of text in a picture of `height` pixels, pixels."""
     scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
-    return nearest_font_scale(_TEXT_OF_SCALE * max(scales) * height)
+    wanted = min(_TEXT_OF_SCALE * max(scales), _LARGEST_LINE) * height
+    return max(round(wanted), _LEAST_LINE)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import mujoco
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,8 +35,6 @@ _UNLIMITED = "width grows with the value"
 _SHARES = np.array([0.1, 0.5, 1.0])
 _SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
 _BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
-_BAR_RGBA = (0.93, 0.93, 0.93, 1.0)
-_BAR_DEPTH = 1.45  # in units of the near plane: between panel and text
 
 
 class Legend(Feature):
@@ -47,42 +46,12 @@ class Legend(Feature):
         super().__init__(world)
         self._key: object = None
         self._panels: Panels | None = None
-        self._last: Panels | None = None  # of this frame
 
     def lay_out(self, frame: Frame) -> None:
         """Adds the legend if it is switched on and an arrow is."""
-        self._last = self._shown(frame.toggles, frame.view, frame.arrow_limit)
-        if self._last is not None:
-            frame.corners.append(self._last)
-
-    def draw(self, frame: Frame) -> None:
-        """Draws the bars of the scale: as wide as the arrows, by the square root of the share."""
-        panels, view = self._last, frame.view
-        if panels is None:
-            return
-        line = view.font.height
-        starts = [view.font.width("".join(_SCALE[:k]) + _SCALE[-1]) for k in range(len(_SCALE))]
-        heights = _BAR_HEIGHT * line * np.sqrt(_SHARES)
-        for centre, size, texts in zip(panels.centres, panels.sizes, panels.texts, strict=True):
-            if not texts[-1].startswith(_SCALE[0].encode()):
-                continue
-            rows = frame.pen.take(len(_SHARES), int(mujoco.mjtGeom.mjGEOM_BOX))
-            if not len(rows):
-                return
-            left, bottom = centre - size / 2 + PADDING * line * np.array([1.0, 0.5])
-            middles = np.stack(
-                [left + np.array(starts) - _BAR_WIDTH * line, bottom + 0.1 * line + heights / 2],
-                axis=1,
-            )
-            depth = _BAR_DEPTH * view.near
-            pixel = view.pixel_size(depth)
-            rows["pos"] = view.at(middles, depth)
-            rows["mat"] = view.facing
-            rows["size"][:, 0] = _BAR_WIDTH * line * pixel / 2
-            rows["size"][:, 1] = heights * pixel / 2
-            rows["size"][:, 2] = pixel / 10
-            rows["rgba"] = _BAR_RGBA
-            rows["emission"] = 1.0
+        panels = self._shown(frame.toggles, frame.view, frame.arrow_limit)
+        if panels is not None:
+            frame.corners.append(replace(panels, bars=_bars(panels, frame.view)))
 
     def _shown(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
         if not toggles.legend or not (toggles.arrows.any() or toggles.vectors.any()):
@@ -148,6 +117,21 @@ class Legend(Feature):
             f"{', '.join(names)}: {scale}".encode("ascii", "replace")[:99]
             for scale, names in lines.items()
         ]
+
+
+def _bars(panels: Panels, view: PictureView) -> Array:
+    """Returns the bars of the scale (m, 4): as wide as arrows, by the square root of the share."""
+    line = view.font.height
+    ends = np.array([view.font.width("".join(_SCALE[:k]) + _SCALE[-1]) for k in range(len(_SCALE))])
+    bars = []
+    for centre, size, texts in zip(panels.centres, panels.sizes, panels.texts, strict=True):
+        if texts[-1].startswith(_SCALE[0].encode()):
+            left, bottom = centre - size / 2 + PADDING * line * np.array([1.0, 0.5])
+            for end, share in zip(ends, _SHARES, strict=True):
+                height = _BAR_HEIGHT * line * np.sqrt(share)
+                x = left + end - 1.5 * _BAR_WIDTH * line
+                bars.append([x, bottom + 0.1 * line, _BAR_WIDTH * line, height])
+    return np.array(bars).reshape(-1, 4)
 
 
 def nice(value: float) -> float:

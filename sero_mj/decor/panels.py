@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -17,7 +17,9 @@ PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
 # Depths in units of the near plane: text before panels before leaders before the scene.
 _PANEL_DEPTH, _LEADER_DEPTH = 1.5, 1.6
 _FRONT_DEPTH = 1.3  # offset of panels in front of the others
+_BAR_DEPTH = 1.45
 _TEXT_NEARER = 0.1
+BAR_RGBA = (0.93, 0.93, 0.93, 1.0)
 _UPPER_LEFT = np.array([-0.5, 0.5])
 _LEADER_BASE = 0.22  # of a line's height
 PADDING = 0.35  # of a line's height, on every side
@@ -50,6 +52,8 @@ class Panels:
         kind: kind of the items they belong to.
         items: index of the joint or frame that every panel belongs to, (k,).
         in_front: whether they cover other panels; covered text is not drawn.
+        has_values: whether their lines are values, which hosts may align in columns.
+        bars: light bars on them: left, bottom, width and height, (m, 4), pixels.
     """
 
     centres: Array
@@ -59,6 +63,8 @@ class Panels:
     kind: Kind = Kind.NONE
     items: NDArray[np.intp] | None = None
     in_front: bool = False
+    has_values: bool = False
+    bars: Array | None = None
 
 
 def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
@@ -76,7 +82,9 @@ def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tu
     return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
 
 
-def draw_panels(pen: Pen, view: PictureView, groups: list[Panels], lighter: float = 0.0) -> None:
+def draw_panels(
+    pen: Pen, view: PictureView, groups: list[Panels], lighter: float = 0.0
+) -> list[Panels]:
     """Draws all panels of a frame in one vectorized pass.
 
     Args:
@@ -84,10 +92,14 @@ def draw_panels(pen: Pen, view: PictureView, groups: list[Panels], lighter: floa
         view: of the picture.
         groups: panels of different colours.
         lighter: fraction of white that is added to all of them.
+
+    Returns:
+        the panels as drawn, in this order, with empty lines where others cover them; none if they
+        exceed the pen's capacity.
     """
     groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
     if not groups:
-        return
+        return []
     centres = np.concatenate([group.centres for group in groups])
     sizes = np.concatenate([group.sizes for group in groups])
     texts = [lines for group in groups for lines in group.texts]
@@ -96,7 +108,7 @@ def draw_panels(pen: Pen, view: PictureView, groups: list[Panels], lighter: floa
     first, start = pen.count, 0
     rows = pen.take(len(texts), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
-        return
+        return []
     for group in groups:
         stop = start + len(group.texts)
         rows["rgba"][start:stop] = group.rgba
@@ -120,23 +132,69 @@ def draw_panels(pen: Pen, view: PictureView, groups: list[Panels], lighter: floa
     starts = (centres + sizes * _UPPER_LEFT)[panel]
     starts[:, 0] += PADDING * line
     starts[:, 1] -= (PADDING / 2 + 1 + row) * line
+    drawn = _in_colours(groups, rows["rgba"].astype(float))
     if in_front.any():
         seen = ~_covered(view, starts, lines, centres[in_front], sizes[in_front])
         seen |= in_front[panel]
+        drawn = _without(drawn, ~seen)
         starts, panel = starts[seen], panel[seen]
         lines = [text for text, is_seen in zip(lines, seen, strict=True) if is_seen]
+    _draw_lines(pen, view, starts, lines, depth[panel])
+    for group in groups:
+        if group.bars is not None:
+            _draw_bars(pen, view, group.bars)
+    pen.text = slice(first, pen.count)
+    return drawn
+
+
+def _draw_lines(
+    pen: Pen, view: PictureView, starts: Array, lines: list[bytes], depth: Array
+) -> None:
+    """Draws lines of text, by their lower left pixels (k, 2) and the depth of their panels."""
     labels = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
     if not len(labels):
         return
     across, up = view.font.anchor
     if across:
         starts[:, 0] += across * view.font.line_widths(lines)
-    starts[:, 1] += up * line
-    labels["pos"] = view.at(starts, depth[panel] - _TEXT_NEARER * view.near)
+    starts[:, 1] += up * view.font.height
+    labels["pos"] = view.at(starts, depth - _TEXT_NEARER * view.near)
     labels["mat"] = view.facing
-    labels["size"] = pixel[panel]
+    labels["size"] = view.pixel_size(depth)
     labels["rgba"] = 1.0
     labels["label"] = lines
+
+
+def _draw_bars(pen: Pen, view: PictureView, bars: Array) -> None:
+    """Draws bars in front of panels; see `Panels`."""
+    rows = pen.take(len(bars), int(mujoco.mjtGeom.mjGEOM_BOX))
+    if not len(rows):
+        return
+    depth = _BAR_DEPTH * view.near
+    rows["pos"] = view.at(bars[:, :2] + bars[:, 2:] / 2, depth)
+    rows["mat"] = view.facing
+    rows["size"][:, :2] = bars[:, 2:] * view.pixel_size(depth) / 2
+    rows["size"][:, 2] = view.pixel_size(depth) / 10
+    rows["rgba"] = BAR_RGBA
+    rows["emission"] = 1.0
+
+
+def _in_colours(groups: list[Panels], rgba: Array) -> list[Panels]:
+    """Returns the panels in their colours as drawn (k, 4)."""
+    stops = np.cumsum([len(group.texts) for group in groups])
+    return [
+        replace(group, rgba=rgba[stop - len(group.texts) : stop])
+        for group, stop in zip(groups, stops, strict=True)
+    ]
+
+
+def _without(groups: list[Panels], covered: NDArray[np.bool_]) -> list[Panels]:
+    """Returns the panels with those of all their lines empty that are covered, (k,) bool."""
+    each = iter(covered.tolist())
+    return [
+        replace(group, texts=[[b"" if next(each) else t for t in lines] for lines in group.texts])
+        for group in groups
+    ]
 
 
 def _covered(

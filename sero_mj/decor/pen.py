@@ -61,6 +61,7 @@ class Pen:
         grey: geoms of the model to draw grey, (ngeom,) bool; None for none.
         hidden: geoms of the model not to draw, (ngeom,) bool; None for none.
         drawn_doubles: doubles to draw that are not compiled into the model.
+        text: rows of the panels and their labels, for hosts that set text themselves.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -77,6 +78,7 @@ class Pen:
         self.grey: NDArray[np.bool_] | None = None
         self.hidden: NDArray[np.bool_] | None = None
         self.drawn_doubles: list[DrawnDouble] = []
+        self.text = slice(0, 0)
         self._labelled: list[slice] = []
         self.count = 0
         self.dropped = 0
@@ -86,6 +88,7 @@ class Pen:
         for place in self._labelled:
             self.rows["label"][place] = b""
         self._labelled.clear()
+        self.text = slice(0, 0)
         self.count = 0
         self.dropped = 0
 

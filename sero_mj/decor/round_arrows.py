@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from .axes import AXIS_RGB
 from .feature import Feature, Frame
+from .panels import Panels, labels_at
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
 
 Array = NDArray[np.float64]
@@ -90,6 +91,21 @@ class RoundArrows(Feature):
 
     order = 90  # last, so that arrows are dropped first if the capacity is exceeded
 
+    def lay_out(self, frame: Frame) -> None:
+        """Adds the names of the z axes of joints that were clicked on, at their tips."""
+        clicked = (frame.shown.arrows & frame.toggles.details).nonzero()[0]
+        if not len(clicked):
+            return
+        joints, view = self.world.joints, frame.view
+        sites = joints.centre_site[clicked]
+        z = frame.data.site_xmat[sites].reshape(-1, 3, 3)[:, :, 2]
+        length = _Z_LENGTH * joints.arrow_radius[clicked][:, None]
+        tips, depth = view.project(frame.data.site_xpos[sites] + 1.1 * length * z)
+        tips = tips[view.sees(tips, depth)]
+        if len(tips):
+            lines = [[b"z"] for _ in tips]
+            frame.panels.append(Panels(*labels_at(view, tips, lines), lines))
+
     def draw(self, frame: Frame) -> None:
         """Draws an arrow for every joint that has a value and whose arrow is shown."""
         pen, data, shown = frame.pen, frame.data, frame.shown
@@ -133,7 +149,6 @@ class RoundArrows(Feature):
         """Draws the z axis, about which positive torques turn, of joints that were clicked on."""
         joints, pen = self.world.joints, frame.pen
         sites = joints.centre_site[index]
-        z = frame.data.site_xmat[sites].reshape(-1, 3, 3)[:, :, 2]
         length = _Z_LENGTH * joints.arrow_radius[index][:, None]
         centre = frame.data.site_xpos[sites]
         rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW))
@@ -143,11 +158,6 @@ class RoundArrows(Feature):
             rows["size"][:, :2] = _Z_WIDTH * length
             rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
             rows["rgba"] = (*AXIS_RGB[2], 1.0)
-        labels = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_LABEL))
-        if len(labels):
-            labels["pos"] = centre + 1.1 * length * z
-            labels["rgba"] = 1.0
-            labels["label"] = b"z"
 
     def _draw_straight(
         self,

@@ -37,8 +37,12 @@ class SceneWriter:
         self._view = struct_view(scene)
         self._painter: _DoublePainter | None = None
 
-    def add(self, pen: Pen) -> int:
+    def add(self, pen: Pen, *, with_text: bool = True) -> int:
         """Appends the pen's geoms to the scene.
+
+        Args:
+            pen: what to add.
+            with_text: whether panels and labels are added as well.
 
         Returns:
             number of geoms that exceeded the scene's capacity.
@@ -55,15 +59,23 @@ class SceneWriter:
             dropped = sum(
                 self._painter.add(drawn, scene, self._view) for drawn in pen.drawn_doubles
             )
+        if with_text:
+            return dropped + self._append(pen.rows[: pen.count])
+        before, after = slice(0, pen.text.start), slice(pen.text.stop, pen.count)
+        return dropped + self._append(pen.rows[before]) + self._append(pen.rows[after])
+
+    def _append(self, rows: NDArray[Any]) -> int:
+        """Appends geoms to the scene; returns the number of those that exceeded its capacity."""
+        scene = self._scene
         start = scene.ngeom
-        count = min(pen.count, scene.maxgeom - start)
+        count = min(len(rows), scene.maxgeom - start)
         if self._view is not None:
-            self._view[start : start + count] = pen.rows[:count]
+            self._view[start : start + count] = rows[:count]
         else:
-            for geom, row in zip(scene.geoms[start : start + count], pen.rows, strict=False):
+            for geom, row in zip(scene.geoms[start : start + count], rows, strict=False):
                 set_geom(geom, row)
         scene.ngeom = start + count
-        return int(pen.count - count) + dropped
+        return int(len(rows) - count)
 
     def _hide(self, hidden: NDArray[np.bool_]) -> None:
         """Removes geoms of the model from the scene."""

@@ -194,7 +194,7 @@ class _VectorCards:
         if not len(index):
             return None
         texts = [self._text(int(i), components[i], stale[i]) for i in index]
-        widest = np.array([max(view.font.width(line) for line in lines) for lines in texts])
+        widest = np.array([view.font.block_width(lines) for lines in texts])
         return Cards(
             kind=Kind.CARD,
             items=index,

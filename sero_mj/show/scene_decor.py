@@ -8,6 +8,7 @@ import mujoco
 
 from ..assemble.world_view import WorldView
 from ..decor.draw import Decor
+from ..decor.panels import Panels
 from ..decor.pen import CAPACITY, Pen
 from ..decor.picture_view import PictureView
 from ..decor.round_arrows import MAX_SEGMENTS
@@ -28,6 +29,7 @@ class SceneDecor:
         toggles: what is shown; the scene's own when None.
         capacity: maximum number of geoms that the host takes.
         max_segments: maximum number of geoms of a round arrow.
+        with_text: whether scenes get panels and labels; otherwise the host sets `panels`.
 
     Attributes:
         world: the compiled scene.
@@ -42,6 +44,8 @@ class SceneDecor:
         toggles: Toggles | None = None,
         capacity: int = CAPACITY,
         max_segments: int = MAX_SEGMENTS,
+        *,
+        with_text: bool = True,
     ) -> None:
         self.world = world
         self.toggles = Toggles(world) if toggles is None else toggles
@@ -50,11 +54,17 @@ class SceneDecor:
         self._decor = Decor(world, capacity, max_segments)
         self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
         self._has_warned = False
+        self._with_text = with_text
 
     @property
     def pen(self) -> Pen:
         """The geoms of the last frame."""
         return self._decor.pen
+
+    @property
+    def panels(self) -> list[Panels]:
+        """The panels of the last frame, in drawing order."""
+        return self._decor.panels
 
     def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
         """Lays out one frame, see `draw`."""
@@ -75,7 +85,7 @@ class SceneDecor:
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
             self._host = (scene, SceneWriter(scene))
-        self.dropped = self.pen.dropped + self._host[1].add(self.pen)
+        self.dropped = self.pen.dropped + self._host[1].add(self.pen, with_text=self._with_text)
         if self.dropped and not self._has_warned:
             self._has_warned = True
             log.warning(

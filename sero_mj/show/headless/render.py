@@ -21,7 +21,7 @@ import numpy as np
 
 from ...assemble.scene import Scene
 from ...assemble.world_view import WorldView
-from ...decor.font import Font, font_scale
+from ...decor.font import line_height
 from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
 from ...drive.mirror import Mirror, restore
@@ -31,6 +31,7 @@ from ..camera import find_camera
 from ..interaction import Gesture
 from ..picking import TOUCH_TOLERANCE, Picked
 from ..scene_decor import SceneDecor
+from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 
@@ -109,9 +110,9 @@ class HeadlessRenderer:
         self.world = world
         self.camera = find_camera(world, camera)
         self.size = (width, height)
-        self.decor = SceneDecor(world)
+        self.decor = SceneDecor(world, with_text=False)
         self._renderer = _make_renderer(world, width, height)
-        self._font = Font.of_context(self._renderer._mjr_context)
+        self._typesetter = Typesetter(line_height(world, height))
 
     @property
     def toggles(self) -> Toggles:
@@ -134,12 +135,13 @@ class HeadlessRenderer:
         """
         self.decor.draw(data, self._look(data), self._renderer.scene)
         pixels: Pixels = self._renderer.render(out=out)
+        compose(pixels, self._typesetter.place(self.decor.panels))
         return pixels if out is not None else pixels.view(Picture)
 
     def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
-        return PictureView.of_scene(renderer.scene, *self.size, self._font)
+        return PictureView.of_scene(renderer.scene, *self.size, self._typesetter.font)
 
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
@@ -194,11 +196,10 @@ class HeadlessRenderer:
 
 def _make_renderer(world: WorldView, width: int, height: int) -> Any:
     model = world.model
-    font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{font_scale(world, height)}")
     adopt_backend()
     try:
         with offscreen_size(model, width, height):
-            return mujoco.Renderer(model, height, width, font_scale=font)
+            return mujoco.Renderer(model, height, width)
     except Exception as error:  # every GL backend raises errors of its own
         raise RenderError(
             f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "

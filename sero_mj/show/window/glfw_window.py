@@ -11,7 +11,7 @@ import glfw
 import mujoco
 
 from ...assemble.world_view import WorldView
-from ...decor.font import Font, font_scale, nearest_font_scale
+from ...decor.font import Font, line_height, nearest_font_scale
 from ...errors import RenderError
 from ..headless.render import check_size, offscreen_size
 from ..input import LEFT, MIDDLE, RIGHT, Event
@@ -78,7 +78,7 @@ class GlWindow:
         world = self._world
         height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
         self._least_scale = nearest_font_scale(height)
-        self._scale = max(font_scale(world, self.size[1]), self._least_scale)
+        self._scale = max(nearest_font_scale(line_height(world, self.size[1])), self._least_scale)
         # Rendering goes to the window's buffer; the offscreen buffer is unused.
         with offscreen_size(world.model, 16, 16):
             self.context = mujoco.MjrContext(world.model, self._scale)
@@ -128,7 +128,7 @@ class GlWindow:
 
         It is at least as large as the window's own font, which depends on the screen's scale.
         """
-        scale = max(font_scale(self._world, height), self._least_scale)
+        scale = max(nearest_font_scale(line_height(self._world, height)), self._least_scale)
         if scale != self._scale:
             self._scale = scale
             mujoco.mjr_changeFont(scale, self.context)
