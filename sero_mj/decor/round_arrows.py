@@ -34,7 +34,8 @@ TURNING_SPEED = 1.6  # rad/s
 _ARC = np.deg2rad(315.0)
 _HEAD_ARC = np.deg2rad(46.0)
 _MOST_HEADS = 3  # the last is at the tip; wherever the joint's link hides one, another is seen
-_MARK_SIZE = 0.6  # how far the heads before the last protrude, of what the last does
+_MARK_SIZE = 0.7  # how far the heads before the last protrude, of what the last does
+_NECK = 0.25  # width in front of these heads, of the ribbon's
 _PER_HEAD = 9  # segments, at least
 _SHARE_OF_HEADS = 0.6  # of the segments; they are narrow, so that the edge of a head is smooth
 _THICKNESS = 0.05  # of the radius
@@ -257,7 +258,9 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
     # A head of constant size on a very thin arrow would make noise look like a torque.
     grown = np.minimum(widths / (_FULL_HEAD_WIDTH * radius), 1.0)
     wider = (_HEAD_WIDER[0] - 1.0) * widths + _HEAD_WIDER[1] * radius * grown
-    head_width = (widths[:, None] + wider[:, None] * flare) * taper
+    # The last head ends in a point; those before it do not, so that the ribbon holds together.
+    own = widths[:, None] * np.where(flare == 1.0, taper, _NECK + (1.0 - _NECK) * taper)
+    head_width = own + wider[:, None] * flare * taper
     width = np.where(head, head_width, widths[:, None])
     thickness = np.where(head, _HEAD_THICKNESS * grown[:, None] * flare * taper, _THICKNESS)
     thickness = radius[:, None] * np.maximum(thickness, _THICKNESS)
