@@ -236,26 +236,33 @@ class Outline:
         along = np.eye(3)[longest] * (half.max(axis=1) - self._radii)[:, None]
         self._offsets = np.stack([centre - along, centre, centre + along], axis=1)
         self._owners = owner[self._geoms]
+        self._joints = world.joints
 
     def points(
-        self, data: mujoco.MjData, hidden: NDArray[np.bool_] | None
+        self,
+        data: mujoco.MjData,
+        hidden: NDArray[np.bool_] | None,
+        sites: Array,
+        arrows: NDArray[np.bool_],
     ) -> tuple[Array, Array, Ints]:
         """Returns points (m, 3), m, radii (m,), m, and the index of their robot or double (m,).
 
         Args:
             data: the state of the model.
             hidden: geoms that are not shown, (ngeom,) bool; None for none.
+            sites: positions of the world's sites, `site_xpos` of its state, m.
+            arrows: which joints have an arrow, which belongs to the outline, (N,) bool.
         """
         rotation = data.geom_xmat[self._geoms].reshape(-1, 1, 3, 3)
         points = data.geom_xpos[self._geoms, None] + (rotation @ self._offsets[..., None])[..., 0]
         is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
         if hidden is not None:
             is_shown &= ~hidden[self._geoms]
-        return (
-            points[is_shown].reshape(-1, 3),
-            np.repeat(self._radii[is_shown], 3),
-            np.repeat(self._owners[is_shown], 3),
-        )
+        joints = self._joints
+        of_links, of_arrows = points[is_shown].reshape(-1, 3), sites[joints.centre_site[arrows]]
+        radii = np.repeat(self._radii[is_shown], 3), joints.arrow_radius[arrows]
+        owners = np.repeat(self._owners[is_shown], 3), joints.owner[arrows]
+        return np.concatenate([of_links, of_arrows]), np.concatenate(radii), np.concatenate(owners)
 
 
 def _starts(centres: Array, sizes: Array, anchors: Array) -> Array:

@@ -90,7 +90,7 @@ class Decor:
             max_segments=self._max_segments,
         )
         self._each("lay_out", frame)
-        body = self._outline.points(of_model, pen.hidden)
+        body = self._outline.points(of_model, pen.hidden, data.site_xpos, frame.shown.arrows)
         look = world.scene.view.look
         panels = [
             *frame.corners,
