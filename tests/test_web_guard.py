@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import logging
 import signal
@@ -129,6 +130,24 @@ def test_no_answer_may_be_read_by_others(page: WebHost) -> None:
     with connect(f"ws://127.0.0.1:{page.port}/state?sid=a") as own:
         assert own.response is not None
         assert "Access-Control-Allow-Origin" not in own.response.headers
+
+
+@pytest.mark.parametrize("path", ["/", "/web_client.js", "/model"])
+def test_headers_of_isolation_are_sent_once(page: WebHost, path: str) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+    connection.request("GET", path)
+    headers = connection.getresponse().headers
+    connection.close()
+    assert headers.get_all("Cross-Origin-Opener-Policy") == ["same-origin"]
+    assert headers.get_all("Cross-Origin-Embedder-Policy") == ["require-corp"]
+
+
+def test_any_number_of_browsers_looks_on(page: WebHost) -> None:
+    with contextlib.ExitStack() as browsers:
+        for number in range(40):
+            address = f"ws://127.0.0.1:{page.port}/state?sid={number}"
+            roster = browsers.enter_context(connect(address)).recv(timeout=10)
+            assert f"viewers={number + 1};" in str(roster)
 
 
 def test_nothing_is_uploaded(page: WebHost, caplog: pytest.LogCaptureFixture) -> None:

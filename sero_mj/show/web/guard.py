@@ -43,6 +43,13 @@ _OPEN_TIMEOUT = 10.0  # timeout of a connection's request, s
 _MOST_TOLD = 10  # refused requests that are logged; all are counted
 _PAGE_PATHS = ("/", "/index.html")
 _DESCRIPTORS = "/dev/fd"
+# Threads of the page's program need cross-origin isolation. Studio 4.0 sends these headers twice,
+# which browsers read as none.
+_ISOLATION = {
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Embedder-Policy": "require-corp",
+}
+_MOST_BROWSERS = 10_000  # for Studio's limit of 8 that look on, and the most that a page may set
 _FRAMES_OF = "vscode-webview: " + " ".join(  # notebooks embed the page in a frame
     f"{scheme}://{name}:*" for name in ("localhost", "127.0.0.1") for scheme in ("http", "https")
 )
@@ -98,17 +105,16 @@ class Guard:
         headers["Content-Type"] = "text/html; charset=utf-8"
         headers["Content-Length"] = str(len(self._page))
         headers["Cache-Control"] = "no-store"
-        # Threads of the page's program require cross-origin isolation.
-        headers["Cross-Origin-Opener-Policy"] = "same-origin"
-        headers["Cross-Origin-Embedder-Policy"] = "require-corp"
         return Response(200, "OK", headers, self._page)
 
     def set_security_headers(self, request: Request, response: Response) -> None:
         """Sets headers that prevent other sites from reading a response or embedding the page."""
         headers = response.headers
-        for key in ("Access-Control-Allow-Origin", "Cross-Origin-Resource-Policy"):
+        for key in ("Access-Control-Allow-Origin", "Cross-Origin-Resource-Policy", *_ISOLATION):
             if key in headers:
                 del headers[key]
+        for key, policy in _ISOLATION.items():
+            headers[key] = policy
         path, _, query = request.path.partition("?")
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Referrer-Policy"] = "no-referrer"
@@ -228,7 +234,12 @@ class GuardedRun:
     def __call__(self, server: Any, stop: threading.Event) -> None:
         """Runs until `stop` is set."""
         theirs = web_server._run_server
-        namespace = {**theirs.__globals__, "serve": self._serve}
+        namespace = {
+            **theirs.__globals__,
+            "serve": self._serve,
+            "_MAX_SPECTATORS_DEFAULT": _MOST_BROWSERS,
+            "_MAX_SPECTATOR_HARD_CAP": _MOST_BROWSERS,
+        }
         run = types.FunctionType(
             theirs.__code__, namespace, theirs.__name__, theirs.__defaults__, theirs.__closure__
         )
