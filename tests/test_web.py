@@ -108,6 +108,21 @@ def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visit
     assert served.ask("len(clicks)") == clicks
 
 
+def test_the_tab_names_the_scene_and_the_page_is_isolated(page: Visitor) -> None:
+    assert page.page.title() == "lwr - sero-mj"
+    assert page.page.evaluate("window.crossOriginIsolated")
+
+
+def test_the_wheel_comes_nearer_when_it_is_turned_up(served: Served, page: Visitor) -> None:
+    page.move(430, 260)
+    page.picture()  # by then the browser knows that it is over the scene
+    far = served.ask("w.viewer.camera.distance")
+    page.page.mouse.wheel(0, -100)
+    served.until(f"w.viewer.camera.distance < {0.97 * far}")
+    page.page.mouse.wheel(0, 200)
+    served.until(f"w.viewer.camera.distance > {1.03 * far}")
+
+
 def test_the_panel_switches_what_is_shown(served: Served, page: Visitor) -> None:
     page.press("t")
     page.click(*served.middle("axes"))

@@ -182,3 +182,12 @@ def test_doubles_that_are_off_are_out_of_sight_in_browsers_only(page: WebHost) -
     page.decor._hide_doubles(page.viewer.data)
     assert (page.viewer.data.mocap_pos[double.mocap, 2] < -50).all()
     assert (page.data.mocap_pos[double.mocap, 2] > -1).any()
+
+
+def test_a_browser_that_takes_control_does_not_change_the_theme(page: WebHost) -> None:
+    before = page._app.theme
+    for theme in ("dark", "light", "classic"):
+        page.viewer.server.set_theme(theme)
+        page.frame()
+        page.viewer.dispatch(messages.UpdateEvent())
+        assert page._app.theme == before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import re
 import socket
 from typing import Any
 
@@ -36,6 +37,23 @@ from sero_mj.show.web.studio import (
 
 def test_the_page_takes_every_geom_of_the_budget() -> None:
     assert state_payload.MAX_EXTRA_GEOMS >= MAX_GEOMS
+
+
+def test_every_state_says_where_the_head_reads_it_whether_the_pointer_is_over_the_scene() -> None:
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    scene = mujoco.MjvScene(model, maxgeom=9)
+    parts = (mujoco.MjvCamera(), mujoco.MjvPerturb(), mujoco.MjvOption(), model, [0] * 10)
+    found = re.search(r"MOUSE_FOCUS = (\d+);", read_page("title").decode())
+    assert found is not None
+    for geoms in ([], list(scene.geoms)):
+        over, beside = (
+            state_payload.serialize_state_payload(
+                1, 1, bytes(80), *parts, geoms, state_payload.ViewerInputState(mouse_focus=focus)
+            )
+            for focus in (True, False)
+        )
+        differs = [len(over) - i for i in range(len(over)) if over[i] != beside[i]]
+        assert differs == [int(found[1])]
 
 
 def test_every_key_of_the_table_is_one_of_the_page() -> None:
@@ -102,8 +120,8 @@ def test_studios_page_gets_a_title_and_fingers_that_click_once() -> None:
     page = "<html>\n  <head>\n    <title>Studio</title>\n  </head>\n  <body></body></html>"
     ours = with_head(page, "a <b> - sero-mj")
     assert "<title>a &lt;b&gt; - sero-mj</title>" in ours
-    assert ours.count("touchend") == 1
-    assert ours.index("touchend") < ours.index("</head>") < ours.index("<body>")
+    assert ours.count("turnWheel(") == 3
+    assert ours.index("turnWheel(") < ours.index("</head>") < ours.index("<body>")
     assert with_head("<html></html>", "title") == "<html></html>"  # another Studio's
 
 

@@ -89,23 +89,37 @@ def _light_pixels(pixels: np.ndarray) -> int:
     return int(((pixels[..., 0] > 150) & (warm > 8) & (warm < 60)).sum())
 
 
-def test_a_finger_taps_once(browser: Any, tmp_path: Path) -> None:
+def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
         served.ask("setattr(w, 'shows_status', False)")
-        finger = Visitor(browser, served, has_touch=True)
-        finger.hears("First remote draw frame applied")
+        hand = Visitor(browser, served, has_touch=True)
+        hand.hears("First remote draw frame applied")
         served.until("w.decor.view is not None")
         served.settle()
         x, y = served.joint(1)
-        send = finger.page.context.new_cdp_session(finger.page).send
-        at = [{"x": x, "y": y}]
-        send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": at})
+        send = hand.page.context.new_cdp_session(hand.page).send
+
+        def touch(kind: str, *offsets: float) -> None:
+            points = [{"x": x + by, "y": y, "id": i} for i, by in enumerate(offsets)]
+            send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        touch("touchStart", 0)
         served.until("w._app._mouse.is_down")
-        send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+        touch("touchEnd")
         served.until("clicks")
-        finger.page.wait_for_timeout(1500)  # in which mouse events would come
+        hand.page.wait_for_timeout(1500)  # in which mouse events would come
         assert served.ask("clicks") == [["click", "lwr/link2"]]
-        finger.close()
+        far, azimuth = served.ask("[w.viewer.camera.distance, w.viewer.camera.azimuth]")
+        touch("touchStart", -30)
+        touch("touchStart", -30, 30)
+        for half in (36, 42, 48, 54, 60):
+            touch("touchMove", -half, half)
+        touch("touchEnd")
+        served.until(f"{0.4 * far} < w.viewer.camera.distance < {0.6 * far}")
+        served.settle()
+        assert served.ask("w.viewer.camera.azimuth") == azimuth
+        assert served.ask("len(clicks)") == 1
+        hand.close()
 
 
 def test_a_simulation_is_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:

@@ -24,17 +24,7 @@ LOOPBACK = "127.0.0.1"
 RATE = 60.0  # pictures/s
 _UI_RATE = 30.0  # frames/s of the user interface
 _ALIVE = 0.5  # maximum time between two states that are sent, s
-# After a tap a browser also sends mouse events, for pages without touch support. Studio 4.0 handles
-# both, so a tap would count as two clicks.
-_HEAD = """\
-    <meta name="viewport" content="width=device-width, initial-scale=1" />
-    <style>canvas { touch-action: none; }</style>
-    <script>
-      document.addEventListener("touchend", (event) => {
-        if (event.cancelable) event.preventDefault();
-      }, { passive: false });
-    </script>
-  </head>"""
+_HEAD = Path(__file__).with_name("page_head.html").read_text("utf-8").rstrip("\n")
 
 
 class _DisconnectFilter(logging.Filter):
@@ -90,6 +80,12 @@ class ChangesOnlyServer(web_server.WebServer):
         """See Studio, which reads it only when a browser connects."""
         self.is_watched = True
         return int(super().models_generation)
+
+    def set_theme(self, theme: str) -> None:
+        """Ignores the theme of a browser's bar, which every browser sends when it takes control.
+
+        The theme of the page is the user's choice in its menu.
+        """
 
     def update_state(self, payload: bytes) -> None:
         """Publishes a state if it differs from the last one, or after a while."""
