@@ -39,6 +39,22 @@ def test_all_packets_that_are_applied_are_handed_on(lwr: SerialRobot, lossless: 
         assert len(heard) == 1
 
 
+def test_packets_that_were_replaced_are_handed_on_too(lwr: SerialRobot) -> None:
+    source = UdpReceiver(structure="7F")
+    scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
+    heard: list[float] = []
+    with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        mirror.listen(lambda _, packets: heard.extend(packets.values["values0"][:, 0]), to_all=True)
+        for frame in range(2):
+            for k in range(5):
+                sock.sendto(struct.pack("<7d", *[frame + k / 10] * 7), ("127.0.0.1", source.port))
+            assert until(lambda count=5 * frame + 5: source.counters.received == count)
+            assert mirror.advance()
+        assert not mirror.advance()
+        assert heard == [0.0, 0.1, 0.2, 0.3, 0.4, 1.0, 1.1, 1.2, 1.3, 1.4]
+        assert source.counters.superseded == 8
+
+
 def test_waiting_ends_when_a_packet_comes(lwr: SerialRobot) -> None:
     source = UdpReceiver(structure="7F")
     scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from source_slots import set_source
 
 from sero_mj import World
+from sero_mj.drive.wiring import wire
 from sero_mj.load import load_scene
+from sero_mj.receive.source import Packets
 from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from sero_mj.show.web._panels import decimate
 from sero_mj.show.window.hud import TorquePlot, y_range
@@ -33,6 +37,42 @@ def test_the_history_is_a_window_that_moves(world: World) -> None:
     data.time = 3.0  # back in time
     history.add(data)
     assert len(history.of(2)[0]) == 1
+
+
+def test_every_packet_counts_at_any_frame_rate() -> None:
+    """At 1 kHz 13 spikes of 5 ms; frames at 15 Hz."""
+    scene = load_scene("lwr_udp")
+    fed, routes = World(scene), wire(scene).check(scene).routes
+    (events,) = {o.key for r in routes for o in r.value.origins if "torques" in r.to.key}
+    history, plot, data = TorqueHistory(fed, routes), TorquePlot(fed), fed.make_data()
+    fed.set_input(data, "lwr.commanded_torques", np.full(7, 1.0))
+    spikes = np.linspace(0.5, 7.5, 13)
+    arrivals = 100.0 + np.arange(0.0, 8.0, 0.001)
+    torques = np.full((len(arrivals), 7), 2.0)
+    for k, spike in enumerate(spikes):
+        torques[(arrivals >= 100 + spike) & (arrivals < 100.005 + spike)] = 30.0 + k
+    shape = (7,)
+    for begin, end in itertools.pairwise(np.arange(0.0, 8.05, 1 / 15)):
+        rows = (arrivals >= 100 + begin) & (arrivals < 100 + end)
+        data.time = end
+        set_source(data, fed, "udp", age=0.001)
+        if rows.any():
+            values = np.zeros((rows.sum(), *shape))
+            values.reshape(rows.sum(), -1)[:, :7] = torques[rows]
+            packets = Packets({events: values}, arrivals[rows], 1)
+            history.add_packets(data, "udp", packets, now=100 + end)
+        history.add(data)
+    times, (measured, _, error) = history.of(3)
+    assert {30.0 + k for k in range(13)} <= set(measured.tolist())
+    assert times[measured == 36.0] == pytest.approx(spikes[6] - times[-1] - data.time, abs=0.006)
+    assert np.nanmin(error) == 1.0 - 42.0
+    figure, below = plot.fill(history, 3)
+    shown = figure.linedata[0][1 : 2 * figure.linepnt[0] : 2]
+    assert {30.0 + k for k in range(13)} <= set(shown.tolist())
+    assert below.linedata[0][1 : 2 * below.linepnt[0] : 2].min() == -41.0
+    x, y = decimate(times, measured)
+    assert {30.0 + k for k in range(13)} <= set(y.tolist())
+    assert len(x) < 700
 
 
 def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:

@@ -111,7 +111,7 @@ def test_after_a_jump_plots_show_what_was_before_it(
         clock.seek(goal)
         while simulated.data.time != goal:
             clock.advance(0.0)
-    times, (measured, _) = history.of(1)
+    times, (measured, *_) = history.of(1)
     assert times[0] == pytest.approx(-goal, abs=0.01)
     assert np.diff(times).max(initial=0.0) < 0.08
     assert np.isfinite(measured).all()
@@ -294,7 +294,7 @@ class Host(LiveHost):
     frame = picture = centre = close = None  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
-        super().__init__(SimpleNamespace(world=world, data=world.make_data()))  # type: ignore[arg-type]
+        super().__init__(SimpleNamespace(world=world, data=world.make_data(), is_live=False))  # type: ignore[arg-type]
         self.said: list[str] = []
         self.helped = 0
         self._actions["help"] = self.help

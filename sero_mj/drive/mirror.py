@@ -57,8 +57,11 @@ class LiveWorld(Protocol):
     def wait(self, timeout: float) -> list[str]:
         """Waits up to `timeout` s for packets of every source; returns those still silent."""
 
-    def listen(self, listener: Listener) -> None:
-        """Calls `listener(source, packets)` in `advance` with all packets that are applied."""
+    def listen(self, listener: Listener, *, to_all: bool = False) -> None:
+        """Calls `listener(source, packets)` in `advance` with all packets that are applied.
+
+        With `to_all` also with those that a newer one has replaced.
+        """
 
     def reset(self) -> None:
         """Goes back to the declared pose."""
@@ -100,6 +103,7 @@ class Mirror:
         self._latest: dict[str, Packet] = {}
         self._again: set[str] = set()  # whose latest packet is to be applied once more
         self._listeners: list[Listener] = []
+        self._listeners_to_all: list[Listener] = []
         self._news = threading.Event()
         for source in self.sources.values():
             source.on_receive(self._news.set)
@@ -179,13 +183,24 @@ class Mirror:
         self._news.clear()
         return came
 
-    def listen(self, listener: Listener) -> None:
+    def listen(self, listener: Listener, *, to_all: bool = False) -> None:
         """Calls `listener(source, packets)` in `advance` with all packets that are applied.
 
         Where a source has `only_latest_packet = false` these are all good ones, in order. A packet
         sets everything that its source is routed to, so `data` shows the last of them.
+
+        Args:
+            listener: is called before the last packet is applied.
+            to_all: whether it is called with all good packets of every source, also with those that
+                were never applied because a newer one had come by then. Up to 16 MB of them are
+                kept while nothing advances.
         """
-        self._listeners.append(listener)
+        if not to_all:
+            self._listeners.append(listener)
+            return
+        self._listeners_to_all.append(listener)
+        for source in self.sources.values():
+            source.keep_all()
 
     def reset(self) -> None:
         """Resets the data to the declared pose; the next `advance` applies the latest packets."""
@@ -211,6 +226,9 @@ class Mirror:
                 self._latest[name] = packets.last
                 for listener in self._listeners:
                     listener(name, packets)
+            if self._listeners_to_all and (all_packets := source.take_all()) is not None:
+                for listener in self._listeners_to_all:
+                    listener(name, all_packets)
             packet = self._latest.get(name)
             if packet is not None and (packets is not None or name in self._again):
                 self._routers[name].apply(data, {name: packet.values})
@@ -349,7 +367,7 @@ class Watch:
         """Returns at once: no source is silent."""
         return []
 
-    def listen(self, listener: Listener) -> None:
+    def listen(self, listener: Listener, *, to_all: bool = False) -> None:
         """Does nothing: no packets come."""
 
     def reset(self) -> None:

@@ -38,6 +38,7 @@ log = logging.getLogger(__name__)
 # come, else 0; and 1 in a tick in which new ones were applied, else 0.
 SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
+HEARD_BYTES = 16 * 2**20  # of packets that wait for `take_all`; the oldest are dropped
 QUEUE_BYTES = 64 * 2**20  # of packets that wait to be taken when none may be lost
 _WARN_EVERY = 10.0  # s
 # The fields that decide what packets mean; those that say where they come from do not matter.
@@ -127,6 +128,8 @@ class Source(Declaration):
     _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
     _number: int = PrivateAttr(0)  # of good packets so far
     _last: tuple[Rows, Array, int] | None = PrivateAttr(None)
+    _heard: deque[tuple[Rows, Array]] | None = PrivateAttr(None)  # see `keep_all`
+    _heard_bytes: int = PrivateAttr(0)
     _decoded: Packets | None = PrivateAttr(None)
     _looked: int = PrivateAttr(0)
     _taken: int = PrivateAttr(0)
@@ -350,6 +353,8 @@ class Source(Declaration):
         self._number = self._looked = self._taken = self._queued_bytes = 0
         self._last = self._decoded = None
         self._queue.clear()
+        if self._heard is not None:
+            self.keep_all()
         self._first.clear()
         self._closing.clear()
         self._warned = -np.inf
@@ -381,6 +386,27 @@ class Source(Declaration):
         rows = np.concatenate([rows for rows, _ in batches])
         arrivals = np.concatenate([arrivals for _, arrivals in batches])
         return Packets(self.intake.decode(rows), arrivals, self._taken)
+
+    def keep_all(self) -> None:
+        """Begins to keep all good packets for `take_all`, whatever `take` returns."""
+        with self._room:
+            self._heard, self._heard_bytes = deque(), 0
+
+    def take_all(self) -> Packets | None:
+        """Returns all good packets since the last call, or None when there is none.
+
+        After `keep_all`. They are kept up to 16 MB, then the oldest are dropped.
+        """
+        with self._room:
+            batches, self._heard_bytes = [*(self._heard or ())], 0
+            if batches:
+                self._heard = deque()
+            number = self._number
+        if not batches:
+            return None
+        rows = np.concatenate([rows for rows, _ in batches])
+        arrivals = np.concatenate([arrivals for _, arrivals in batches])
+        return Packets(self.intake.decode(rows), arrivals, number)
 
     def _newest(self) -> Packets | None:
         last, decoded = self._last, self._decoded
@@ -439,6 +465,12 @@ class Source(Declaration):
     def _hand_on(self, rows: Rows, arrivals: Array) -> None:
         """Keeps good packets until they are taken."""
         last = rows[-1:].copy()
+        if self._heard is not None:
+            with self._room:
+                self._heard.append((rows.copy(), arrivals.copy()))
+                self._heard_bytes += rows.size
+                while self._heard_bytes > HEARD_BYTES:
+                    self._heard_bytes -= self._heard.popleft()[0].size
         if self.only_latest_packet:
             self._number = number = self._number + len(rows)
             self._last = (last, arrivals[-1:].copy(), number)

@@ -13,6 +13,7 @@ from ..decor.toggles import Toggles
 from ..drive.mirror import LiveWorld
 from ..errors import SeroError
 from ..frames import Array
+from ..receive.source import Packets
 from .clock import Clock
 from .headless.film import Pixels
 from .input import Clicked
@@ -74,7 +75,10 @@ class LiveHost(ABC):
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
         self.clock = clock = Clock(mirror)
-        self.history = TorqueHistory(world)
+        # What follows the real time has packets between frames, and else the clock has moments.
+        self.history = TorqueHistory(world, mirror.routes if mirror.is_live else ())
+        if mirror.is_live:
+            mirror.listen(self._hear, to_all=True)
         self.joint = 0
         self.notice = Message()
         self.shows_status, self.shows_plot, self.shows_help = True, False, False
@@ -176,6 +180,10 @@ class LiveHost(ABC):
             self.say(str(error), is_bad=True)
         if not self.clock.is_paused:
             self._sample()
+
+    def _hear(self, source: str, packets: Packets) -> None:
+        now = self.mirror.sources[source].now()
+        self.history.add_packets(self.data, source, packets, now)
 
     def _sample(self) -> None:
         self.history.add(self.data)

@@ -2,68 +2,156 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import mujoco
 import numpy as np
 
 from ..assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..decor.staleness import Staleness
+from ..drive.route import Route
 from ..frames import Array, Ints
+from ..receive.source import Packets
 
 SPAN = 8.0  # duration of the plots, s
 _GAP = 0.25  # minimum duration of a visible gap, s
-_MOST = 1000  # samples; an MjvFigure has a capacity of 1001 points
-_SHOWN = ("torques", "commanded_torques")
+_BIN = 0.002  # duration for which the least and the greatest value are kept, s
+_BINS = round(SPAN / _BIN) + 1
+_MEASURED, _COMMANDED, _ERROR = range(3)
+_ROWS = {"torques": _MEASURED, "commanded_torques": _COMMANDED}
 
 
 class TorqueHistory:
-    """Ring buffer of all joints' torques, with a sample for every frame or every few ms.
+    """The least and the greatest torques of all joints, in every 2 ms of the last seconds.
 
+    So no peak is lost, however many packets come between two frames: those of a live source are
+    added by `add_packets`, everything else by `add`, with a sample for every frame or every few ms.
     When time goes back, later samples are deleted.
+
+    Args:
+        world: the compiled scene.
+        routes: those whose packets are added by `add_packets`.
     """
 
-    def __init__(self, world: WorldView) -> None:
+    def __init__(self, world: WorldView, routes: Iterable[Route] = ()) -> None:
+        joints = len(world.joints.names)
         self._world = world
         self._staleness = Staleness(world)
-        self._times = np.full(_MOST, np.nan)
-        self._values = np.full((len(_SHOWN), len(world.joints.names), _MOST), np.nan)
-        self._count = 0  # samples in total; the newest is at (count - 1) % MOST
+        self._times = np.full(_BINS, np.nan)  # of the last sample of a bin
+        self._low = np.full((_BINS, 3, joints), np.nan)
+        self._high = np.full((_BINS, 3, joints), np.nan)
+        self._last: int | None = None  # newest bin; bin i is in row i % _BINS
+        self._newest = 0.0  # time, s
+        # By source: where the torques of a packet go.
+        self._routes: dict[str, list[tuple[Route, int, slice]]] = {}
+        self._by_packet = np.zeros((3, joints), bool)
+        for route in routes:
+            row, owner = _ROWS.get(route.to.key), world.owners.get(route.to.name)
+            if route.direct is not None and row is not None and owner is not None:
+                self._routes.setdefault(route.direct, []).append((route, row, owner.joints))
+                self._by_packet[[row, _ERROR], owner.joints] = True
 
     def add(self, data: mujoco.MjData) -> None:
-        """Adds a sample at `data.time`, if enough time has passed since the last one."""
-        time = float(data.time)
-        if self._count:
-            last = self._times[(self._count - 1) % _MOST]
-            if time < last - 1e-9:
-                self._count = 0
-            elif time - last < 0.9 * SPAN / _MOST:
-                return
-        values = joint_values(self._world, data)
+        """Adds the torques at `data.time`, except those that packets bring."""
+        if data.time < self._newest - 1e-9:
+            self._last = None
         stale = self._staleness.find(data)
-        at = self._count % _MOST
-        self._times[at] = time
-        for row, key in zip(self._values, _SHOWN, strict=True):
-            row[:, at] = values[key]
+        values = self._received(data)
+        values[self._by_packet] = np.nan
+        self._put(np.array([data.time]), values[None])
         if stale:  # the line ends at the time of the last data, not when it became stale
-            gap = self._staleness.time_without_data(data, stale)[:, None]
-            self._values[:, (gap > 0) & (self._times > time - gap + 1e-6)] = np.nan
-        self._count += 1
+            gap = self._staleness.time_without_data(data, stale)
+            with np.errstate(invalid="ignore"):
+                past = (gap > 0) & (self._times[:, None] > data.time - gap + 1e-6)
+            for extremes in (self._low, self._high):
+                np.copyto(extremes, np.nan, where=past[:, None])
 
-    def of(self, joint: int) -> tuple[Array, Array]:
-        """Returns the samples of a joint, oldest first.
+    def add_packets(self, data: mujoco.MjData, source: str, packets: Packets, now: float) -> None:
+        """Adds the torques of packets, each at its arrival.
+
+        Args:
+            data: the world's state before the last packet is applied; `data.time` is now.
+            source: its name.
+            packets: of the source, in order.
+            now: on the clock of their arrivals, s.
+        """
+        routes = self._routes.get(source)
+        if routes is None:
+            return
+        values = np.tile(self._received(data), (len(packets), 1, 1))
+        came = np.zeros(values.shape[1:], bool)
+        for route, row, joints in routes:
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = route.value.evaluate(
+                    lambda origin: packets.values[origin.key].reshape(len(packets), -1)
+                )
+            values[:, row, joints] = np.where(np.isfinite(found), found, np.nan)
+            came[[row, _ERROR], joints] = True
+        values[:, _ERROR] = values[:, _COMMANDED] - values[:, _MEASURED]
+        values[:, ~came] = np.nan
+        self._put(data.time - now + packets.arrivals, values)
+
+    def _received(self, data: mujoco.MjData) -> Array:
+        """Returns measured and commanded torques and their error, (3, N)."""
+        found = joint_values(self._world, data)
+        return np.array([found["torques"], found["commanded_torques"], found["torque_error"]])
+
+    def _put(self, times: Array, values: Array) -> None:
+        """Adds samples at times (n,), s, rising, with values (n, 3, N)."""
+        bins = np.floor(times / _BIN + 1e-6).astype(np.intp)
+        newest = int(bins[-1])
+        if self._last is None:
+            self._newest = -np.inf
+            self._times[:] = np.nan
+            self._low[:] = self._high[:] = np.nan
+        elif newest > self._last:
+            new = np.arange(max(self._last, newest - _BINS) + 1, newest + 1) % _BINS
+            self._times[new] = np.nan
+            self._low[new] = self._high[new] = np.nan
+        self._last = newest if self._last is None else max(newest, self._last)
+        self._newest = max(float(times[-1]), self._newest)
+        kept = bins > self._last - _BINS
+        bins, times, values = bins[kept], times[kept], values[kept]
+        bins, begins = np.unique(bins, return_index=True)
+        ends = np.append(begins[1:], len(times)) - 1
+        rows = bins % _BINS
+        self._times[rows] = np.fmax(self._times[rows], times[ends])
+        self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
+        self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
+
+    def of(self, joint: int, points: int = 2 * _BINS) -> tuple[Array, Array]:
+        """Returns the torques of a joint, oldest first.
+
+        Args:
+            joint: index in the world.
+            points: about as many are returned at most; each stands for the least or the greatest
+                value of its stretch of time.
 
         Returns:
-            times (k,), s, relative to the newest (0 and below), and values (2, k): measured and
-            commanded, Nm or N, NaN for no data.
+            times (k,), s, relative to the newest (0 and below), and values (3, k): measured,
+            commanded, and commanded - measured, Nm or N, NaN for no data.
         """
-        k = min(self._count, _MOST)
-        order = np.arange(self._count - k, self._count) % _MOST
-        times = self._times[order]
-        if not k:
-            return times, self._values[:, joint, order]
-        times = times - times[-1]
+        if self._last is None:
+            return np.zeros(0), np.zeros((3, 0))
+        bins = np.arange(self._last - _BINS + 1, self._last + 1)
+        bins = bins[np.isfinite(self._times[bins % _BINS])]
+        rows = bins % _BINS
+        times = self._times[rows]
+        low, high = self._low[rows, :, joint], self._high[rows, :, joint]
+        if 2 * len(bins) > points:
+            # Stretches begin at multiples of their length, so that a line does not flicker.
+            stretches = bins // -(-2 * (int(bins[-1] - bins[0]) + 1) // points)
+            begins = np.flatnonzero(np.diff(stretches, prepend=stretches[0] - 1))
+            low = np.fmin.reduceat(low, begins, axis=0)
+            high = np.fmax.reduceat(high, begins, axis=0)
+            times = times[np.append(begins[1:], len(times)) - 1]
+        both = np.arange(len(times)).repeat(1 + (low < high).any(axis=1))
+        is_high = np.diff(both, prepend=-1) == 0
+        values = np.where(is_high[:, None], high[both], low[both]).T
+        times = times[both] - times[-1]
         kept = times >= -SPAN
-        return times[kept], self._values[:, joint, order[kept]]
+        return times[kept], values[:, kept]
 
 
 def split_at_gaps(times: Array, values: Array) -> list[Ints]:

@@ -226,12 +226,8 @@ class TorquePlots:
         if joint == self._joint and now - self._when < _INTERVAL:
             return
         self._joint, self._when = joint, now
-        times, (measured, commanded) = history.of(joint)
-        lines = {
-            "measured": measured,
-            "commanded": commanded,
-            "commanded - measured": commanded - measured,
-        }
+        times, values = history.of(joint)
+        lines = dict(zip(("measured", "commanded", "commanded - measured"), values, strict=True))
         self._lines = {}
         for name, values in lines.items():
             x, y = decimate(times, values)

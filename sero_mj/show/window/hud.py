@@ -45,6 +45,7 @@ _LEAST_STRIP = 10.0  # minimum height, line heights
 _LEAST_PLOT = 20.0  # minimum width, line heights
 
 # Of the plots:
+_POINTS = 980  # an MjvFigure has a capacity of 1001 per line
 _NAMES = ("measured", "commanded")
 # Light blue and orange: distinct for the colour-blind and on a dark background.
 _RGB = ((0.45, 0.78, 1.0), (1.0, 0.62, 0.18))
@@ -309,15 +310,15 @@ class TorquePlot:
     def fill(self, history: TorqueHistory, joint: int) -> list[mujoco.MjvFigure]:
         """Returns the figures of a joint of the world."""
         joints = self._world.joints
-        times, values = history.of(joint)
+        times, (*torques, error) = history.of(joint, _POINTS)
         limit = float(joints.torque_limit[joint])
         what, unit = ("torque", "Nm") if joints.revolute[joint] else ("force", "N")
         bound = f", limit {limit:g}" if np.isfinite(limit) else ""
         name = joint_name(self._world, joint)
         self.torques.title = f"{name}: {what} [{unit}] over time [s]{bound}"
-        _set_lines(self.torques, times, dict(zip(_NAMES, values, strict=True)), limit)
+        _set_lines(self.torques, times, dict(zip(_NAMES, torques, strict=True)), limit)
         self.error.title = f"error [{unit}] over time [s]"
-        _set_lines(self.error, times, {"commanded - measured": values[1] - values[0]}, np.inf)
+        _set_lines(self.error, times, {"commanded - measured": error}, np.inf)
         return [self.torques, self.error]
 
 
