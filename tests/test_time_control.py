@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import socket
+import struct
 from typing import Any
 
 import pytest
 from mujoco.studio import messages, sim
 
-from sero_mj import Mirror
+from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
+from sero_mj.decor.staleness import NO_DATA_YET, Staleness
 from sero_mj.load import load_scene
 from sero_mj.show.clock import Clock
 from sero_mj.show.web.studio_controls import TimeControl
@@ -69,3 +72,23 @@ def test_a_moment_of_the_history_is_gone_on_from() -> None:
         mirror.data.time = 1.25  # what Studio's history puts there
         control.on_step(step)
         assert clock.time == pytest.approx(1.25, abs=0.05)
+
+
+@pytest.mark.parametrize("has_come", [True, False])
+def test_a_live_robot_that_is_reset_while_paused_is_as_it_came(
+    lwr: SerialRobot, has_come: bool
+) -> None:
+    source = UdpReceiver(structure="7F")
+    scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
+    with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
+        if has_come:
+            sock.sendto(struct.pack("<7d", *[0.4] * 7), ("127.0.0.1", source.port))
+            assert source.wait(5.0)
+        clock = Clock(mirror)
+        clock.advance(0.1)
+        clock.pause()
+        clock.reset()
+        assert mirror.data.qpos.tolist() == ([0.4] * 7 if has_come else lwr.home.tolist())
+        stale = Staleness(mirror.world).find(mirror.data)
+        assert stale == ({} if has_come else {"lwr": NO_DATA_YET})
+        assert clock.is_paused

@@ -5,18 +5,22 @@ from __future__ import annotations
 import socket
 import struct
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+import mujoco
 import numpy as np
 import pytest
-from mujoco.studio import messages, sim_history
+from mujoco.studio import messages, sim_history, ux
+from mujoco.studio.dear_imgui import dear_imgui as imgui
 from polling import until
 from websockets.sync.client import connect
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
 from sero_mj.errors import RenderError
 from sero_mj.load import load_scene
+from sero_mj.show.status_line import Mood
 from sero_mj.show.web.host import WebHost
+from sero_mj.show.web.page_windows import mood_rgb
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = [
@@ -191,3 +195,39 @@ def test_a_browser_that_takes_control_does_not_change_the_theme(page: WebHost) -
         page.frame()
         page.viewer.dispatch(messages.UpdateEvent())
         assert page._app.theme == before
+
+
+def test_studios_inspector_moves_no_mirrored_robot(page: WebHost) -> None:
+    page.clock.pause()
+    page.frame()
+    before = page.data.qpos.copy()
+    shown = page.viewer.data
+    with page.viewer.send_if_changes(
+        lambda: messages.StateEvent.from_data(
+            page.world.model, shown, int(mujoco.mjtState.mjSTATE_QPOS)
+        )
+    ):
+        shown.qpos += 0.5
+    for _ in range(3):
+        page.frame()
+    assert page.data.qpos.tolist() == before.tolist()
+    assert shown.qpos.tolist() == before.tolist()
+
+
+def luminance(rgb: Sequence[float]) -> float:
+    """Relative luminance of an sRGB colour by WCAG 2."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in rgb]
+    return float(np.dot((0.2126, 0.7152, 0.0722), linear))
+
+
+@pytest.mark.parametrize("theme", ux.GuiTheme.__members__.values())
+def test_text_of_every_mood_is_readable_on_every_theme(page: WebHost, theme: ux.GuiTheme) -> None:
+    ux.setup_theme(theme)
+    ground = imgui.GetStyleColorVec4(int(imgui.Col.WindowBg))
+    behind = luminance((ground.x, ground.y, ground.z))
+    moods: tuple[Mood, ...] = ("good", "quiet", "bad")
+    for mood in moods:
+        rgb = mood_rgb(mood)
+        assert rgb is not None
+        low, high = sorted((behind, luminance(rgb)))
+        assert (high + 0.05) / (low + 0.05) >= 4.5, mood

@@ -152,6 +152,8 @@ class Clock:
         """Goes back to the start; returns what to tell the user."""
         if self.is_live:
             self._mirror.reset()
+            # At once, also where it stands still: the declared pose never came from the robot.
+            self._mirror.advance()
             return "reset to the declared pose, then the latest packets"
         self.seek(0.0)
         return "back to the start"

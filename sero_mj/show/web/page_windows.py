@@ -41,13 +41,20 @@ _CUT_OFF = 68.0, 64.0  # pixels
 _READABLE = 0.25  # minimum time for which a number is shown, s
 _NARROW = 3.2 * _WIDTH  # width below which panel and billboards would cover the robot
 _TALL = 0.35  # fraction of the page's height above which a window counts as covering its edge
-# Also distinct in lightness, on Studio's light and dark theme.
-MOODS: dict[Mood, tuple[float, float, float] | None] = {
-    "good": (0.10, 0.55, 0.24),
-    "quiet": (0.45, 0.47, 0.50),
-    "bad": (0.85, 0.28, 0.05),
+Rgb = tuple[float, float, float]
+# On Studio's light themes and on its dark ones. Contrast with the window is at least 4.5 (WCAG).
+MOODS: dict[Mood, tuple[Rgb, Rgb] | None] = {
+    "good": ((0.04, 0.41, 0.16), (0.45, 0.82, 0.56)),
+    "quiet": ((0.37, 0.39, 0.43), (0.72, 0.74, 0.77)),
+    "bad": ((0.70, 0.17, 0.02), (1.00, 0.62, 0.46)),
     "plain": None,
 }
+
+
+def mood_rgb(mood: Mood) -> Rgb | None:
+    """Returns the colour of a mood on the page's current theme; None for the theme's own."""
+    colours, window = MOODS[mood], imgui.GetStyleColorVec4(int(imgui.Col.WindowBg))
+    return None if colours is None else colours[window.y < 0.5]
 
 
 def write_line(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
@@ -58,7 +65,7 @@ def write_line(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> N
         mood: of the line.
         is_wrapped: whether to wrap it at the window's width.
     """
-    write, rgb = imgui.TextWrapped if is_wrapped else imgui.TextUnformatted, MOODS[mood]
+    write, rgb = imgui.TextWrapped if is_wrapped else imgui.TextUnformatted, mood_rgb(mood)
     if rgb is None:
         write(text)
         return

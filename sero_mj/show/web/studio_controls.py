@@ -160,6 +160,11 @@ class TimeControl(plugin.SimPlugin):
         return True
 
     @messages.handler
+    def on_state(self, event: messages.StateEvent) -> bool:
+        """Refuses a state that was edited in Studio's inspector: it never came from the robot."""
+        return True
+
+    @messages.handler
     def on_history(self, event: sim_history.SimHistorySnapshot) -> None:
         """Handles the selection of a past state, which `SimHistory` writes to the data."""
         self._is_scrubbed = True
