@@ -136,3 +136,25 @@ def test_a_simulation_is_paused_and_scrubbed(browser: Any, tmp_path: Path) -> No
         assert time < served.ask("w.clock.end") - 0.05
         assert served.ask("w.data.time") == pytest.approx(time, abs=0.05)
         visitor.close()
+
+
+def test_windows_of_the_page_stay_on_it_and_beside_studios(browser: Any, tmp_path: Path) -> None:
+    with Served(tmp_path, "impedance_push") as served:
+        visitor = Visitor(browser, served, (600, 380))
+        visitor.hears("First remote draw frame applied")
+        served.ask("setattr(w, 'shows_help', True)")
+        served.until("'Mouse and keys' in windows")
+        served.settle(30)
+        left, top, right, bottom = served.ask("windows['Mouse and keys']")
+        assert 0 <= left < right <= 600
+        assert 0 <= top < bottom <= 380
+        served.ask("setattr(w, 'shows_help', False)")
+        served.ask("setattr(w._app.config, 'show_options', True)")
+        served.until("w._app.docked[0] > 0")
+        served.settle(30)
+        of_studio, ours = served.ask("[windows['Options'], windows['impedance_push']]")
+        assert ours[0] >= of_studio[2]
+        visitor.click(*served.middle("Simulation"))
+        visitor.click(*served.middle("Pause"))
+        served.until("w.clock.is_paused or w.clock.time == 0")
+        visitor.close()

@@ -50,8 +50,19 @@ def noted(build):
         places[label] = [low.x, low.y, high.x, high.y]
         return found
     return built
-for name in ("Button", "Checkbox", "Combo", "SliderFloat", "CollapsingHeader", "TreeNode"):
+for name in ("Button", "Checkbox", "Combo", "SliderFloat", "CollapsingHeader", "TreeNode",
+             "BeginMenu", "MenuItem"):
     setattr(imgui, name, noted(getattr(imgui, name)))
+
+windows = {}  # left, top, right, bottom of every window, by its title
+def placed(build):
+    def built(title, *rest):
+        found = build(title, *rest)
+        low, size = imgui.GetWindowPos(), imgui.GetWindowSize()
+        windows[title.partition("###")[0]] = [low.x, low.y, low.x + size.x, low.y + size.y]
+        return found
+    return built
+imgui.Begin = placed(imgui.Begin)
 
 seen = {"at": [-1, -1], "is_down": False, "is_key_down": False}  # of the browser's mouse and keys
 def looked(build):

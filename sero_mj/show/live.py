@@ -195,16 +195,19 @@ class LiveHost(ABC):
             key: see `input.Event`.
             is_repeat: whether it is an automatic repetition.
         """
-        message = None
         name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
         if is_repeat and name not in _REPEATED:
             return
         if key in KEYS:
-            message = press_toggle(key, self.world, self.data, self.toggles)
+            self.say(press_toggle(key, self.world, self.data, self.toggles))
         elif name == "camera":
-            message = self.choose_camera(int(key))
+            self.say(self.choose_camera(int(key)))
         elif name in self._actions:
-            message = self._actions[name]()
+            self.perform(name)
+
+    def perform(self, action: str) -> None:
+        """Performs an action by its name in `interaction.HOST_KEYS`."""
+        message = self._actions[action]()
         if message:
             self.say(message)
 

@@ -49,7 +49,7 @@ _ISOLATION = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Embedder-Policy": "require-corp",
 }
-_MOST_BROWSERS = 10_000  # for Studio's limit of 8 that look on, and the most that a page may set
+_MOST_BROWSERS = 999  # for Studio's limit of 8 that look on, and the most that a page may set
 _FRAMES_OF = "vscode-webview: " + " ".join(  # notebooks embed the page in a frame
     f"{scheme}://{name}:*" for name in ("localhost", "127.0.0.1") for scheme in ("http", "https")
 )

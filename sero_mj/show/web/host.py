@@ -67,7 +67,7 @@ class WebHost(LiveHost):
         self._under: Pixel | None = None
         self._start_camera = camera
         self._app = StudioApp(self)
-        self._panels = PageWindows(self, self.decor)
+        self._panels = PageWindows(self, self.decor, self._app)
         self._actions["help"] = self._toggle_help
         is_private = is_loopback(check_address(host))
         self._token = None if is_private and not token else make_token()

@@ -16,6 +16,7 @@ from ..interaction import help_columns
 from ..live import LiveHost
 from ..status_line import Mood, clock_text, source_text
 from ._panels import RobotPanel, TorquePlots
+from .studio_controls import StudioApp
 from .studio_decor import WebDecor
 
 _ONCE = int(imgui.Cond.FirstUseEver)
@@ -40,6 +41,15 @@ _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 _CUT_OFF = 68.0, 64.0  # pixels
 _READABLE = 0.25  # minimum time for which a number is shown, s
 _NARROW = 3.2 * _WIDTH  # width below which panel and billboards would cover the robot
+_TWO_COLUMNS = 900.0  # width from which on the help has two columns
+# Names of actions and their labels in the menu, by key.
+_CLOCK_MENU = {
+    ".": ("step", "Step"),
+    ",": ("step_back", "Step back"),
+    "-": ("slower", "Slower"),
+    "+": ("faster", "Faster"),
+    "Backspace": ("reset", "Back to the start"),
+}
 _TALL = 0.35  # fraction of the page's height above which a window counts as covering its edge
 Rgb = tuple[float, float, float]
 # On Studio's light themes and on its dark ones. Contrast with the window is at least 4.5 (WCAG).
@@ -80,14 +90,16 @@ class PageWindows(plugin.ViewerPlugin):
     Args:
         host: the host of the page.
         decor: of the page.
+        studio: whose docked windows these stay beside.
     """
 
-    def __init__(self, host: LiveHost, decor: WebDecor) -> None:
-        self._host, self._decor = host, decor
+    def __init__(self, host: LiveHost, decor: WebDecor, studio: StudioApp) -> None:
+        self._host, self._decor, self._studio = host, decor, studio
         self._robots = RobotPanel(host.world, host.toggles)
         self._plots = TorquePlots(host.world)
         self._is_narrow = False
-        self._pages: dict[str, tuple[float, float]] = {}  # page sizes for which windows were placed
+        # Page sizes, and what is docked there, for which windows were placed.
+        self._pages: dict[str, tuple[float, ...]] = {}
         self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents
         # Margins that windows at the edges of the page cover, see `PictureView.inset`.
         self.inset = (0.0, 0.0, 0.0, 0.0)
@@ -96,7 +108,8 @@ class PageWindows(plugin.ViewerPlugin):
     def on_build_gui(self, event: messages.BuildGuiEvent) -> None:
         """Builds all windows of a frame."""
         host, size = self._host, imgui.GetIO().DisplaySize
-        self.inset = (_CUT_OFF[0], 0.0, 0.0, _CUT_OFF[1])
+        left, right = self._studio.docked
+        self.inset = (max(_CUT_OFF[0], left), 0.0, right, _CUT_OFF[1])
         # In every frame, since the size is unknown before a browser is connected.
         if self._is_narrow != (size.x < _NARROW):
             self._is_narrow = size.x < _NARROW
@@ -114,14 +127,18 @@ class PageWindows(plugin.ViewerPlugin):
         self._message(size)
 
     def _when(self, window: str, size: imgui.Vec2) -> int:
-        """Returns when to place a window: once for every page size."""
-        last, self._pages[window] = self._pages.get(window), (size.x, size.y)
-        return _ONCE if last == (size.x, size.y) else _ALWAYS
+        """Returns when to place a window: once for every page size and what is docked there."""
+        now = (size.x, size.y, *self._studio.docked)
+        last, self._pages[window] = self._pages.get(window), now
+        return _ONCE if last == now else _ALWAYS
 
     def _menu(self) -> None:
         host = self._host
         if not imgui.BeginMainMenuBar():
             return
+        if imgui.BeginMenu("Simulation"):  # Studio's, which is empty
+            self._clock_menu()
+            imgui.EndMenu()
         if imgui.BeginMenu("Robot"):
             if imgui.MenuItem("Panel", "T", host.shows_status):
                 host.toggle_status()
@@ -132,9 +149,19 @@ class PageWindows(plugin.ViewerPlugin):
             imgui.EndMenu()
         imgui.EndMainMenuBar()
 
+    def _clock_menu(self) -> None:
+        clock = self._host.clock
+        if imgui.MenuItem("Pause", "Space", clock.is_paused):
+            clock.pause()
+        # What is live goes neither back nor at another speed.
+        for key, (name, label) in _CLOCK_MENU.items():
+            is_for_all = name in ("step", "reset")
+            if (is_for_all or not clock.is_live) and imgui.MenuItem(label, key, False):
+                self._host.perform(name)
+
     def _handle(self) -> None:
         """Builds the button that shows the hidden panel again."""
-        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), _ALWAYS)
+        imgui.SetNextWindowPos(imgui.Vec2(self._studio.docked[0] + _MARGIN, _TOP), _ALWAYS)
         imgui.Begin("##handle", True, _HANDLE_FLAGS)
         if imgui.Button("panel"):
             self._host.toggle_status()
@@ -142,7 +169,8 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.End()
 
     def _panel(self, size: imgui.Vec2) -> None:
-        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _TOP), self._when("panel", size))
+        left = self._studio.docked[0] + _MARGIN
+        imgui.SetNextWindowPos(imgui.Vec2(left, _TOP), self._when("panel", size))
         room = max(size.y - _TOP - 3 * _MARGIN - self.inset[1], 160.0)
         imgui.SetNextWindowSizeConstraints(imgui.Vec2(_WIDTH, 0.0), imgui.Vec2(_WIDTH, room))
         host = self._host
@@ -163,9 +191,10 @@ class PageWindows(plugin.ViewerPlugin):
         left, below, right, above = self.inset
         if size.y < _TALL * height or imgui.IsWindowCollapsed():
             return
-        if place.x < 2 * _MARGIN:
+        docked = self._studio.docked
+        if place.x < docked[0] + 2 * _MARGIN:
             left = max(left, place.x + size.x)
-        elif place.x + size.x > width - 2 * _MARGIN:
+        elif place.x + size.x > width - docked[1] - 2 * _MARGIN:
             right = max(right, width - place.x)
         if left + right < 0.7 * width:
             self.inset = (left, below, right, above)
@@ -217,8 +246,9 @@ class PageWindows(plugin.ViewerPlugin):
         if clock.is_live or not self._host.mirror.sources:
             return
         height = imgui.GetFrameHeight() + 2 * 8.0
-        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, size.y - height - _MARGIN), _ALWAYS)
-        imgui.SetNextWindowSize(imgui.Vec2(max(size.x - 2 * _MARGIN, 200.0), height), _ALWAYS)
+        begin, end = (docked + _MARGIN for docked in self._studio.docked)
+        imgui.SetNextWindowPos(imgui.Vec2(begin, size.y - height - _MARGIN), _ALWAYS)
+        imgui.SetNextWindowSize(imgui.Vec2(max(size.x - begin - end, 200.0), height), _ALWAYS)
         imgui.Begin("Time###time", True, _BAR_FLAGS)
         left, _, right, above = self.inset
         self.inset = (left, height + _MARGIN, right, above)
@@ -246,7 +276,8 @@ class PageWindows(plugin.ViewerPlugin):
     def _torques(self, size: imgui.Vec2) -> None:
         width = min(460.0, max(0.31 * size.x, 240.0))
         height, when = min(520.0, max(size.y - 220.0, 240.0)), self._when("torques", size)
-        imgui.SetNextWindowPos(imgui.Vec2(size.x - width - _MARGIN, _TOP + 80.0), when)
+        left = size.x - self._studio.docked[1] - width - _MARGIN
+        imgui.SetNextWindowPos(imgui.Vec2(left, _TOP + 80.0), when)
         imgui.SetNextWindowSize(imgui.Vec2(width, height), when)
         host = self._host
         shown, host.shows_plot = imgui.Begin("Torques###torques", host.shows_plot)
@@ -256,14 +287,20 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.End()
 
     def _help(self, size: imgui.Vec2) -> None:
-        imgui.SetNextWindowPos(
-            imgui.Vec2(size.x / 2, size.y / 2), int(imgui.Cond.Appearing), imgui.Vec2(0.5, 0.5)
-        )
+        """Builds the help in the middle of the page, to be scrolled where it finds no room."""
+        middle = imgui.Vec2(size.x / 2, (_TOP + size.y) / 2)
+        room = imgui.Vec2(size.x - 2 * _MARGIN, size.y - _TOP - 2 * _MARGIN)
+        imgui.SetNextWindowPos(middle, _ALWAYS, imgui.Vec2(0.5, 0.5))
+        imgui.SetNextWindowSizeConstraints(imgui.Vec2(0.0, 0.0), room)
         host = self._host
         _, host.shows_help = imgui.Begin("Mouse and keys###help", host.shows_help, _PANEL_FLAGS)
-        if imgui.BeginTable("##help", 2):
+        columns = help_columns(on_page=True)
+        if size.x < _TWO_COLUMNS:
+            columns = [[row for column in columns for row in (*column, ("", ""))]]
+            imgui.PushTextWrapPos(room.x - 3 * _MARGIN)
+        if imgui.BeginTable("##help", len(columns)):
             imgui.TableNextRow()
-            for column in help_columns(on_page=True):
+            for column in columns:
                 imgui.TableNextColumn()
                 for how, words in column:
                     if how and not words:
@@ -271,13 +308,18 @@ class PageWindows(plugin.ViewerPlugin):
                     elif how:
                         imgui.TextUnformatted(f"{how}:  {words}")
             imgui.EndTable()
+        if len(columns) == 1:
+            imgui.PopTextWrapPos()
         imgui.End()
 
     def _message(self, size: imgui.Vec2) -> None:
         notice = self._host.notice
         if not notice.is_shown:
             return
-        imgui.SetNextWindowPos(imgui.Vec2(size.x / 2, size.y - 90.0), _ALWAYS, imgui.Vec2(0.5, 1.0))
+        # Above the picture: the legend and what is said of a robot are below.
+        left, _, right, above = self.inset
+        middle = imgui.Vec2((left + size.x - right) / 2, above)
+        imgui.SetNextWindowPos(middle, _ALWAYS, imgui.Vec2(0.5, 0.0))
         imgui.Begin("##message", True, _NOTE_FLAGS)
         # Not wrapped: the window fits its text and has no width of its own.
         write_line(notice.text, "bad" if notice.is_bad else "plain", is_wrapped=False)

@@ -46,6 +46,9 @@ class StudioApp(studio_app.App):
 
     Args:
         host: handles clicks, keys and the pointer.
+
+    Attributes:
+        docked: width of what is docked to the left and the right edge of the page, pixels.
     """
 
     def __init__(self, host: LiveHost) -> None:
@@ -59,6 +62,28 @@ class StudioApp(studio_app.App):
         )
         self._host = host
         self._mouse = Mouse()
+        self.docked = (0.0, 0.0)
+
+    def build_gui(self) -> None:
+        """Builds Studio's windows, and notes which edges of the page they are docked to."""
+        super().build_gui()
+        width = imgui.GetIO().DisplaySize.x
+        left = right = 0.0
+        for title, is_shown in (
+            ("Options", self.config.show_options),
+            ("Inspector", self.config.show_inspector),
+        ):
+            if not is_shown:
+                continue
+            imgui.Begin(title)  # once more, to ask where it is
+            if imgui.IsWindowDocked():
+                place, size = imgui.GetWindowPos(), imgui.GetWindowSize()
+                if place.x + size.x / 2 < width / 2:
+                    left = max(left, place.x + size.x)
+                else:
+                    right = max(right, width - place.x)
+            imgui.End()
+        self.docked = (left, right)
 
     def reset_camera_index(self, index: int) -> None:
         """Sets the index of the current camera in Studio."""
