@@ -387,3 +387,25 @@ print("done")
 
 def test_a_loop_of_ones_own_moves_the_robot(display: str, tmp_path: Path) -> None:
     assert run_script(_LOOP, tmp_path, display) == "done\n"
+
+
+# Panels, pixels that they change, and the largest difference from headless pictures' way.
+_BLENDED = """(lambda np, setting, placed, full, bare: [
+    len(placed),
+    int((bare != full).any(axis=2).sum()),
+    setting.compose(bare, placed) or int(np.abs(full.astype(int) - bare).max()),
+])(
+    __import__("numpy"),
+    __import__("sero_mj.show.typesetting", fromlist=[""]),
+    w.decor._typesetter.place(w.decor.panels),
+    w.picture(),
+    [w.decor.panels.clear(), w.picture()][1],
+)"""
+
+
+def test_the_window_blends_panels_as_headless_pictures_do(window: Driven) -> None:
+    window.ask("w.toggles.billboards.fill(True)")
+    window.settle()
+    panels, changed, difference = window.ask(" ".join(_BLENDED.split()))
+    assert panels >= 7 and changed > 7 * 500
+    assert difference <= 2

@@ -11,10 +11,12 @@ import glfw
 import mujoco
 
 from ...assemble.world_view import WorldView
-from ...decor.font import Font, line_height, nearest_font_scale
+from ...decor.font import line_height, nearest_font_scale
 from ...errors import RenderError
 from ..headless.render import check_size, offscreen_size
 from ..input import LEFT, MIDDLE, RIGHT, Event
+from ..typesetting import Typesetter
+from .gl_blend import Blender
 
 _SAMPLES = 4  # samples per pixel, for antialiasing
 _HUD_TEXT = 18.0  # text height of the window at content scale 1, pixels
@@ -33,7 +35,7 @@ _NAMED_KEYS = {
 
 
 class GlWindow:
-    """A window with an OpenGL context for a world and one for the window's own text.
+    """A window with an OpenGL context for a world and one for its plots.
 
     Args:
         world: its meshes and textures are loaded.
@@ -42,9 +44,10 @@ class GlWindow:
         full_screen: whether it covers the screen.
 
     Attributes:
-        context: for the scene, with the font of billboards.
-        hud: for the window's own text, whose size depends on the screen and not on the picture.
-        hud_font: font of `hud`.
+        context: for the scene.
+        hud: for plots, whose text's size depends on the screen and not on the picture.
+        typesetter: of the window's own text, of that size.
+        blender: lays panels over the window.
         refresh_rate: of the screen, Hz.
 
     Raises:
@@ -77,16 +80,15 @@ class GlWindow:
     def _make_contexts(self) -> None:
         world = self._world
         height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
-        self._least_scale = nearest_font_scale(height)
-        self._scale = max(nearest_font_scale(line_height(world, self.size[1])), self._least_scale)
+        self.typesetter = self._of_picture = Typesetter(round(height))
+        self.blender = Blender()
         # Rendering goes to the window's buffer; the offscreen buffer is unused.
         with offscreen_size(world.model, 16, 16):
-            self.context = mujoco.MjrContext(world.model, self._scale)
+            self.context = mujoco.MjrContext(world.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         empty = mujoco.MjModel.from_xml_string("<mujoco/>")
         empty.vis.global_.offwidth = empty.vis.global_.offheight = 16
         empty.vis.quality.shadowsize = empty.vis.quality.offsamples = 0
-        self.hud = mujoco.MjrContext(empty, self._least_scale)
-        self.hud_font = Font.of_context(self.hud)
+        self.hud = mujoco.MjrContext(empty, nearest_font_scale(height))
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
 
     def _listen(self) -> None:
@@ -123,16 +125,15 @@ class GlWindow:
         events, self._events = self._events, []
         return events
 
-    def fit_font(self, height: int) -> Font:
-        """Sets and returns the font of billboards for a picture height, pixels.
+    def typesetter_of(self, height: int) -> Typesetter:
+        """Returns the typesetter of panels in a picture of that height, pixels.
 
-        It is at least as large as the window's own font, which depends on the screen's scale.
+        Its text is at least as large as the window's own, whose size depends on the screen's scale.
         """
-        scale = max(nearest_font_scale(line_height(self._world, height)), self._least_scale)
-        if scale != self._scale:
-            self._scale = scale
-            mujoco.mjr_changeFont(scale, self.context)
-        return Font.of_context(self.context)
+        line = max(line_height(self._world, height), self.typesetter.font.height)
+        if line != self._of_picture.font.height:
+            self._of_picture = Typesetter(line)
+        return self._of_picture
 
     def swap(self) -> None:
         """Shows the rendered frame at the screen's next refresh."""

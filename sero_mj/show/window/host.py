@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from ...assemble.world_view import WorldView
-from ...decor.font import Font
 from ...decor.pen import CAPACITY
 from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
@@ -27,6 +26,7 @@ from ..live import LiveHost
 from ..picking import Pixel
 from ..scene_decor import SceneDecor
 from ..status_line import Piece, status_pieces
+from ..typesetting import Typesetter
 from .capture import Capture
 from .glfw_window import GlWindow
 from .hud import Hud, TimeLine, TorquePlot, arrange
@@ -47,13 +47,18 @@ class Viewport(SceneDecor):
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
-        super().__init__(world, toggles)
+        super().__init__(world, toggles, with_text=False)
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
         self._option = mujoco.MjvOption()
+        self._typesetter: Typesetter | None = None
 
     def update(
-        self, data: mujoco.MjData, camera: mujoco.MjvCamera, rect: mujoco.MjrRect, font: Font
+        self,
+        data: mujoco.MjData,
+        camera: mujoco.MjvCamera,
+        rect: mujoco.MjrRect,
+        typesetter: Typesetter,
     ) -> None:
         """Lays out scene and decor.
 
@@ -61,18 +66,22 @@ class Viewport(SceneDecor):
             data: the world's state, with frames up to date.
             camera: of the picture.
             rect: of the picture in the window.
-            font: of its labels.
+            typesetter: of its panels.
         """
         scene, everything = self._scene, mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
             self.world.model, data, self._option, None, camera, everything, scene
         )
-        self.rect = rect
-        self.draw(data, PictureView.of_scene(scene, rect.width, rect.height, font), scene)
+        self.rect, self._typesetter = rect, typesetter
+        view = PictureView.of_scene(scene, rect.width, rect.height, typesetter.font)
+        self.draw(data, view, scene)
 
-    def render(self, context: mujoco.MjrContext) -> None:
-        """Renders the picture."""
-        mujoco.mjr_render(self.rect, self._scene, context)
+    def render(self, gl: GlWindow) -> None:
+        """Renders the picture in a window."""
+        mujoco.mjr_render(self.rect, self._scene, gl.context)
+        if self._typesetter is not None:
+            panels = self._typesetter.place(self.panels)
+            gl.blender.draw(panels, self.rect.left, self.rect.bottom)
 
     def pixels(self, context: mujoco.MjrContext) -> Pixels:
         """Returns the rendered picture, (height, width, 3), uint8, top row first."""
@@ -182,7 +191,8 @@ class Window(LiveHost):
         bottom += hud.line_height if self._has_line else 0
         size = (width, height)
         rect, plots = arrange(size, hud.font.height, bottom, has_plot=self.has_plot)
-        self.decor.update(self.data, self.navigator.camera, rect, self.gl.fit_font(rect.height))
+        typesetter = self.gl.typesetter_of(rect.height)
+        self.decor.update(self.data, self.navigator.camera, rect, typesetter)
         is_pointing = not (self._mouse.is_down or self.shows_help)
         self.point(self._pointer() if is_pointing else None)
         figures = self._plot.fill(self.history, self.joint) if self.has_plot else []
@@ -212,7 +222,7 @@ class Window(LiveHost):
     ) -> None:
         width, height = size
         hud, picture, now = self._hud, self.decor.rect, time.monotonic()
-        self.decor.render(self.gl.context)
+        self.decor.render(self.gl)
         for rect, figure in plots:
             mujoco.mjr_figure(rect, figure, self.gl.hud)
         if self.wants_picture or self.camera.wants(now):
@@ -235,7 +245,7 @@ class Window(LiveHost):
 
     def picture(self) -> Pixels:
         """Renders the last frame again without status line and messages, (height, width, 3)."""
-        self.decor.render(self.gl.context)
+        self.decor.render(self.gl)
         return self.decor.pixels(self.gl.context)
 
     def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:

@@ -14,9 +14,9 @@ from ...decor.font import Font
 from ...frames import Array
 from ..status_line import Mood, Piece
 from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from ..typesetting import Placed, Rgb, Rgba, Text
 from .glfw_window import GlWindow
 
-Rgba = tuple[float, float, float, float]
 BAR: Rgba = (0.07, 0.09, 0.12, 1.0)
 PANEL: Rgba = (0.07, 0.09, 0.12, 0.92)
 HELP: Rgba = (0.07, 0.09, 0.12, 0.96)
@@ -25,10 +25,10 @@ _TRACK: Rgba = (0.22, 0.26, 0.31, 1.0)
 _DONE: Rgba = (0.26, 0.56, 0.82, 1.0)
 _HANDLE: Rgba = (0.93, 0.95, 0.97, 1.0)
 _RED: Rgba = (0.92, 0.22, 0.18, 1.0)
-TITLE = (1.0, 0.72, 0.30)
+TITLE: Rgb = (1.0, 0.72, 0.30)
 _DIM = (0.60, 0.65, 0.71)
 _TEXT = (0.90, 0.92, 0.94)
-_MOODS: dict[Mood, tuple[float, float, float]] = {
+_MOODS: dict[Mood, Rgb] = {
     "good": (0.55, 0.85, 0.62),
     "quiet": (0.95, 0.80, 0.40),
     "bad": (1.00, 0.52, 0.40),
@@ -128,7 +128,7 @@ class Hud:
     @property
     def font(self) -> Font:
         """Font of all text."""
-        return self._window.hud_font
+        return self._window.typesetter.font
 
     @property
     def bar_height(self) -> int:
@@ -148,27 +148,22 @@ class Hud:
     def panel(
         self,
         rect: tuple[float, float, float, float],
-        lines: Sequence[tuple[float, float, str, tuple[float, float, float]]],
+        texts: Sequence[Text],
         rgba: Rgba = PANEL,
+        *,
+        is_round: bool = True,
     ) -> None:
-        """Fills a rectangle and writes text into it.
+        """Draws a panel with text.
 
         Args:
             rect: left, bottom, width, height.
-            lines: x and y of the lower left corner relative to the panel's, text, and colour.
+            texts: in the panel.
             rgba: of the panel.
+            is_round: whether it has round corners.
         """
-        self.box(*rect, rgba)
-        for x, y, text, rgb in lines:
-            # Text positions are fractions of the last filled rectangle.
-            mujoco.mjr_text(
-                mujoco.mjtFont.mjFONT_NORMAL,
-                text.encode("ascii", "replace").decode(),
-                self._window.hud,
-                x / max(round(rect[2]), 1),
-                y / max(round(rect[3]), 1),
-                *rgb,
-            )
+        left, bottom, width, height = map(round, rect)
+        pixels = self._window.typesetter.panel((width, height), rgba, tuple(texts), is_round)
+        self._window.blender.draw([Placed(left, bottom, pixels)])
 
     def status(self, pieces: Sequence[Piece], hint: str, width: int) -> None:
         """Draws the status line, without the parts that do not fit.
@@ -178,18 +173,18 @@ class Hud:
             hint: text at the right end, if it fits.
             width: of the window, pixels.
         """
-        h, base = self.font.height, 0.55 * self.font.height
-        x, lines = _PAD * h, []
+        h, base = self.font.height, (self.bar_height - self.font.height) / 2
+        x, lines = _PAD * h, list[Text]()
         right = width - self.font.width(hint) - _PAD * h
         for text, mood in pieces:
             wide = self.font.width(text.encode("ascii", "replace"))
             if x + wide > width - _PAD * h:
                 break
-            lines.append((x, base, text, _MOODS[mood]))
+            lines.append(Text(x, base, text, _MOODS[mood]))
             x += wide + _GAP * h
         if x < right:
-            lines.append((right, base, hint, _DIM))
-        self.panel((0, 0, width, self.bar_height), lines, BAR)
+            lines.append(Text(right, base, hint, _DIM))
+        self.panel((0, 0, width, self.bar_height), lines, BAR, is_round=False)
 
     def time_line(self, width: int, end: float) -> TimeLine:
         """Returns the geometry of the time line in a window of that width; `end` in s."""
@@ -209,9 +204,9 @@ class Hud:
         """Shows a message at the lower edge of the picture's rectangle; red for an error."""
         h = self.font.height
         text = _shortened(text, self.font, rect.width - 4 * h)
-        wide = self.font.width(text) + 2 * _PAD * h * 1.6
+        wide = self.font.width(text) + 1.4 * h
         left = (rect.width - wide) / 2
-        lines = [(0.7 * h, 0.54 * h, text, _TEXT)]
+        lines = [Text(0.7 * h, 0.35 * h, text, _TEXT)]
         self.panel((left, rect.bottom + 0.8 * h, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
 
     def filming(self, text: str, width: int, top: float) -> None:
@@ -219,7 +214,7 @@ class Hud:
         h = self.font.height
         wide = self.font.width(text) + 2.2 * h
         left, bottom = (width - wide) / 2, top - 2.0 * h
-        self.panel((left, bottom, wide, 1.5 * h), [(1.4 * h, 0.45 * h, text, _TEXT)])
+        self.panel((left, bottom, wide, 1.5 * h), [Text(1.4 * h, 0.25 * h, text, _TEXT)])
         self.box(left + 0.55 * h, bottom + 0.5 * h, 0.5 * h, 0.5 * h, _RED)
 
     def help_room(self, size: tuple[int, int]) -> tuple[int, int]:
@@ -244,10 +239,10 @@ class Hud:
             y = tall - 1.2 * h - line
             for key, meaning in rows:
                 if meaning:
-                    lines.append((x, y, key, _MOODS["good"]))
-                    lines.append((x + keys, y, meaning, _TEXT))
+                    lines.append(Text(x, y, key, _MOODS["good"]))
+                    lines.append(Text(x + keys, y, meaning, _TEXT))
                 elif key:
-                    lines.append((x, y, key, TITLE))
+                    lines.append(Text(x, y, key, TITLE, is_strong=True))
                 y -= line
             x += total + 2.0 * h
         self.panel((left, bottom, wide, tall), lines, HELP)

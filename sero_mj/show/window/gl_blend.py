@@ -1,0 +1,64 @@
+"""`Blender`: lays pixels over the picture of the current OpenGL context."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import glfw
+
+from ..typesetting import Placed
+
+# Of gl.h.
+_ALL_ATTRIBUTES = 0x000FFFFF
+_BLEND, _ONE, _ONE_MINUS_ALPHA = 0x0BE2, 1, 0x0303
+_OFF = (0x0B71, 0x0DE1, 0x0B60, 0x0BC0, 0x0C11)  # depth, 2D texture, fog, alpha and scissor tests
+_RGBA, _UNSIGNED_BYTE = 0x1908, 0x1401
+
+
+class Blender:
+    """Lays panels over the picture in a window.
+
+    OpenGL's functions come from GLFW, which has those of every platform's windows.
+    """
+
+    def __init__(self) -> None:
+        integer, pointer = ctypes.c_int, ctypes.c_void_p
+        self._push = _function("glPushAttrib", ctypes.c_uint)
+        self._pop = _function("glPopAttrib")
+        self._enable = _function("glEnable", ctypes.c_uint)
+        self._disable = _function("glDisable", ctypes.c_uint)
+        self._blend = _function("glBlendFunc", ctypes.c_uint, ctypes.c_uint)
+        self._zoom = _function("glPixelZoom", ctypes.c_float, ctypes.c_float)
+        self._go_to = _function("glWindowPos2i", integer, integer)
+        self._draw = _function(
+            "glDrawPixels", integer, integer, ctypes.c_uint, ctypes.c_uint, pointer
+        )
+
+    def draw(self, panels: Sequence[Placed], left: int = 0, bottom: int = 0) -> None:
+        """Lays panels over the picture.
+
+        Args:
+            panels: their places are pixels from the lower left corner of the picture.
+            left: of the picture in the window, pixels.
+            bottom: of the picture in the window, pixels.
+        """
+        self._push(_ALL_ATTRIBUTES)
+        for name in _OFF:
+            self._disable(name)
+        self._enable(_BLEND)
+        self._blend(_ONE, _ONE_MINUS_ALPHA)  # colours are premultiplied
+        self._zoom(1.0, -1.0)  # from the top row down
+        for placed in panels:
+            height, width = placed.pixels.shape[:2]
+            self._go_to(left + placed.left, bottom + placed.bottom + height)
+            self._draw(width, height, _RGBA, _UNSIGNED_BYTE, placed.pixels.ctypes.data)
+        self._pop()
+
+
+def _function(name: str, *arguments: Any) -> Callable[..., None]:
+    """Returns a function of the current OpenGL context."""
+    address = ctypes.cast(glfw.get_proc_address(name), ctypes.c_void_p).value
+    assert address is not None  # all are of OpenGL 1.4, and MuJoCo needs a later one
+    return ctypes.CFUNCTYPE(None, *arguments)(address)
