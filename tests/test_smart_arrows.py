@@ -86,7 +86,7 @@ def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
     world = world_with(arrow)
     pen = draw(world)
     rows = belonging(pen, Kind.VECTOR, 0)
-    assert len(rows) == pen.count == (1 if kind == "force" else 30)
+    assert len(rows) == pen.count == (1 if kind == "force" else 45)
     start = np.array(at) if isinstance(at, list) else frame_by_hand(world, at)[:3, 3]
     default = "world" if isinstance(at, list) else at
     direction = frame_by_hand(world, expressed_in or default)[:3, :3] @ VECTOR / 13.0
@@ -99,7 +99,7 @@ def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
         return
     out = rows["pos"] - start
     assert np.abs(out @ direction).max() < 1e-6
-    assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(30, 0.12), abs=1e-6)
+    assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(45, 0.12), abs=1e-6)
     assert rows["mat"][:, :, 0] * 0.12 == pytest.approx(out, abs=1e-6)  # thickness outward
 
 
@@ -116,7 +116,7 @@ def test_every_kind_has_its_colour_scale_and_shape(kind: str, scale: float, rgba
     vector = np.array([0.0, 0.03, 0.04]) / scale  # shown 50 mm long or wide
     rows = belonging(draw(world_with(SmartArrow(name="v", kind=kind, at=POINT, vector=vector))), 5)
     turns = kind in ("torque", "angular_velocity")
-    assert len(rows) == (30 if turns else 1)
+    assert len(rows) == (45 if turns else 1)
     shape = GEOM.mjGEOM_BOX if turns else GEOM.mjGEOM_ARROW
     assert (rows["type"] == int(shape)).all()
     assert rows["rgba"] == pytest.approx(np.tile(rgba, (len(rows), 1)))
@@ -152,13 +152,13 @@ def test_a_straight_arrow_is_no_longer_than_longest_and_then_dark(longest: float
 
 @pytest.mark.parametrize(("longest", "limit"), [(None, 0.25), (0.125, 0.125)])
 def test_a_round_arrow_is_no_wider_than_longest_and_then_striped(longest, limit) -> None:
-    for size, width, stripes in ((0.5, 0.5, 0), (1.0, 1.0, 0), (1.01, 1.0, 15), (9.0, 1.0, 15)):
+    for size, width, stripes in ((0.5, 0.5, 0), (1.0, 1.0, 0), (1.01, 1.0, 22), (9.0, 1.0, 22)):
         arrow = SmartArrow(
             name="turn", kind="torque", at=POINT, radius=0.25, scale=0.5, longest=longest,
             vector=[2 * size * limit, 0, 0],
         )  # fmt: skip
         rows = belonging(draw(world_with(arrow)), Kind.VECTOR)
-        is_head = ribbon_shape(30)[2]
+        is_head = ribbon_shape(45)[2]
         tail = rows[~is_head]
         assert 2 * tail["size"][:, 2] == pytest.approx(np.full(len(tail), width * limit), rel=1e-5)
         for head in np.split(rows[is_head]["size"][:, 2], 3):
@@ -168,7 +168,7 @@ def test_a_round_arrow_is_no_wider_than_longest_and_then_striped(longest, limit)
         assert dark.sum() == stripes
         assert not dark[::2].any()  # every other box
         assert np.linalg.norm(rows["pos"] - POINT, axis=1) == pytest.approx(
-            np.full(30, 0.25), abs=1e-6
+            np.full(45, 0.25), abs=1e-6
         )
 
 
@@ -272,11 +272,11 @@ def test_what_is_switched_off_is_not_drawn_and_a_packet_switches_it() -> None:
     assert draw(world, data, toggles=toggles).count == 1
     toggles.vectors[:] = (False, True)
     pen = draw(world, data, toggles=toggles)
-    assert (pen.count, set(pen.items[: pen.count])) == (30, {1})
+    assert (pen.count, set(pen.items[: pen.count])) == (45, {1})
     toggles.vectors[:] = False
     assert draw(world, data, toggles=toggles).count == 0
     world.set_input(data, "second.show", 1.0)
-    assert draw(world, data, toggles=toggles).count == 30
+    assert draw(world, data, toggles=toggles).count == 45
     world.set_input(data, "second.show", 0.0)
     assert draw(world, data, toggles=toggles).count == 0
 
@@ -306,7 +306,7 @@ def test_many_arrows_of_both_shapes_keep_their_own_items() -> None:
     pen = draw(world_with(*arrows))
     for k, arrow in enumerate(arrows):
         rows = belonging(pen, Kind.VECTOR, k)
-        assert len(rows) == (30 if arrow.is_round else 1)
+        assert len(rows) == (45 if arrow.is_round else 1)
         size = 2 * rows["size"][0, 2] if arrow.is_round else rows["size"][0, 2] / 2
         assert size == pytest.approx(0.02 * (k + 1), rel=1e-5)
         centre = rows["pos"].mean(axis=0)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
-_SEGMENTS = 30
+_SEGMENTS = 45
 # Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
 _FROM = np.array([0.36, 0.48, 0.80])
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
