@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.decor.cards import columns, crossings, spread, spread_around, uncross
+from sero_mj.decor.layout import columns, crossings, spread, spread_around, uncross
 
 heights = st.lists(st.floats(5, 60), min_size=1, max_size=12)
 

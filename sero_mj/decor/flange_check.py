@@ -15,8 +15,9 @@ from ..assemble.parts import RobotPart
 from ..assemble.world_view import WorldView
 from ..frames import rotation_angle
 from .axes import AXIS_RGB, draw_bars
-from .cards import RIGHT, Cards
+from .cards import Cards
 from .feature import Feature, Frame
+from .layout import RIGHT
 from .panels import Panels, panel_sizes
 from .pen import Kind, Pen
 from .picture_view import PictureView

@@ -1,0 +1,279 @@
+"""Layout of panels in columns beside the robots, and of straight leaders, in pixels.
+
+Heights follow what the panels point at continuously. Panels do not overlap as long as the picture
+is large enough.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..frames import Array, Bools, Ints
+
+LEFT, RIGHT = 0, 1
+_RAMP = 6  # distance, in gaps, over which a column that approaches a corner gradually avoids it
+_LEAST_GAP = 0.2  # of the usual gap, before a second column is begun or a robot is covered
+
+
+def columns(
+    anchors: Array,
+    sizes: Array,
+    side: Ints,
+    gap: float,
+    beside: float,
+    width: float,
+    height: float,
+    *,
+    span: tuple[float, float] | None = None,
+    kept_free: Array | None = None,
+    covered: Array | None = None,
+) -> Array:
+    """Lays out all panels of a picture.
+
+    Args:
+        anchors: pixel of every panel's joint, (k, 2), in vertical order of the panels, lowest
+            first.
+        sizes: width and height of every panel, (k, 2), pixels.
+        side: `LEFT` or `RIGHT`, (k,).
+        gap: minimum space between panels, pixels.
+        beside: space between the innermost columns and the outermost joint, pixels.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        span: first and last pixel column of the robots, which panels do not cover; None for
+            those of the anchors.
+        kept_free: rectangles in the corners of the picture (legend, faults, flange check) that
+            panels do not cover: left, bottom, right, top, (c, 4), pixels.
+        covered: rectangles around parts of the robots (r, 4), pixels; a column that has to stand
+            in front of some leaves them free where it has the room.
+
+    Returns:
+        centres of the panels, (k, 2), pixels from the lower left corner.
+    """
+    centres = np.empty((len(anchors), 2))
+    if not len(anchors):
+        return centres
+    corners = np.zeros((0, 4)) if kept_free is None else kept_free
+    on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
+    sides = (corners[on_left], corners[~on_left])
+    groups = []
+    for which in (LEFT, RIGHT):
+        # A corner panel that extends beyond the middle limits the other side too.
+        wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
+        low, high = _limits(corners[wide | (on_left == (which == LEFT))], height)
+        groups.append(_chunks((side == which).nonzero()[0], sizes, gap, high - low))
+    widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
+    left, right = (sum(group) for group in widths)
+    # Both sides move inward, over the robot if necessary, so that panels neither leave the picture
+    # nor cover the other side.
+    first, last = span or (float(anchors[:, 0].min()), float(anchors[:, 0].max()))
+    inner_left = max(first - beside, left)
+    inner_right = min(last + beside, width - right)
+    inner_left = min(inner_left, width - right - gap)
+    inner_right = max(inner_right, inner_left + gap)
+    for which, outward, start in ((LEFT, -1.0, inner_left), (RIGHT, 1.0, inner_right)):
+        edge = start
+        for column, column_width in zip(groups[which], widths[which], strict=True):
+            # Panels of one column are aligned on the side of the robot.
+            half = sizes[column, 0] / 2
+            x = edge + outward * half
+            centres[column, 0] = np.maximum(np.minimum(x, width - half), half)
+            inner = outward * float((outward * centres[column, 0] - half).min())
+            near = _as_near(sides[1 - which], inner, outward, _RAMP * gap, height)
+            low, high = _limits(np.concatenate([sides[which], near]), height)
+            high = max(high, low + 2 * gap + float(sizes[column, 1].max()))
+            blocked = np.zeros((0, 2))
+            if covered is not None:
+                right_edge = float((centres[column, 0] + half).max())
+                left_edge = float((centres[column, 0] - half).min())
+                is_behind = (covered[:, 2] > left_edge) & (covered[:, 0] < right_edge)
+                blocked = covered[is_behind][:, [1, 3]]
+            centres[column, 1] = spread_around(
+                anchors[column, 1], sizes[column, 1], gap, low + gap, high - gap, blocked
+            )
+            edge += outward * column_width
+    return centres
+
+
+def _limits(corners: Array, height: float) -> tuple[float, float]:
+    """Returns the vertical range that corners leave free, at least a third of the picture."""
+    at_bottom = corners[:, 1] + corners[:, 3] < height
+    below = float(corners[at_bottom, 3].max(initial=0.0))
+    above = float(corners[~at_bottom, 1].min(initial=height))
+    above = max(above, height / 3)
+    return min(below, above - height / 3), above
+
+
+def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
+    """Returns corners of the other side, with heights scaled for a column that begins at `inner`.
+
+    The height is full for a corner that reaches the column, zero for one `ramp` pixels away, and
+    interpolated in between, so that panels do not jump when the robot moves.
+    """
+    away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
+    share = np.clip(1.0 - away / ramp, 0.0, 1.0)
+    at_bottom = corners[:, 1] + corners[:, 3] < height
+    near = corners.copy()
+    near[:, 3] = np.where(at_bottom, share * corners[:, 3], height)
+    near[:, 1] = np.where(at_bottom, 0.0, height - share * (height - corners[:, 1]))
+    return near
+
+
+def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
+    """Splits one side's panels into as few columns of similar length as the height allows."""
+    if not len(index):
+        return []
+    needed = float(sizes[index, 1].sum()) + _LEAST_GAP * gap * len(index)
+    if needed <= height - gap:
+        return [index]
+    count = min(int(np.ceil(needed / max(height - gap, 1.0))), len(index))
+    return np.array_split(index, max(count, 1))
+
+
+def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
+    """Moves intervals apart, in their given order, as little as necessary.
+
+    Args:
+        centres: desired centres, (k,), pixels.
+        heights: (k,), pixels.
+        gap: minimum space between two intervals, pixels.
+        low: lower bound of all intervals.
+        high: upper bound of all intervals. If they do not fit, the gap is reduced, then they
+            overlap evenly.
+
+    Returns:
+        centres (k,), the first lowest.
+    """
+    if not len(centres):
+        return centres
+    room = high - low
+    needed = float(heights.sum()) + gap * (len(heights) - 1)
+    if needed > room and len(heights) > 1:
+        gap = (room - float(heights.sum())) / (len(heights) - 1)
+        needed = room
+    below = np.concatenate([[0.0], np.cumsum(heights[:-1] + gap)])
+    start = centres - heights / 2 - below
+    # The mean of the smallest non-decreasing upper bound and the largest non-decreasing lower
+    # bound is itself non-decreasing, and continuous in the centres.
+    rising = np.maximum.accumulate(start)
+    falling = np.minimum.accumulate(start[::-1])[::-1]
+    start = (rising + falling) / 2
+    start = np.minimum(np.maximum(start, low), max(high - needed, low))
+    return np.asarray(start + below + heights / 2)
+
+
+def spread_around(
+    centres: Array, heights: Array, gap: float, low: float, high: float, blocked: Array
+) -> Array:
+    """Moves intervals apart, as `spread` does, and out of blocked ranges where there is room.
+
+    Args:
+        centres: desired centres, (k,), pixels.
+        heights: (k,), pixels.
+        gap: minimum space between two intervals, pixels.
+        low: lower bound of all intervals.
+        high: upper bound of all intervals.
+        blocked: lower and upper end of every blocked range, (b, 2), pixels; without effect if the
+            intervals do not fit between them.
+
+    Returns:
+        centres (k,), the first lowest.
+    """
+    rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
+    for between in (gap, _LEAST_GAP * gap) if rooms else ():
+        firsts = _assign_rooms(centres, heights, between, rooms)
+        if firsts is None:
+            continue
+        placed = np.empty(len(centres))
+        for (bottom, top), first, stop in zip(rooms, firsts, firsts[1:], strict=False):
+            these = slice(first, stop)
+            placed[these] = spread(centres[these], heights[these], between, bottom, top)
+        return placed
+    return spread(centres, heights, gap, low, high)
+
+
+def _assign_rooms(
+    centres: Array, heights: Array, gap: float, rooms: list[tuple[float, float]]
+) -> list[int] | None:
+    """Returns the index of the first interval of every room, and k; None if they do not fit.
+
+    The intervals are moved least in total, by dynamic programming over the rooms.
+    """
+    k = len(centres)
+    until = np.concatenate([[0.0], np.cumsum(heights + gap)])
+    least = np.where(np.arange(k + 1) == 0, 0.0, np.inf)  # of the first i intervals so far
+    firsts = []
+    for bottom, top in rooms:
+        away = np.maximum(
+            np.maximum(bottom + heights / 2 - centres, centres - top + heights / 2), 0
+        )
+        distance = np.concatenate([[0.0], np.cumsum(away)])
+        cost = least + distance[:, None] - distance  # [i, j]: intervals j to i - 1 are in this room
+        cost[until[:, None] - until - gap > top - bottom] = np.inf
+        cost[np.triu_indices(k + 1, 1)] = np.inf
+        firsts.append(cost.argmin(axis=1))
+        least = cost.min(axis=1)
+    if not np.isfinite(least[-1]):
+        return None
+    found = [k]
+    for first in reversed(firsts):
+        found.append(int(first[found[-1]]))
+    return found[::-1]
+
+
+def _rooms_between(
+    blocked: Array, low: float, high: float, least: float
+) -> list[tuple[float, float]]:
+    """Returns ranges from low to high, of a least size, that no blocked range covers, in order."""
+    rooms = []
+    for bottom, top in blocked[np.argsort(blocked[:, 0])].tolist():
+        if bottom > low:
+            rooms.append((low, min(bottom, high)))
+        low = max(low, top)
+    return [(bottom, top) for bottom, top in [*rooms, (low, high)] if top >= bottom + least]
+
+
+def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
+    """Returns which start belongs to every end, so that straight leaders do not cross.
+
+    Two that cross change their starts, which makes their total length smaller: so it ends.
+
+    Args:
+        starts: (k, 2), pixels.
+        ends: (k, 2), pixels.
+        least_gain: two stay as they are if their total length would become smaller by less than
+            this, pixels: those that barely cross, next to one of their ends.
+
+    Returns:
+        index of the start for every end, (k,).
+    """
+    index = np.arange(len(starts))
+    for _ in range(len(index) ** 2):
+        crossing = crossings(starts[index], ends)
+        if not crossing.any():
+            break
+        length = np.linalg.norm(starts[index][:, None] - ends, axis=2)  # of start i to end j
+        own = length.diagonal()
+        gain = np.where(crossing, own[:, None] + own - length - length.T, 0.0)
+        i, j = np.unravel_index(gain.argmax(), gain.shape)
+        if gain[i, j] <= least_gain:
+            break
+        index[[i, j]] = index[[j, i]]
+    return index
+
+
+def crossings(starts: Array, ends: Array) -> Bools:
+    """Returns which straight leaders cross, (k, k) bool.
+
+    Args:
+        starts: (k, 2), pixels.
+        ends: (k, 2), pixels.
+    """
+    along = ends - starts
+
+    def side_of(points: Array) -> Array:
+        """Returns on which side of every leader (rows) points (columns) are."""
+        away = points - starts[:, None]
+        return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+
+    between = side_of(starts) * side_of(ends) < 0
+    return between & between.T
