@@ -24,8 +24,10 @@ from sero_mj.assemble.cartesian import SmartArrow
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.decor.cards import move_clear
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.legend import nice
+from sero_mj.decor.panels import Panels
 from sero_mj.decor.pen import Kind
 from sero_mj.drive.place import Placer
 
@@ -299,3 +301,14 @@ def test_nice_is_the_largest_round_number_that_is_not_above(value: float) -> Non
 def test_round_numbers_are_nice_themselves(k: int) -> None:
     for value, expected in ((1, 1), (2, 2), (5, 5), (1.99, 1), (4.99, 2), (9.99, 5)):
         assert nice(value * 10.0**k) == pytest.approx(expected * 10.0**k)
+
+
+def test_a_note_is_not_written_over_a_corner() -> None:
+    def panels(x: float, y: float, width: float, height: float) -> Panels:
+        return Panels(np.array([[x, y]]), np.array([[width, height]]), [[b""]], (0, 0, 0, 1))
+
+    legend, faults = panels(100, 40, 180, 70), panels(100, 290, 180, 50)
+    note = panels(150, 60, 100, 20)
+    assert move_clear(note, legend, 320.0).centres.tolist() == [[150.0, 85.0]]
+    assert move_clear(panels(150, 280, 100, 20), faults, 320.0).centres.tolist() == [[150.0, 255.0]]
+    assert move_clear(panels(300, 60, 100, 20), legend, 320.0).centres.tolist() == [[300.0, 60.0]]

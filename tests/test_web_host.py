@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 import socket
 import struct
 import urllib.request
 from collections.abc import Iterator, Sequence
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 from mujoco.studio import messages, sim_history, ux
 from mujoco.studio.dear_imgui import dear_imgui as imgui
+from mujoco.studio.web import state_payload
 from polling import until
 from websockets.sync.client import connect
 
@@ -231,3 +234,21 @@ def test_text_of_every_mood_is_readable_on_every_theme(page: WebHost, theme: ux.
         assert rgb is not None
         low, high = sorted((behind, luminance(rgb)))
         assert (high + 0.05) / (low + 0.05) >= 4.5, mood
+
+
+@pytest.mark.parametrize("is_over_window", [True, False])
+def test_a_drag_of_a_window_does_not_turn_the_view(
+    page: WebHost, monkeypatch: pytest.MonkeyPatch, is_over_window: bool
+) -> None:
+    page.frame()
+    viewer = page.viewer
+    before = viewer.camera.azimuth
+    sent = copy.copy(viewer.camera)
+    sent.azimuth = before + 40.0
+    generation = viewer._client_camera.generation
+    message = state_payload.serialize_client_camera(sent, generation)
+    monkeypatch.setattr(viewer.server, "take_client_camera", lambda: message)
+    monkeypatch.setattr(imgui, "GetIO", lambda: SimpleNamespace(WantCaptureMouse=is_over_window))
+    monkeypatch.setattr(imgui, "IsMouseDown", lambda button: button == 0)
+    viewer.prepare_next_frame()
+    assert viewer.camera.azimuth == (before if is_over_window else before + 40.0)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sero_mj import Mirror, World
+from sero_mj import Mirror, Scene, SerialRobot, World
 from sero_mj.load import load_scene
 from sero_mj.show.clock import SPEEDS, Clock, time_text
-from sero_mj.show.input import LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
+from sero_mj.show.input import DOUBLE_CLICK_TIME, LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
 from sero_mj.show.interaction import (
     CLICKS,
     HOST_KEYS,
@@ -27,6 +27,7 @@ from sero_mj.show.live import LiveHost
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
 from sero_mj.show.window.capture import due_frames, unused_name
+from sero_mj.show.window.glfw_window import spread_times
 from sero_mj.show.window.hud import TimeLine, arrange
 
 # ---- clock
@@ -370,3 +371,24 @@ def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_plot: boo
     assert (covered[52:] == 1).all()
     assert not covered[:52].any()
     assert len(plots) == (0 if not has_plot else 2 if size[0] > 1000 else 1)
+
+
+def test_clicks_during_a_hitch_are_no_double_click() -> None:
+    presses = [Event(kind, x=5, y=5) for kind in ("press", "release", "press", "release")]
+    for took, is_double in ((0.016, True), (1.5, False)):
+        times = [each.time for each in spread_times(presses, 10.0, 10.0 + took)]
+        assert times == sorted(times)
+        assert times[0] > 10.0
+        assert times[-1] == pytest.approx(10.0 + took)
+        assert (times[2] - times[0] <= DOUBLE_CLICK_TIME) == is_double
+
+
+def test_what_the_user_sets_has_no_speed(lwr: SerialRobot) -> None:
+    with Mirror(Scene(robots=[lwr])) as mirror:
+        clock = Clock(mirror)
+        for _ in range(50):
+            clock.advance(0.4)  # a slow loop of the user's own
+        assert "x1" not in clock_text(clock)[0]
+        assert clock_text(clock)[1] == "plain"
+        clock.pause()
+        assert clock_text(clock)[1] == "bad"

@@ -276,6 +276,23 @@ def move_below(right: Panels, left: Panels) -> Panels:
     return replace(left, centres=left.centres - [0.0, down])
 
 
+def move_clear(panels: Panels, corner: Panels, height: float) -> Panels:
+    """Returns panels of which none is over a corner of the picture: above a lower one, say.
+
+    Args:
+        panels: to be moved up or down.
+        corner: what is in the corner.
+        height: of the picture, pixels.
+    """
+    low, high = _bounds(corner)
+    centres, half = panels.centres.copy(), panels.sizes / 2
+    over = ((centres + half > low) & (centres - half < high)).all(axis=1)
+    is_lower = low[1] + high[1] < height
+    away = high[1] + half[:, 1] if is_lower else low[1] - half[:, 1]
+    centres[over, 1] = away[over]
+    return replace(panels, centres=centres)
+
+
 def _bounds(panels: Panels) -> tuple[Array, Array]:
     """Returns the lower left and upper right pixel of all panels of a corner."""
     half = panels.sizes / 2

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
-from .cards import LEADER_RGBA, CardLayout, Outline
+from .cards import LEADER_RGBA, CardLayout, Outline, move_clear
 from .feature import Feature, Frame, make_features
 from .panels import Panels, draw_panels, labels_at, panel_sizes
 from .pen import CAPACITY, Pen
@@ -92,11 +92,14 @@ class Decor:
         self._each("lay_out", frame)
         body = self._outline.points(of_model, pen.hidden, data.site_xpos, frame.shown.arrows)
         look = world.scene.view.look
+        notes = self._staleness.panels(pen, data, view, stale)
+        for corner in frame.corners:
+            notes = [move_clear(note, corner, view.height) for note in notes]
         panels = [
             *frame.corners,
             *self._cards.lay_out(pen, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]),
             *frame.panels,
-            *self._staleness.panels(pen, data, view, stale),
+            *notes,
         ]
         # Text first: where the capacity is exceeded, arrows are dropped and not text.
         panels += _hover_panel(toggles, view, panels)

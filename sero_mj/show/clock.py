@@ -32,6 +32,7 @@ class Clock:
 
     Attributes:
         is_live: whether a source follows the real time.
+        is_playing: whether there is a source, which has a speed; else the user sets all inputs.
         is_paused: whether it stands still.
         speed: shown s per real s.
         time: shown, s since the start.
@@ -45,6 +46,7 @@ class Clock:
     def __init__(self, mirror: LiveWorld) -> None:
         self._mirror = mirror
         self.is_live = mirror.is_live
+        self.is_playing = bool(mirror.sources)
         self.is_paused = False
         self.speed = 1.0
         self.real_speed = 1.0

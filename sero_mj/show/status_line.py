@@ -52,6 +52,9 @@ def clock_text(clock: Clock) -> Piece:
     """Returns the displayed time and its speed."""
     if clock.is_live:
         return ("PAUSED", "bad") if clock.is_paused else ("live", "plain")
+    if not clock.is_playing:
+        text = time_text(clock.time)
+        return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")
     end = f" / {time_text(clock.end)}" if clock.end is not None else ""
     text = f"{time_text(clock.time)}{end}  x{clock.speed:g}"
     if clock.real_speed < _SLOW * clock.speed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import html
 import io
 import logging
@@ -14,6 +15,7 @@ from typing import Any
 
 import mujoco
 from mujoco.studio import endpoints, viewer_protocol, web_viewer
+from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import web_server
 from websockets.exceptions import ConnectionClosed
 
@@ -210,6 +212,18 @@ class StudioViewer(web_viewer.WebViewer):
             self._http_sock.close()
             self._tcp_sock.close()
             raise
+
+    def prepare_next_frame(self) -> bool:
+        """Starts the next frame; keeps the camera while the mouse drags a window of the page.
+
+        A browser turns the view until it hears that the pointer is over a window.
+        """
+        camera, kept = self.camera, copy.copy(self.camera)
+        is_ready = bool(super().prepare_next_frame())
+        if imgui.GetIO().WantCaptureMouse and imgui.IsMouseDown(int(imgui.MouseButton.Left)):
+            camera.lookat[:], camera.distance = kept.lookat, kept.distance
+            camera.azimuth, camera.elevation = kept.azimuth, kept.elevation
+        return is_ready
 
     @property
     def has_ui(self) -> bool:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import glfw
@@ -61,6 +62,7 @@ class GlWindow:
         _start_glfw()
         self._world = world
         self._events: list[Event] = []
+        self._polled = time.monotonic()
         self._is_repeat = False
         self._at: tuple[float, float] | None = None  # pointer position in screen coordinates
         self._windowed: tuple[int, int, int, int] | None = None
@@ -120,10 +122,15 @@ class GlWindow:
         glfw.set_window_should_close(self._window, True)
 
     def events(self) -> list[Event]:
-        """Returns the events since the last call."""
+        """Returns the events since the last call.
+
+        GLFW does not tell when they happened. They are spread over the time since the last call, so
+        that clicks during a hitch are not taken for a double click.
+        """
+        last, self._polled = self._polled, time.monotonic()
         glfw.poll_events()
         events, self._events = self._events, []
-        return events
+        return spread_times(events, last, self._polled)
 
     def typesetter_of(self, height: int) -> Typesetter:
         """Returns the typesetter of panels in a picture of that height, pixels.
@@ -218,6 +225,12 @@ class GlWindow:
     def _on_char(self, window: Any, code: int) -> None:
         # Characters, not keys, so that all keyboard layouts work.
         self._add("key", key=chr(code).lower(), is_repeat=self._is_repeat)
+
+
+def spread_times(events: Sequence[Event], begin: float, end: float) -> list[Event]:
+    """Returns events with times at equal distances from after `begin` to `end`, s."""
+    step = (end - begin) / max(len(events), 1)
+    return [replace(each, time=begin + step * (i + 1)) for i, each in enumerate(events)]
 
 
 @contextmanager

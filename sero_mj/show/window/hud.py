@@ -201,13 +201,17 @@ class Hud:
         self.box(x - half, line.bottom - half, 2 * half, line.height + 2 * half, _HANDLE)
 
     def message(self, text: str, rect: mujoco.MjrRect, *, is_bad: bool = False) -> None:
-        """Shows a message at the lower edge of the picture's rectangle; red for an error."""
+        """Shows a message in the upper part of the picture's rectangle; red for an error.
+
+        The legend, and what is said of a robot, are below.
+        """
         h = self.font.height
         text = _shortened(text, self.font, rect.width - 4 * h)
         wide = self.font.width(text) + 1.4 * h
         left = (rect.width - wide) / 2
         lines = [Text(0.7 * h, 0.35 * h, text, _TEXT)]
-        self.panel((left, rect.bottom + 0.8 * h, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
+        bottom = rect.bottom + rect.height - 4.2 * h  # below that a film is recorded
+        self.panel((left, bottom, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
 
     def filming(self, text: str, width: int, top: float) -> None:
         """Shows that a film is being recorded, in a picture of that width and upper edge."""
