@@ -195,7 +195,7 @@ class Window(LiveHost):
         self.decor.update(self.data, self.navigator.camera, rect, typesetter)
         is_pointing = not (self._mouse.is_down or self.shows_help)
         self.point(self._pointer() if is_pointing else None)
-        figures = self._plot.fill(self.history, self.joint) if self.has_plot else []
+        figures = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         end = float(self.clock.end or 0.0)

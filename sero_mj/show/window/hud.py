@@ -45,6 +45,7 @@ _LEAST_STRIP = 10.0  # minimum height, line heights
 _LEAST_PLOT = 20.0  # minimum width, line heights
 
 # Of the plots:
+_PER_POINT = 3  # pixels; of flat lines of shorter pieces software OpenGL leaves out some
 _POINTS = 980  # an MjvFigure has a capacity of 1001 per line
 _NAMES = ("measured", "commanded")
 # Light blue and orange: distinct for the colour-blind and on a dark background.
@@ -306,10 +307,12 @@ class TorquePlot:
         self._world = world
         self.torques, self.error = make_figure(_RGB), make_figure((_ERROR_RGB,))
 
-    def fill(self, history: TorqueHistory, joint: int) -> list[mujoco.MjvFigure]:
-        """Returns the figures of a joint of the world."""
+    def fill(
+        self, history: TorqueHistory, joint: int, width: int = _PER_POINT * _POINTS
+    ) -> list[mujoco.MjvFigure]:
+        """Returns the figures of a joint of the world, for plots of a width in pixels."""
         joints = self._world.joints
-        times, (*torques, error) = history.of(joint, _POINTS)
+        times, (*torques, error) = history.of(joint, min(width // _PER_POINT, _POINTS))
         limit = float(joints.torque_limit[joint])
         what, unit = ("torque", "Nm") if joints.revolute[joint] else ("force", "N")
         bound = f", limit {limit:g}" if np.isfinite(limit) else ""
