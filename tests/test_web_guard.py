@@ -146,7 +146,7 @@ def test_any_number_of_browsers_looks_on(page: WebHost) -> None:
     with contextlib.ExitStack() as browsers:
         for number in range(40):
             address = f"ws://127.0.0.1:{page.port}/state?sid={number}"
-            roster = browsers.enter_context(connect(address)).recv(timeout=10)
+            roster = browsers.enter_context(connect(address, close_timeout=0.1)).recv(timeout=10)
             assert f"viewers={number + 1};" in str(roster)
 
 
