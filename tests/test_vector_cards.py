@@ -312,3 +312,12 @@ def test_a_note_is_not_written_over_a_corner() -> None:
     assert move_clear(note, legend, 320.0).centres.tolist() == [[150.0, 85.0]]
     assert move_clear(panels(150, 280, 100, 20), faults, 320.0).centres.tolist() == [[150.0, 255.0]]
     assert move_clear(panels(300, 60, 100, 20), legend, 320.0).centres.tolist() == [[300.0, 60.0]]
+
+
+def test_a_card_needs_no_robot() -> None:
+    arrow = SmartArrow(name="push", kind="force", at=[0.0, 0.0, 0.6], vector=[0.0, 0.0, 20.0])
+    world = World(Scene(robots=[], arrows=[arrow], floor=False))
+    toggles = toggles_of(world)
+    toggles.cards[:] = True
+    pen = Decor(world).draw(world.make_data(), toggles, view_at())
+    assert "push: force" in labels(pen.rows[: pen.count])

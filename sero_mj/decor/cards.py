@@ -177,7 +177,7 @@ class CardLayout:
         """Returns side and rank of every card (k,): the last ones, or those of a new card."""
         side = np.concatenate([group.side for group in groups])
         rank = np.concatenate([group.rank for group in groups]).astype(float)
-        group_of = np.where(owner >= 0, self._owner_group[owner], -1)
+        group_of = np.append(self._owner_group, -1)[owner]  # -1 for no owner
         self._sort_groups(across, of_point, width)
         if len(self._groups_in_order) > 1:
             counts = [int((group_of == group).sum()) for group in self._groups_in_order]
