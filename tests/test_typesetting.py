@@ -7,8 +7,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from sero_mj.decor.columns import columns
 from sero_mj.decor.panels import Panels
+from sero_mj.decor.value_columns import value_columns
 from sero_mj.show.typesetting import Placed, Text, Typesetter, compose
 
 BLACK = (0.0, 0.0, 0.0, 1.0)
@@ -28,21 +28,21 @@ def panel_of(setter: Typesetter, lines: list[bytes], extra: float = 30.0) -> np.
 
 
 def test_lines_that_end_in_a_number_are_taken_apart() -> None:
-    first, second, third = columns(VALUES, len).rows
+    first, second, third = value_columns(VALUES, len).rows
     assert (first.name, first.label, first.whole, first.rest, first.unit) == (
         "A2", "cmd", "-12", ".5", " Nm",
     )  # fmt: skip
     assert (second.name, second.label, second.tail) == ("", "pos", ".0625 rad")
     assert third.is_missing and third.whole == "no data"
-    assert columns([b"push: force", b"  in world"], len).rows == ["push: force", "  in world"]
-    (large,) = columns([b"A1 -1.250e+07 Nm"], len).rows
+    assert value_columns([b"push: force", b"  in world"], len).rows == ["push: force", "  in world"]
+    (large,) = value_columns([b"A1 -1.250e+07 Nm"], len).rows
     assert (large.whole, large.rest) == ("-1", ".250e+07")
 
 
 def test_a_panel_is_as_wide_as_its_columns() -> None:
     # Name, gap, label, gap, whole number, and from the point on.
-    assert columns(VALUES, len).width == 2 + 2 + 5 + 1 + 3 + len(".0625 rad")
-    assert columns([b"  a longer line of words"], len).width == 24
+    assert value_columns(VALUES, len).width == 2 + 2 + 5 + 1 + 3 + len(".0625 rad")
+    assert value_columns([b"  a longer line of words"], len).width == 24
 
 
 def test_points_of_a_panel_are_below_each_other(setter) -> None:

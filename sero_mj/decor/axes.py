@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from ..frames import Array, Bools
 from .feature import Feature, Frame
 from .panels import Panels, labels_at
 from .pen import GREY, Kind, Pen
 from .picture_view import PictureView
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Red, green, blue, in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)

@@ -9,19 +9,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.parts import DoublePart, Owner
 from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..assemble.world_view import WorldView
+from ..frames import Array
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
 from .panels import PANEL_RGBA, panel_sizes
 from .pen import Kind
 from .picture_view import PictureView
-
-Array = NDArray[np.float64]
 
 NO_DATA = b"no data"
 NO_LIMIT = b"none"

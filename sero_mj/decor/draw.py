@@ -6,10 +6,10 @@ import logging
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
+from ..frames import Ints
 from .cards import LEADER_RGBA, CardLayout, Outline, move_clear
 from .feature import Feature, Frame, make_features
 from .panels import Panels, draw_panels, labels_at, panel_sizes
@@ -90,17 +90,17 @@ class Decor:
             max_segments=self._max_segments,
         )
         self._each("lay_out", frame)
-        body = self._outline.points(of_model, pen.hidden, data.site_xpos, frame.shown.arrows)
         look = world.scene.view.look
+        cards: list[Panels] = []
+        if frame.cards:
+            body = self._outline.points(of_model, pen.hidden, data.site_xpos, frame.shown.arrows)
+            cards = self._cards.lay_out(
+                pen, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]
+            )
         notes = self._staleness.panels(pen, data, view, stale)
         for corner in frame.corners:
             notes = [move_clear(note, corner, view.height) for note in notes]
-        panels = [
-            *frame.corners,
-            *self._cards.lay_out(pen, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]),
-            *frame.panels,
-            *notes,
-        ]
+        panels = [*frame.corners, *cards, *frame.panels, *notes]
         # Text first: where the capacity is exceeded, arrows are dropped and not text.
         panels += _hover_panel(toggles, view, panels)
         self.panels = draw_panels(pen, view, panels, _LIGHTER[look])
@@ -119,7 +119,7 @@ class Decor:
                 self.features.remove(feature)
 
 
-def _groups(world: WorldView) -> NDArray[np.intp]:
+def _groups(world: WorldView) -> Ints:
     """Returns the index of the robot of every owner of joints: a double's is that of its robot."""
     names = list(world.owners)
     return np.array(

@@ -12,11 +12,9 @@ import logging
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..assemble.world_view import WorldView
 from ..errors import PluginError
+from ..frames import Array, Bools
 from ..plugins import DECOR, load_plugin, plugins
 from .cards import Cards
 from .panels import Panels
@@ -26,9 +24,6 @@ from .staleness import stale_mask
 from .toggles import Shown, Toggles
 
 log = logging.getLogger(__name__)
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(eq=False)

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.parts import RobotPart
 from ..assemble.world_view import WorldView
-from ..frames import rotation_angle
+from ..frames import Array, rotation_angle
 from .axes import AXIS_RGB, draw_bars
 from .cards import Cards
 from .feature import Feature, Frame
@@ -22,8 +21,6 @@ from .panels import Panels, panel_sizes
 from .pen import Kind, Pen
 from .picture_view import PictureView
 from .smart_arrows import frames_along
-
-Array = NDArray[np.float64]
 
 OFF_RGBA = (0.55, 0.04, 0.04, 0.92)
 _PALE = 0.45  # fraction of white in the colour of the received axes

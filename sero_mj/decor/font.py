@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
-from .columns import columns
+from .value_columns import value_columns
 
 Widths = NDArray[np.intp] | NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Font:
         widths: of the characters 0 to 127, pixels.
         anchor: point of a line at a label's position, as fractions of its width and height from
             the lower left corner.
-        has_columns: whether the host aligns the numbers of a panel, see `columns`.
+        has_columns: whether the host aligns the numbers of a panel, see `value_columns`.
     """
 
     height: int
@@ -58,7 +58,7 @@ class Font:
         """Returns the width of a panel's lines with values, pixels."""
         if not self.has_columns:
             return max(self.width(line) for line in lines)
-        return int(np.ceil(columns(lines, self.width).width))
+        return int(np.ceil(value_columns(lines, self.width).width))
 
     def line_widths(self, lines: list[bytes]) -> NDArray[np.float64]:
         """Returns the widths of lines of printable ASCII (k,), pixels."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
+from ..frames import Array
 from .feature import Feature, Frame
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
 from .toggles import Toggles
-
-Array = NDArray[np.float64]
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
 # Names of the colours in `round_arrows`; verified by a test.
@@ -51,7 +49,7 @@ class Legend(Feature):
         """Adds the legend if it is switched on and an arrow is."""
         panels = self._shown(frame.toggles, frame.view, frame.arrow_limit)
         if panels is not None:
-            frame.corners.append(replace(panels, bars=_bars(panels, frame.view)))
+            frame.corners.append(panels)
 
     def _shown(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
         if not toggles.legend or not (toggles.arrows.any() or toggles.vectors.any()):
@@ -61,20 +59,15 @@ class Legend(Feature):
             toggles.arrow_quantity.tobytes(),
             toggles.vectors.tobytes(),
             view.font.height,
+            view.width,
+            view.height,
+            view.inset,
         )
-        if key != self._key:  # cached: it changes only with the toggles and the picture size
+        if key != self._key:  # cached: it changes only with the toggles and the picture
             self._key, self._panels = key, self._laid_out(toggles, view, limit)
-        assert self._panels is not None
-        # Omitted in a small picture, of which it would cover too much.
-        room = _LARGEST_SHARE * view.width * view.height
-        panels = self._panels
-        kept = int((np.cumsum(panels.sizes.prod(axis=1)) < room).sum())
-        if not kept:
-            return None
-        centres = panels.centres[:kept] + view.free[0]
-        return Panels(centres, panels.sizes[:kept], panels.texts[:kept], _RGBA)
+        return self._panels
 
-    def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels:
+    def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
         margin = _MARGIN * view.font.height
         scales = self._scales(toggles)
         texts: list[list[bytes]] = [scales] if scales else []
@@ -96,10 +89,16 @@ class Legend(Feature):
                 for lines in texts
             ]
         )
+        # Omitted in a small picture, of which it would cover too much.
+        room = _LARGEST_SHARE * view.width * view.height
+        kept = int((np.cumsum(sizes.prod(axis=1)) < room).sum())
+        if not kept:
+            return None
         below = np.concatenate([[0.0], np.cumsum(sizes[:-1, 1] + margin)])
-        centres = margin + sizes / 2
+        centres = view.free[0] + margin + sizes / 2
         centres[:, 1] += below
-        return Panels(centres, sizes, texts, _RGBA)
+        panels = Panels(centres[:kept], sizes[:kept], texts[:kept], _RGBA)
+        return replace(panels, bars=_bars(panels, view))
 
     def _scales(self, toggles: Toggles) -> list[bytes]:
         """Returns a line for every kind and scale of smart arrow: value per length or width."""

@@ -8,10 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames import Array
 from .pen import Kind, Pen
 from .picture_view import PictureView
-
-Array = NDArray[np.float64]
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
 # Depths in units of the near plane: text before panels before leaders before the scene.

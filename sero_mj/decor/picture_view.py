@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames import Array
 from .font import DEFAULT_FONT, Font
 
-Array = NDArray[np.float64]
 Depth = TypeVar("Depth", float, Array)
 
 

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
+from ..frames import Array
 from .singularity import towards_singularity
-
-Array = NDArray[np.float64]
 
 QUANTITY_NAMES = {
     "torques": "torque",

@@ -21,12 +21,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames import Array
 from .axes import AXIS_RGB
 from .feature import Feature, Frame
 from .panels import Panels, labels_at
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
-
-Array = NDArray[np.float64]
 
 STRIPE_RGB = (0.08, 0.08, 0.09)
 TURNING_SPEED = 1.6  # rad/s
@@ -243,7 +242,8 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
     if not len(rows):
         return
     middle, half_angle, head, taper = ribbon_shape(segments)
-    flare = np.where(middle < _ARC - _HEAD_ARC, _MARK_SIZE, 1.0)  # of the heads before the last
+    is_last = middle > _ARC - _HEAD_ARC
+    flare = np.where(is_last, 1.0, _MARK_SIZE)
     sign, radius, widths = ribbons.sign[:, None], ribbons.radius, ribbons.width
     angle = sign * (ribbons.phase[:, None] + middle)
     cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
@@ -259,7 +259,7 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
     grown = np.minimum(widths / (_FULL_HEAD_WIDTH * radius), 1.0)
     wider = (_HEAD_WIDER[0] - 1.0) * widths + _HEAD_WIDER[1] * radius * grown
     # The last head ends in a point; those before it do not, so that the ribbon holds together.
-    own = widths[:, None] * np.where(flare == 1.0, taper, _NECK + (1.0 - _NECK) * taper)
+    own = widths[:, None] * np.where(is_last, taper, _NECK + (1.0 - _NECK) * taper)
     head_width = own + wider[:, None] * flare * taper
     width = np.where(head, head_width, widths[:, None])
     thickness = np.where(head, _HEAD_THICKNESS * grown[:, None] * flare * taper, _THICKNESS)

@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.parts import Owner
 from ..assemble.world_view import WorldView
-
-Array = NDArray[np.float64]
+from ..frames import Array
 
 FAR = 0.15  # inverse condition number above which no arrow is shown
 

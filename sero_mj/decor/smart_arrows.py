@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.world_view import WorldView
+from ..frames import Array, Bools
 from .billboards import NO_DATA
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
@@ -20,9 +20,6 @@ from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
 from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
 from .round_arrows import DARKER, TURNING_SPEED, Ribbons, draw_ribbons
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
 _SEGMENTS = 45

@@ -8,14 +8,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.inputs import SCENE, Input
 from ..assemble.parts import DoublePart
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
-
-Bools = NDArray[np.bool_]
+from ..frames import Bools
 
 
 @dataclass(frozen=True, eq=False)

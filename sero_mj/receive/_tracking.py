@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .structure import Array, Ints, Rows
+from ..frames import Array, Ints
+from .structure import Rows
 
 # Positions: the order of a packet relative to those before it.
 NEXT, DUPLICATE, LATE, RESTARTED = range(4)

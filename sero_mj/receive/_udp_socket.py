@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SourceError
-from .structure import Array, Ints, Rows
+from ..frames import Array, Ints
+from .structure import Rows
 
 DEFAULT_BUFFER = 4 * 2**20  # bytes; the system may grant less
 _SO_RCVBUFFORCE = 33  # Linux: beyond net.core.rmem_max, where the user may

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
+from ..frames import Array
 from ._scheduling import short_turns
 from ._udp_socket import OnArrival
-from .structure import Array, Rows, Structure, are_frames
+from .structure import Rows, Structure, are_frames
 from .udp import UdpReceiver
 
 PORT = 49938  # FRI's own default

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames import Array, Ints
 from ._tracking import (
     DUPLICATE,
     LATE,
@@ -19,15 +20,7 @@ from ._tracking import (
     StampTracker,
     Timing,
 )
-from .structure import (
-    LAST_ROW,
-    LAST_ROW_TOLERANCE,
-    Array,
-    Ints,
-    Rows,
-    Structure,
-    are_frames,
-)
+from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 
 # In the order in which they change; who waits for a malformed packet finds the others done.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",

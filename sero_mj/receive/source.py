@@ -27,10 +27,11 @@ from ..errors import (
     UnknownName,
     did_you_mean,
 )
+from ..frames import Array, Ints
 from ..plugins import SOURCES, load_plugin, plugin_name, plugins
 from ._tracking import Timing
 from .intake import Counters, Intake, pad_packets
-from .structure import Alignment, Array, Ints, Rows, Structure
+from .structure import Alignment, Rows, Structure
 
 log = logging.getLogger(__name__)
 
@@ -383,9 +384,7 @@ class Source(Declaration):
             self._room.notify()
         if not batches:
             return None
-        rows = np.concatenate([rows for rows, _ in batches])
-        arrivals = np.concatenate([arrivals for _, arrivals in batches])
-        return Packets(self.intake.decode(rows), arrivals, self._taken)
+        return self._joined(batches, self._taken)
 
     def keep_all(self) -> None:
         """Begins to keep all good packets for `take_all`, whatever `take` returns."""
@@ -404,6 +403,9 @@ class Source(Declaration):
             number = self._number
         if not batches:
             return None
+        return self._joined(batches, number)
+
+    def _joined(self, batches: Sequence[tuple[Rows, Array]], number: int) -> Packets:
         rows = np.concatenate([rows for rows, _ in batches])
         arrivals = np.concatenate([arrivals for _, arrivals in batches])
         return Packets(self.intake.decode(rows), arrivals, number)

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UnknownName
+from ..frames import Array, Ints
 from .language import Item, limits, parse
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one a row
 # First and last byte, type, and which of the numbers between these; None for all of them.
 _Block = tuple[int, int, np.dtype[Any], Ints | None]

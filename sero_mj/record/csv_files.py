@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CsvError, SeroError
+from ..frames import Array
 from ..paths import open_file
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from .recording import Recording
 
-Array = NDArray[np.float64]
 
 TIME = "time"
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RecordingError, UnknownName
-from ..receive.structure import Array, Ints, Rows
+from ..frames import Array, Ints
+from ..receive.structure import Rows
 from .recording_format import RecordingClock
 from .recording_writer import RecordingWriter
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
 
 from ..errors import (
@@ -24,8 +23,6 @@ from ..receive.intake import Intake
 from ..receive.source import Packets, Source, log
 from ..receive.structure import Structure
 from .recording import RecordedSource, Recording
-
-Array = NDArray[np.float64]
 
 _AT_ONCE = 4096  # packets
 

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..errors import UsageError, did_you_mean
@@ -22,8 +21,6 @@ from ..receive.fri import COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
 from .motion import FriSignals
 from .sender import SendReport, UdpSink, send
-
-Array = NDArray[np.float64]
 
 _MONITOR, _COMMAND = 1, 2
 _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}

@@ -9,14 +9,12 @@ from collections.abc import Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
+from ..frames import Array
 from ..receive.fri import ALL_DRIVES
-
-Array = NDArray[np.float64]
 
 LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
 _AMPLITUDE = 0.4  # of half the joint's range

@@ -11,19 +11,17 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assemble.inputs import Input, list_inputs
 from ..assemble.scene import Scene
 from ..drive.route import Origin, Route
 from ..drive.wiring import Wiring, wire
 from ..errors import UsageError, did_you_mean
-from ..frames import frame, rotation_about
+from ..frames import Array, frame, rotation_about
 from ..receive.source import Source
 from ..receive.structure import Structure
 from .motion import RobotSignals
 
-Array = NDArray[np.float64]
 _SWITCHED_AFTER = 4.0  # s
 _DEPENDENT = 1e-9  # share of a row that is new, below which it says nothing new
 _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import CsvError, RecordingError, UsageError, did_you_mean
+from ..frames import Array
 from ..receive.structure import Structure
 from ..record.csv_files import column_names, read_csv
 from ..record.recording import Recording
 from ..record.replay import Replay
 
-Array = NDArray[np.float64]
-
 
 @dataclass
-class Playback:
+class Playback(ABC):
     """Packets to be sent.
 
     Attributes:
@@ -40,9 +40,9 @@ class Playback:
     skipped: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
 
+    @abstractmethod
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes."""
-        raise NotImplementedError
 
     def _encode(self, values: Mapping[str, ArrayLike]) -> bytes | None:
         try:

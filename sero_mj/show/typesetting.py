@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ..decor.columns import Value, columns
 from ..decor.font import Font
 from ..decor.panels import BAR_RGBA, PADDING, Panels
+from ..decor.value_columns import Value, value_columns
 
 Bytes = NDArray[np.uint8]
 Rgb = tuple[float, float, float]
@@ -152,7 +152,7 @@ class Typesetter:
     def _values(self, size: Size, rgba: Rgba, lines: list[bytes]) -> Bytes:
         """Returns a panel with values in columns."""
         line, pad = self._line, PADDING * self._line
-        found = columns(lines, self.font.width)
+        found = value_columns(lines, self.font.width)
         right = size[0] - pad
         point = round(right - found.tail)
         texts: list[Text] = []

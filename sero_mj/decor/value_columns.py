@@ -45,7 +45,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Columns:
+class ValueColumns:
     """Lines in columns, pixels from the left and right edge of their text.
 
     Attributes:
@@ -61,7 +61,7 @@ class Columns:
     width: float
 
 
-def columns(lines: Sequence[bytes], width: Width) -> Columns:
+def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
     """Returns lines in columns.
 
     Args:
@@ -78,7 +78,7 @@ def columns(lines: Sequence[bytes], width: Width) -> Columns:
     missing = max((width(row.whole) for row in values if row.is_missing), default=0.0)
     inside = heads + width(_GAP) + max(wholes + tail, missing) if values else 0.0
     plain = max((width(row) for row in rows if isinstance(row, str)), default=0.0)
-    return Columns(rows, label, tail, max(inside, plain))
+    return ValueColumns(rows, label, tail, max(inside, plain))
 
 
 def _parsed(line: str) -> Value | str:
