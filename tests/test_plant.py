@@ -102,9 +102,11 @@ def test_contacts_and_stops_are_outer_torques_that_sensors_feel():
     lwr = make_lwr()
     plant = plant_of(lwr, objects=[table])
     met = False
-    for _ in range(2000):
+    for step in range(2000):
         q, v = plant.actual[0].copy(), plant.actual[1].copy()
         plant.step(np.array([0.0, -20.0, 0, 5.0, 0, 0, 20.0]) - 10 * v)
+        if step % 10:  # inverse dynamics in Python are slow
+            continue
         acceleration = (plant.actual[1] - v) / plant.timestep
         expected = inverse_dynamics(lwr, plant.world.dynamics["lwr"], q, v, acceleration)
         np.testing.assert_allclose(

@@ -31,6 +31,11 @@ ARGUMENTS = [
     "--ignore-gpu-blocklist",
     "--no-sandbox",
 ]
+# A page draws this often only: software takes all processors to draw it, and others have to wait.
+_SELDOM = """
+const next = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = draw => setTimeout(() => next(draw), 200);
+"""
 # Serves frames, and answers what is asked about the page on its standard input.
 _PROGRAM = """
 from mujoco.studio.dear_imgui import dear_imgui as imgui
@@ -154,6 +159,7 @@ class Visitor:
     ) -> None:
         self._served = served
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
+        self.page.add_init_script(_SELDOM)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.goto(served.url)
