@@ -118,8 +118,8 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
                 if "dm_control" in text:
                     pytest.importorskip("dm_control", reason="dm-control is not installed")
                 script = tmp_path / "script.py"
-                text = FILM_IN_PYTHON.sub(rf"\1, size={SMALL})", textwrap.dedent(text))
-                script.write_text(text)
+                small = FILM_IN_PYTHON.sub(rf"\1, size={SMALL})", textwrap.dedent(text))
+                script.write_text(small)
                 run(sys.executable, str(script))
     finally:
         for process in background:

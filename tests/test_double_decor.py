@@ -1,5 +1,6 @@
 """What doubles have of their own: arrows, billboards, axes; and room for all of it."""
 
+import mujoco
 import numpy as np
 import pytest
 from decor_tools import (
@@ -14,15 +15,16 @@ from decor_tools import (
     view_at,
 )
 
-from sero_mj.assemble.double import DOUBLE_GROUP, Double
+from sero_mj.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.axes import AXIS_RGB
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.panels import PANEL_RGBA
-from sero_mj.decor.pen import Kind, Pen
+from sero_mj.decor.pen import CAPACITY, Kind, Pen
 from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
+from sero_mj.decor.scene_writer import SceneWriter
 from sero_mj.decor.singularity import jacobian
 from sero_mj.drive.place import Placer
 
@@ -227,6 +229,30 @@ def test_where_it_coincides_with_its_robot_its_links_are_hidden_and_its_decor_is
         range(7, 14)
     )
     assert (pen.rows[: pen.count]["pos"][:, 2] > -2).all()
+
+
+def test_links_fade_in_as_they_leave_those_of_the_robot() -> None:
+    world = world_with(goal(joint_angles=POSE))
+    data = world.make_data()
+    model, last = world.model, world.doubles["goal"].bodies[0, -1]  # turned about its own axis
+    for degrees in np.arange(0.25, 4.0, 0.1):
+        world.set_input(data, "goal.joint_angles", [*POSE[:6], POSE[6] + np.deg2rad(degrees)])
+        pen = draw(world, data)
+        scene = mujoco.MjvScene(model, maxgeom=model.ngeom + CAPACITY)
+        everything, camera = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera()
+        mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
+        count = scene.ngeom
+        SceneWriter(scene).add(pen)
+        geoms = [geom for geom in scene.geoms[:count] if geom.objid >= 0]
+        opacity = {geom.objid: geom.rgba[3] for geom in geoms if geom.pos[2] > -2}
+        of_link = [opacity[i] for i in opacity if model.geom_bodyid[i] == last]
+        expected = COMMANDED_RGBA[3] * np.clip((degrees - 0.5) / 2.0, 0, 1)
+        assert max(of_link, default=0.0) == pytest.approx(expected, abs=1e-6)
+        assert all(
+            opacity[i] == pytest.approx(model.geom_rgba[i, 3])
+            for i in opacity
+            if model.geom_group[i] != DOUBLE_GROUP
+        )
 
 
 def test_a_double_that_is_switched_off_is_gone_with_all_it_has() -> None:

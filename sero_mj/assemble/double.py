@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..declaration import Declaration, Name, Rgba, Vector, of_shape
-from ..frames import Array, Bools
+from ..frames import Array
 from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
 
 # Green for commanded positions, as in the paper's section 4.2.
@@ -16,9 +16,11 @@ COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
 AXES_OPACITY = 0.5  # of its coordinate axes
 DOUBLE_GROUP = 2  # of its geoms
 OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
-# A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting).
+# A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting), and has its
+# full opacity from this multiple of it on, so that it does not appear at once.
 _HIDDEN_DISTANCE = 0.002  # m
 _HIDDEN_ANGLE = np.deg2rad(0.5)
+_SHOWN_FROM = 5.0
 # Opacity factors of a path's first and last double: the path must not hide the robot.
 _PATH_FADE = (0.12, 0.6)
 
@@ -28,7 +30,7 @@ class Double(Declaration):
 
     Its inputs (`NAME.joint_angles`, `NAME.torques`, ...) are set by routes, as a robot's are. It
     has the base frame, limits and arrow sizes of its robot and does not collide. A link that
-    coincides with the robot's is hidden.
+    coincides with the robot's is hidden; it fades in as it moves away.
 
     Attributes:
         name: in routes, e.g. `commanded` in `commanded.joint_angles`.
@@ -84,8 +86,10 @@ def path_fade(count: int) -> Array:
     return np.linspace(*_PATH_FADE, count) if count > 1 else np.ones(count)
 
 
-def are_apart(positions: Array, rotations: Array, others: Array, other_rotations: Array) -> Bools:
-    """Returns which links of a double do not coincide with their robot's, (...,).
+def fade_in(positions: Array, rotations: Array, others: Array, other_rotations: Array) -> Array:
+    """Returns the opacity factors of a double's links, (...,).
+
+    It is 0 where a link coincides with its robot's, and rises to 1 as it moves away.
 
     Args:
         positions: of the double's links, (..., 3), m.
@@ -93,7 +97,9 @@ def are_apart(positions: Array, rotations: Array, others: Array, other_rotations
         others: positions of the robot's, (..., 3), m.
         other_rotations: of these, (..., 9).
     """
-    far = np.linalg.norm(positions - others, axis=-1) > _HIDDEN_DISTANCE
+    distance = np.linalg.norm(positions - others, axis=-1)
     # The trace of R_double^T R_robot is 1 + 2 cos(angle between them).
     trace = np.einsum("...i,...i->...", rotations, other_rotations)
-    return np.asarray(far | (trace < 1.0 + 2.0 * np.cos(_HIDDEN_ANGLE)))
+    angle = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
+    apart = np.maximum(distance / _HIDDEN_DISTANCE, angle / _HIDDEN_ANGLE)
+    return np.asarray(np.clip((apart - 1.0) / (_SHOWN_FROM - 1.0), 0.0, 1.0))

@@ -170,14 +170,14 @@ class DrawnDouble:
         double: name of the double.
         model: compiled.
         data: the other state, frames up to date.
-        geoms: geoms of the model to draw, (ngeom,) bool.
+        opacity: factor for every geom of the model, (ngeom,); 0 for those that are not drawn.
         rgba: its colour, (4,).
     """
 
     double: str
     model: mujoco.MjModel
     data: mujoco.MjData
-    geoms: Bools
+    opacity: Array
     rgba: Array
 
 

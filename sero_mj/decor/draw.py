@@ -7,9 +7,10 @@ import logging
 import mujoco
 import numpy as np
 
+from ..assemble.double import fade_in
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
-from ..frames import Ints
+from ..frames import Array, Ints
 from .cards import LEADER_RGBA, CardLayout, Outline, move_clear
 from .feature import Feature, Frame, make_features
 from .panels import Panels, draw_panels, labels_at, panel_sizes
@@ -69,6 +70,7 @@ class Decor:
         pen.clear()
         toggles.apply_inputs(data)
         pen.hidden = toggles.hidden_geoms()
+        pen.opacity = _opacity(world, of_model)
         pen.drawn_doubles = world.drawn_doubles(data, toggles.doubles)
         stale = self._staleness.find(data)
         for name, on in zip(world.doubles, toggles.doubles, strict=True):
@@ -129,6 +131,23 @@ def _groups(world: WorldView) -> Ints:
         ],
         np.intp,
     )
+
+
+def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
+    """Returns the opacity factor of every geom (ngeom,): doubles fade in as they leave the robot.
+
+    Args:
+        world: the compiled scene.
+        data: its state, with frames up to date.
+    """
+    compiled = [part for part in world.doubles.values() if part.is_compiled]
+    if not compiled:
+        return None
+    factors = np.ones(world.model.nbody)
+    for part in compiled:
+        links, own = part.bodies, part.of.bodies
+        factors[links] = fade_in(data.xpos[links], data.xmat[links], data.xpos[own], data.xmat[own])
+    return np.asarray(factors[world.model.geom_bodyid])
 
 
 def _is_own(feature: Feature) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import DrawnDouble
+from ..frames import Array, Bools, Ints
 
 # mjvGeom of MuJoCo 4.0 (mjvisualize.h). `struct_view` compares it with the loaded library.
 GEOM = np.dtype(
@@ -60,6 +61,7 @@ class Pen:
         dropped: number of geoms of this frame that exceeded the capacity.
         grey: geoms of the model to draw grey, (ngeom,) bool; None for none.
         hidden: geoms of the model not to draw, (ngeom,) bool; None for none.
+        opacity: factor for every geom of the model, (ngeom,); None for 1.
         drawn_doubles: doubles to draw that are not compiled into the model.
         text: rows of the panels and their labels, for hosts that set text themselves.
     """
@@ -75,8 +77,9 @@ class Pen:
         self.rows["shininess"] = 0.3
         self.kinds = np.zeros(capacity, np.uint8)
         self.items = np.zeros(capacity, np.intp)
-        self.grey: NDArray[np.bool_] | None = None
-        self.hidden: NDArray[np.bool_] | None = None
+        self.grey: Bools | None = None
+        self.hidden: Bools | None = None
+        self.opacity: Array | None = None
         self.drawn_doubles: list[DrawnDouble] = []
         self.text = slice(0, 0)
         self._labelled: list[slice] = []
@@ -93,7 +96,7 @@ class Pen:
         self.dropped = 0
 
     def take(
-        self, n: int, geom: int, kind: Kind = Kind.NONE, items: NDArray[np.intp] | int = 0
+        self, n: int, geom: int, kind: Kind = Kind.NONE, items: Ints | int = 0
     ) -> NDArray[Any]:
         """Allocates n rows for geoms of one type and returns them.
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import DrawnDouble
+from ..frames import Array, Bools
 from .pen import GEOM, GREY, Pen
 
 log = logging.getLogger(__name__)
@@ -52,6 +53,8 @@ class SceneWriter:
             self._hide(pen.hidden)
         if pen.grey is not None:
             self._grey(pen.grey, scene.ngeom)
+        if pen.opacity is not None:
+            self._fade(pen.opacity, scene.ngeom)
         dropped = 0
         if pen.drawn_doubles:
             if self._painter is None:
@@ -77,7 +80,7 @@ class SceneWriter:
         scene.ngeom = start + count
         return int(len(rows) - count)
 
-    def _hide(self, hidden: NDArray[np.bool_]) -> None:
+    def _hide(self, hidden: Bools) -> None:
         """Removes geoms of the model from the scene."""
         scene = self._scene
         kind = int(mujoco.mjtObj.mjOBJ_GEOM)
@@ -92,7 +95,7 @@ class SceneWriter:
             if geom.objtype == kind and geom.objid >= 0 and hidden[geom.objid]:
                 geom.rgba[3] = 0.0
 
-    def _grey(self, grey: NDArray[np.bool_], count: int) -> None:
+    def _grey(self, grey: Bools, count: int) -> None:
         """Makes the model's geoms grey, among the first `count` of the scene."""
         kind = int(mujoco.mjtObj.mjOBJ_GEOM)
         if self._view is not None:
@@ -106,6 +109,20 @@ class SceneWriter:
         for geom in self._scene.geoms[:count]:
             if geom.objtype == kind and geom.objid >= 0 and grey[geom.objid]:
                 geom.rgba[:3] += GREYNESS * (np.array(GREY) - geom.rgba[:3])
+
+    def _fade(self, opacity: Array, count: int) -> None:
+        """Multiplies the opacity of the model's geoms, among the first `count` of the scene."""
+        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
+        if self._view is not None:
+            rows = self._view[:count]
+            index = ((rows["objtype"] == kind) & (rows["objid"] >= 0)).nonzero()[0]
+            factors = opacity[rows["objid"][index]]
+            index, factors = index[factors < 1], factors[factors < 1]
+            rows["rgba"][index, 3] *= factors
+            return
+        for geom in self._scene.geoms[:count]:
+            if geom.objtype == kind and geom.objid >= 0:
+                geom.rgba[3] *= opacity[geom.objid]
 
 
 class _DoublePainter:
@@ -140,8 +157,10 @@ class _DoublePainter:
         mujoco.mjv_addGeoms(drawn.model, drawn.data, self._option, self._perturb, _ALL, own)
         rows = self._laid_out()
         of_model = (rows["objtype"] == _GEOM) & (rows["rgba"][:, 3] > 0)
-        rows = rows[of_model & drawn.geoms[np.where(of_model, rows["objid"], 0)]]
+        opacity = np.where(of_model, drawn.opacity[np.where(of_model, rows["objid"], 0)], 0.0)
+        rows = rows[opacity > 0]
         rows["rgba"] = drawn.rgba
+        rows["rgba"][:, 3] *= opacity[opacity > 0]
         rows["category"] = _DECOR  # without a shadow
         rows["matid"] = rows["texid"] = rows["segid"] = -1
         rows["reflectance"] = 0.0

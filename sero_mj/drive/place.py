@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from ..assemble.cartesian import WORLD
-from ..assemble.double import OUT_OF_SIGHT, are_apart
+from ..assemble.double import OUT_OF_SIGHT, fade_in
 from ..assemble.inputs import BLANKABLE
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
@@ -123,9 +123,9 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 
 def _place(data: mujoco.MjData, part: DoublePart, targets: Array, actual: Array) -> None:
     rotations = [T[..., :3, :3].reshape(*T.shape[:-2], 9) for T in (targets, actual)]
-    apart = are_apart(targets[..., :3, 3], rotations[0], actual[:, :3, 3], rotations[1])
+    opacity = fade_in(targets[..., :3, 3], rotations[0], actual[:, :3, 3], rotations[1])
     _set_poses(data, part.mocap.ravel(), targets.reshape(-1, 4, 4))
-    data.mocap_pos[part.mocap[~apart]] = OUT_OF_SIGHT
+    data.mocap_pos[part.mocap[opacity == 0]] = OUT_OF_SIGHT
 
 
 def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..assemble.double import OUT_OF_SIGHT, are_apart, path_fade
+from ..assemble.double import OUT_OF_SIGHT, fade_in, path_fade
 from ..assemble.parts import DoublePart, DrawnDouble
 from ..frames import Array, Ints
 
@@ -232,7 +232,7 @@ class ModelDoubles:
                 name,
                 self._model,
                 pose,
-                (mine & are_apart(pose.xpos, pose.xmat, state.data.xpos, state.data.xmat))[
+                (mine * fade_in(pose.xpos, pose.xmat, state.data.xpos, state.data.xmat))[
                     self._model.geom_bodyid
                 ],
                 part.double.rgba * [1, 1, 1, share],

@@ -212,7 +212,7 @@ def _pick_drawn_double(
     nearest = None
     for drawn in pen.drawn_doubles:
         double = world.doubles[drawn.double]
-        hit, distance = _ray(drawn.model, drawn.data, ~drawn.geoms, origin, direction)
+        hit, distance = _ray(drawn.model, drawn.data, drawn.opacity == 0, origin, direction)
         if hit < 0 or (nearest is not None and nearest.distance <= distance):
             continue
         link = _link_of(world, double.of, int(world.model.geom_bodyid[hit]))
