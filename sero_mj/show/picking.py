@@ -25,7 +25,10 @@ PickedKind = Literal[
 Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of a picture
 
 TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
-_ARROW_HEAD = 1.75  # width of an arrow geom's head over that of its shaft, in MuJoCo's renderers
+# An arrow geom in MuJoCo's renderers (`mjGEOM_ARROW`): the cone is a third of its length.
+_SHAFT, _HEAD_WIDTH = 2 / 3, 1.75
+_SLICES = 5  # cylinders that stand for the cone
+_TYPES = mujoco.mjtGeom
 _MOST_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
 _STEP = 1e-6  # m beyond the surface of one of them
 
@@ -107,7 +110,7 @@ def _pick_decor(
     world: WorldView, pen: Pen, view: PictureView, origin: Array, direction: Array, tolerance: float
 ) -> Picked | None:
     rows = pen.rows[: pen.count]
-    box, arrow = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ARROW)
+    box, arrow = int(_TYPES.mjGEOM_BOX), int(_TYPES.mjGEOM_ARROW)
     of_something = pen.kinds[: pen.count] != Kind.NONE
     index = (of_something & ((rows["type"] == box) | (rows["type"] == arrow))).nonzero()[0]
     if not len(index):
@@ -115,14 +118,11 @@ def _pick_decor(
     rows = rows[index]
     centre, half = rows["pos"].astype(float), rows["size"].astype(float)
     mat = rows["mat"].astype(float)
-    # An arrow extends from its position along z; it is approximated by a box.
-    straight = rows["type"] == arrow
-    half[straight, :2] *= _ARROW_HEAD
-    half[straight, 2] /= 2 * ARROW_SIZE_OF_LENGTH
-    centre[straight] += mat[straight, :, 2] * half[straight, 2:]
     depth = np.maximum((centre - origin) @ view.forward, view.near)
-    half += (tolerance * view.pixel_size(1.0) * depth)[:, None]
-    distance = ray_boxes(origin, direction, centre, mat, half)
+    margin = tolerance * view.pixel_size(1.0) * depth
+    distance = ray_boxes(origin, direction, centre, mat, half + margin[:, None])
+    for i in (rows["type"] == arrow).nonzero()[0]:
+        distance[i] = ray_arrow(origin, direction, centre[i], mat[i], half[i], margin[i])
     nearest = int(np.argmin(distance))
     if not np.isfinite(distance[nearest]):
         return None
@@ -165,6 +165,35 @@ def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: 
     leave = np.maximum(one, other).min(axis=1)
     hit = (enter <= leave) & (leave > 0)
     return np.where(hit, np.maximum(enter, 0.0), np.inf)
+
+
+def ray_arrow(
+    origin: Array, direction: Array, start: Array, mat: Array, size: Array, margin: float = 0.0
+) -> float:
+    """Returns the distance along a ray to an arrow geom, m, inf for a miss.
+
+    Args:
+        origin: of the ray, (3,), m.
+        direction: unit vector (3,).
+        start: of the arrow, (3,), m.
+        mat: its rotation (3, 3); it points along z.
+        size: as in `MjvGeom`: radii of the shaft, and length times `ARROW_SIZE_OF_LENGTH`, m.
+        margin: by which it is thicker and longer, m.
+    """
+    length = size[2] / ARROW_SIZE_OF_LENGTH
+    cone = (np.arange(_SLICES) + 0.5) / _SLICES  # middle of every slice, from base to tip
+    middles = length * np.append(_SHAFT / 2, _SHAFT + (1 - _SHAFT) * cone)
+    halves = length * np.append(_SHAFT / 2, np.full(_SLICES, (1 - _SHAFT) / 2 / _SLICES))
+    radii = size[0] * np.append(1.0, _HEAD_WIDTH * (1 - cone))
+    nearest = np.inf
+    for middle, half, radius in zip(middles, halves + margin, radii + margin, strict=True):
+        centre, cylinder = start + middle * mat[:, 2], np.array([radius, half, 0.0])
+        distance = mujoco.mju_rayGeom(
+            centre, mat.ravel(), cylinder, origin, direction, _TYPES.mjGEOM_CYLINDER
+        )
+        if 0 <= distance < nearest:
+            nearest = distance
+    return float(nearest)
 
 
 def _pick_solid(
