@@ -296,6 +296,23 @@ def test_overrides_that_fit_nothing_are_problems(read, text, target, expected):
     assert expected in read(text, {target: [1.0]})[1]
 
 
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"robots": "lwr"}, "robots: found 'lwr'; expected a list of SerialRobot"),
+        ({"doubles": [{"of": "lwr"}]}, "doubles: found [{'of': 'lwr'}]; expected a list of Double"),
+        ({"objects": [3]}, "objects: found [3]; expected a list of Object"),
+        ({"cameras": {"a": 3}}, "cameras: found {'a': 3}; expected a mapping from names to Camera"),
+        ({"sources": [3]}, "sources: found [3]; expected a mapping from names"),
+        ({"view": {"look": "dark"}}, "view: found {'look': 'dark'}; expected a View"),
+    ],
+)
+def test_what_is_of_another_type_is_refused(fields, message):
+    with pytest.raises(DeclarationError) as caught:
+        Scene(**fields)
+    assert str(caught.value) == message
+
+
 def test_two_robots_of_one_name_are_refused():
     robots = [SerialRobot(name="arm", dh_convention="craig") for _ in range(2)]
     with pytest.raises(DeclarationError) as caught:

@@ -224,8 +224,11 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
             castshadow=light.cast_shadow,
         )  # fmt: skip
     if not scene.lights:
+        # MuJoCo's shadows have dark specks in them far from the axis of a light.
+        bases = [robot.base_frame[:3, 3] for robot in scene.robots.values()]
+        middle = np.mean(bases, axis=0) if bases else np.zeros(3)
         root.worldbody.add_light(
-            name="key", pos=[1.5, -1.5, 4], dir=[-0.35, 0.4, -1], type=_DIRECTIONAL,
+            name="key", pos=np.add(middle, [1.5, -1.5, 4]), dir=[-0.35, 0.4, -1], type=_DIRECTIONAL,
             diffuse=[palette.key] * 3, specular=[0.2] * 3, castshadow=True,
         )  # fmt: skip
     for name, camera in scene.cameras.items():

@@ -105,10 +105,20 @@ class Scene:
     ) -> None:
         if isinstance(robots, SerialRobot):
             robots = [robots]
-        for key, value in (("sources", sources), ("routes", routes)):
-            if value is not None and not isinstance(value, Mapping):
-                message = f"found {value!r}; expected a mapping from names"
-                raise DeclarationError([Problem(key, message)])
+        problems = [
+            *_not_of_type(SerialRobot, robots=robots),
+            *_not_of_type(Double, doubles=doubles),
+            *_not_of_type(SmartArrow, arrows=arrows),
+            *_not_of_type(ReceivedFrame, frames=frames),
+            *_not_of_type(Object, objects=objects),
+            *_not_of_type(Camera, Mapping, cameras=cameras),
+            *_not_of_type(Light, Mapping, lights=lights),
+            *_not_of_type(object, Mapping, sources=sources, routes=routes),
+            *_not_of_type(View, None, view=view),
+            *_not_of_type(SceneToggles, None, toggles=toggles),
+        ]
+        if problems:
+            raise DeclarationError(problems)
         self.robots: dict[str, SerialRobot] = {}
         self.doubles = {double.name: double for double in doubles or []}
         self.arrows = {arrow.name: arrow for arrow in arrows or []}
@@ -125,9 +135,6 @@ class Scene:
         self.name = name
         self.file = file
         self.broken = frozenset(broken)
-        if not all(isinstance(robot, SerialRobot) for robot in robots or []):
-            message = f"found {robots!r}; expected a list of SerialRobot"
-            raise DeclarationError([Problem("robots", message)])
         for robot in robots or []:
             self.add(robot)
         problems = self.problems()
@@ -280,6 +287,34 @@ class Scene:
         if f"{section}.{name}.{key.partition('.')[0]}" in lines:
             return problem
         return located(Problem(key, problem.message), model, key_lines(model))
+
+
+def _not_of_type(
+    kind: type,
+    many: type[Sequence[Any]] | type[Mapping[str, Any]] | None = Sequence,
+    **fields: Any,
+) -> list[Problem]:
+    """Returns the problems of fields that do not have their type.
+
+    Args:
+        kind: of a field, or of its entries.
+        many: `Sequence` or `Mapping` of them; None for one.
+        **fields: values by key; None where there is none.
+    """
+
+    def is_right(value: Any) -> bool:
+        if many is None:
+            return isinstance(value, kind)
+        entries = value.values() if isinstance(value, Mapping) else value
+        return isinstance(value, many) and all(isinstance(entry, kind) for entry in entries)
+
+    starts: dict[Any, str] = {None: "a", Sequence: "a list of", Mapping: "a mapping from names to"}
+    expected = f"{starts[many]} {kind.__name__}".removesuffix(" to object")
+    return [
+        Problem(key, f"found {value!r:.200}; expected {expected}")
+        for key, value in fields.items()
+        if value is not None and not is_right(value)
+    ]
 
 
 def _texts(routes: Mapping[str, Any]) -> dict[str, str]:
