@@ -8,7 +8,8 @@ import pytest
 from foreign_models import arm, compiled, jaco
 
 import sero_mj
-from sero_mj.foreign._model_trees import Tree, find_trees, measure, torque_limits, without_scope
+from sero_mj.foreign._model_sizes import measure, torque_limits
+from sero_mj.foreign._model_trees import Tree, find_trees, without_scope
 
 
 def body(name: str, inside: str = "<joint/>") -> str:
@@ -129,3 +130,108 @@ def test_a_pendulum_is_a_robot() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
     assert overlay.robots == {"rod": ["pivot"]}
+
+
+def limb(name: str, at: str) -> str:
+    return f"""<body name="{name}" pos="{at}"><joint name="{name}" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>"""
+
+
+def robots_of(bodies: str, driven: str, model_name: str = "") -> dict[str, list[str]]:
+    """The robots of a model with motors on some joints."""
+    motors = "".join(f'<motor joint="{joint}"/>' for joint in driven.split())
+    model, _ = compiled(f"""<mujoco model="{model_name or "MuJoCo Model"}">
+      <worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>""")
+    return {tree.name: tree.joint_names for tree in find_trees(model)}
+
+
+TRUNK = '<geom type="box" size=".3 .1 .05" pos="0 0 1"/>'
+LEGS = limb("front", ".3 .1 1") + limb("rear", "-.3 .1 1")
+
+
+def test_limbs_of_a_trunk_that_is_fused_with_the_world_are_one_robot() -> None:
+    assert robots_of(TRUNK + LEGS, "front rear", "dog scene") == {"dog": ["front", "rear"]}
+    # Without a trunk, or on something much larger than they are, they are robots of their own.
+    apart = {"front": ["front"], "rear": ["rear"]}
+    assert robots_of(LEGS, "front rear", "dog") == apart
+    wall = TRUNK.replace(".3 .1 .05", "9 .1 9")
+    assert robots_of(wall + LEGS, "front rear", "dog") == apart
+    far = limb("front", "3 .1 1") + limb("rear", "-3 .1 1")
+    assert robots_of(TRUNK + far, "front rear", "dog") == apart
+    scoped = limb("left/front", ".3 .1 1") + limb("right/rear", "-.3 .1 1")
+    assert set(robots_of(TRUNK + scoped, "left/front right/rear")) == {"left_front", "right_rear"}
+
+
+def test_a_fused_trunk_is_in_the_view_and_its_robots_base_is_the_world() -> None:
+    model, data = compiled(f"<mujoco><worldbody>{TRUNK}{LEGS}</worldbody></mujoco>")
+    overlay = sero_mj.overlay(model, data)
+    assert overlay.robots == {"front": ["front", "rear"]}
+    assert overlay.world.geoms_in_view().all()
+    assert overlay.frame("front/base") == pytest.approx(np.eye(4))
+    double = sero_mj.Double(name="goal", of="front", joint_angles=np.array([0.5, 0.0]))
+    overlay = sero_mj.overlay(model, data, doubles=[double])
+    state = overlay.world.state(data)
+    (drawn,) = overlay.world.drawn_doubles(state, np.array([True]))
+    assert (drawn.opacity > 0).tolist() == [False, True, False]  # what differs: not the trunk
+
+
+def test_movable_things_beside_a_robot_are_in_the_view_and_surroundings_are_not() -> None:
+    model, data = compiled(f"""<mujoco><worldbody>{limb("arm", "0 0 1")}
+      <body name="ball" pos=".3 0 1"><freejoint/><geom size=".05"/></body>
+      <body name="far" pos="3 0 1"><freejoint/><geom size=".05"/></body>
+      <body name="gate" pos=".3 0 1"><joint/><geom type="box" size="2 .01 2"/></body>
+      <body name="table" pos=".3 0 .5"><geom type="box" size=".1 .1 .1"/></body>
+      <body name="hidden" pos=".3 0 1"><joint/><geom size=".05" group="4"/></body>
+      <geom name="wall" type="box" pos=".3 0 1" size=".1 .1 .1"/>
+      </worldbody><actuator><motor joint="arm"/></actuator></mujoco>""")
+    shown = sero_mj.overlay(model, data).world.geoms_in_view()
+    assert [model.body(body).name for body in model.geom_bodyid[shown]] == ["arm", "ball"]
+
+
+def test_a_robot_has_drives_where_any_has() -> None:
+    door, arm_ = limb("door", "1 0 1"), limb("arm", "0 0 1")
+    assert set(robots_of(door + arm_, "arm")) == {"arm"}
+    assert set(robots_of(door + arm_, "")) == {"door", "arm"}
+    model, data = compiled(f"""<mujoco><worldbody>{door}{arm_}</worldbody>
+      <actuator><motor joint="arm"/></actuator></mujoco>""")
+    # One that is named is a robot as well.
+    assert list(sero_mj.overlay(model, data, robots={"door": {}}).robots) == ["door", "arm"]
+
+
+def test_drives_may_pull_at_tendons_and_sites() -> None:
+    bodies = """<body name="{0}" pos="{1} 0 1"><joint name="{0}"/><geom size=".1"/>
+      <site name="{0}" pos=".1 .1 0"/></body>"""
+    world = "".join(
+        bodies.format(name, at) for at, name in enumerate(("fixed", "wound", "site", "free"))
+    )
+    model, _ = compiled(f"""<mujoco><worldbody><site name="wall"/>{world}</worldbody>
+      <tendon><fixed name="a"><joint joint="fixed" coef="1"/></fixed>
+      <spatial name="b"><site site="wall"/><site site="wound"/></spatial></tendon>
+      <actuator><motor tendon="a"/><motor tendon="b"/><general site="site"/></actuator></mujoco>""")
+    assert [tree.name for tree in find_trees(model)] == ["fixed", "wound", "site"]
+
+
+@pytest.mark.parametrize(
+    ("root", "model_name", "expected"),
+    [
+        ("base_link", "ur5e", "ur5e"),
+        ("base", "panda scene", "panda"),
+        ("link0", "panda_scene", "panda"),
+        ("panda_link0", "panda", "panda"),
+        ("b_base", "jaco", "jaco"),
+        ("torso", "planar walker", "planar_walker"),
+        ("base_link", "", "base_link"),
+        ("base", "scene", "base"),
+        ("left/base_link", "lab", "left"),
+        ("upper_arm", "lab", "upper_arm"),
+    ],
+)
+def test_a_root_that_is_called_by_its_part_gives_way_to_the_model(
+    root: str, model_name: str, expected: str
+) -> None:
+    assert list(robots_of(body(root, "<joint name='j'/>"), "j", model_name)) == [expected]
+
+
+def test_two_robots_do_not_take_the_models_name() -> None:
+    two = body("base", "<joint name='a'/>") + body("base_link", "<joint name='b'/>")
+    assert list(robots_of(two, "a b", "lab")) == ["base", "base_link"]

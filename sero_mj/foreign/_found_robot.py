@@ -18,7 +18,8 @@ from ..assemble.robot_dynamics import GRAVITY
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
 from ..frames import Array, Ints
-from ._model_trees import Sizes, Tree, measure, torque_limits, without_scope
+from ._model_sizes import Sizes, measure, torque_limits
+from ._model_trees import Tree, without_scope
 
 # Fields that a user can set for a found robot; the others come from the model.
 FIELDS = (

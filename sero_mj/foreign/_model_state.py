@@ -226,7 +226,7 @@ class ModelDoubles:
         """
         part = self._doubles[name]
         poses = state.doubles.get(name, [])
-        mine = self._model.body_rootid == part.of.bodies[0]
+        mine = np.isin(self._model.body_rootid, self._model.body_rootid[part.of.bodies[1:]])
         return [
             DrawnDouble(
                 name,

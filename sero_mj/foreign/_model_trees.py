@@ -1,49 +1,51 @@
-"""Finds the robots in an external model, and measures them for the sizes of their decor.
+"""Finds the robots in an external model, and names them.
 
 A robot is a kinematic tree with hinge or slide joints: one child of the world and all of its
-descendants. Free and ball joints have no single axis and therefore no arrow.
+descendants. Free and ball joints have no single axis and therefore no arrow. Two exceptions:
+
+- Where a model has actuators, a robot is a tree that they drive; doors, knobs and goals are not.
+- MuJoCo fuses a fixed trunk with the world, so that its limbs become trees. Limbs that are hinged
+  to the same solid geoms of the world are one robot.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from ..assemble.robot_dynamics import GRAVITY
 from ..frames import Array, Ints
+from ._surfaces import placed_points, surface
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_DIRECT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
+ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+_OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
 _RESERVED = ("world", "toggles")  # reserved names in routes
-_CLEAR = 1.45  # radius of an arrow over that of the housing it encloses
-# Bounds of an arrow's radius, fractions of the link length.
-_SMALLEST, _LARGEST = 0.12, 0.5
-_AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
-_OF_PARENT = 1.4  # largest considered ratio of the housing of the parent to that of the moving body
-# Half the length along the axis in which the housing is measured, fraction of the link length.
-_SLAB = 0.2
-_SECTORS = 12
-_MOST_POINTS = 1500  # of a mesh
-_SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
-_AT_ONE_PLACE = 0.02  # of the robot's extent
-_LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
-_ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-_RING = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros(len(_ROUND))], axis=1)
+# Words that say which part a root body is, and not which robot.
+_PART_WORDS = frozenset(
+    {
+        *("b", "base", "body", "chassis", "footprint", "frame", "link", "main", "mount", "pelvis"),
+        *("platform", "robot", "root", "torso", "trunk", "world"),
+    }
+)
+_UNNAMED = "MuJoCo Model"  # MuJoCo's name for a model without one
+_TOUCHING = 0.2  # gap up to which solids are joined, fraction of the diagonal of the world's solid
 _TYPES = mujoco.mjtGeom
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One kinematic tree.
+    """One kinematic tree, or several with a fused trunk.
 
     Attributes:
-        name: of the root body, made unique and valid in routes.
-        bodies: ids, parents before children, the root first.
+        name: of the root body, or of the model where the root has a name like `base_link`; made
+            unique and valid in routes.
+        bodies: ids, parents before children, the root first: the world for a fused trunk.
+        trunk: ids of the world's geoms that are the fused trunk; empty without one.
         joints: ids of its hinges and slides, (n,).
         joint_names: without their common scope, n.
         chain: indices of the joints between the root and the first branch; these move the
@@ -53,24 +55,163 @@ class Tree:
 
     name: str
     bodies: Ints
+    trunk: Ints
     joints: Ints
     joint_names: list[str]
     chain: Ints
     last: int
 
 
-def find_trees(model: mujoco.MjModel) -> list[Tree]:
-    """Returns all trees of a model that have a hinge or a slide, in the order of their bodies."""
-    trees: list[Tree] = []
+def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree]:
+    """Returns the robots of a model, in the order of their bodies.
+
+    Args:
+        model: compiled.
+        wanted: names of trees without drives that are robots nevertheless.
+    """
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
     tree_of_joint = model.body_rootid[model.jnt_bodyid]
-    for root in np.unique(tree_of_joint[single]):
-        bodies = (model.body_rootid == root).nonzero()[0]
-        joints = (single & (tree_of_joint == root)).nonzero()[0]
-        chain, last = _serial_part(model, int(root), joints)
-        name = _unlike(_as_name(model.body(int(root)).name), [tree.name for tree in trees])
-        trees.append(Tree(name, bodies, joints, _joint_names(model, joints), chain, last))
+    groups = _fused_groups(model, np.unique(tree_of_joint[single]))
+    driven = _driven_roots(model)
+    drives = [not driven.isdisjoint(roots) for roots, _ in groups]
+    if not any(drives):
+        drives = [True] * len(groups)
+    trees: list[Tree] = []
+    names: list[str] = []
+    for (roots, trunk), has_drives in zip(groups, drives, strict=True):
+        is_alone = sum(drives) == 1 and has_drives
+        name = _unlike(_robot_name(model, roots, is_alone), names)
+        names.append(name)
+        if not (has_drives or name in wanted):
+            continue
+        bodies = np.isin(model.body_rootid, roots).nonzero()[0]
+        root = int(roots[0])
+        if len(trunk):
+            root, bodies = 0, np.concatenate([[0], bodies])
+        joints = (single & np.isin(tree_of_joint, roots)).nonzero()[0]
+        chain, last = _serial_part(model, root, joints)
+        joint_names = _joint_names(model, joints)
+        trees.append(Tree(name, bodies, trunk, joints, joint_names, chain, last))
     return trees
+
+
+def _driven_roots(model: mujoco.MjModel) -> set[int]:
+    """Returns the root bodies of the trees that have a joint with an actuator."""
+    bodies: list[int] = []
+    for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
+        if kind in ON_JOINT:
+            bodies.append(model.jnt_bodyid[item])
+        elif kind == _OF_TENDON:
+            first = model.tendon_adr[item]
+            for wrap in range(first, first + model.tendon_num[item]):
+                if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
+                    bodies.append(model.jnt_bodyid[model.wrap_objid[wrap]])
+                elif model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
+                    bodies.append(model.site_bodyid[model.wrap_objid[wrap]])
+        elif kind in _OF_SITE:
+            bodies.append(model.site_bodyid[item])
+    return {int(model.body_rootid[body]) for body in bodies}
+
+
+def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]:
+    """Returns the trees of every robot: their root bodies, and the geoms of a fused trunk."""
+    alone = np.empty(0, np.intp)
+    hinged = [int(root) for root in roots if _is_limb(model, int(root))]
+    solid = (model.geom_bodyid == 0) & (model.geom_type != _TYPES.mjGEOM_PLANE)
+    solid &= model.geom_type != _TYPES.mjGEOM_HFIELD
+    if len(hinged) < 2 or not solid.any():
+        return [(np.array([root]), alone) for root in roots]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    limbs = [  # with the body's origin, for limbs without any surface
+        _bounds(np.vstack([data.xpos[root], surface(model, data, np.array([root]))[0]]))
+        for root in hinged
+    ]
+    size = np.concatenate([np.ptp(limb, axis=0) for limb in limbs]).reshape(-1, 3)
+    largest = 2 * np.linalg.norm(size, axis=1).sum()
+    nodes: list[tuple[int, Array, float]] = []  # root, or -1 - geom; box; reach
+    nodes += [(root, box, 0.0) for root, box in zip(hinged, limbs, strict=True)]
+    for geom in solid.nonzero()[0]:
+        box = _bounds(placed_points(model, data, int(geom)))
+        diagonal = float(np.linalg.norm(box[1] - box[0]))
+        if diagonal <= largest:  # furniture and walls are no trunk
+            nodes.append((-1 - int(geom), box, _TOUCHING * diagonal))
+    groups, joined = [], set()
+    for root in roots.tolist():
+        if root in joined:
+            continue
+        members = _touching(root, nodes) if root in hinged else [root]
+        scope = _scope(model, root)
+        mine = sorted(node for node in members if node >= 0 and _scope(model, node) == scope)
+        if len(mine) > 1:
+            joined.update(mine)
+            trunk = np.array(sorted(-1 - node for node in members if node < 0), np.intp)
+            groups.append((np.array(mine), trunk))
+        else:
+            groups.append((np.array([root]), alone))
+    return groups
+
+
+def _is_limb(model: mujoco.MjModel, root: int) -> bool:
+    """Returns whether a child of the world is hinged to it: no free or planar base."""
+    first = int(model.body_jntadr[root])
+    kinds = model.jnt_type[first : first + int(model.body_jntnum[root])]
+    is_free = (kinds == int(mujoco.mjtJoint.mjJNT_FREE)).any() or (kinds == _SLIDE).sum() > 1
+    return len(kinds) > 0 and not is_free
+
+
+def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
+    """Returns the nodes that are joined to one through solids of the world, itself included.
+
+    Args:
+        start: the node.
+        nodes: id, negative for solids of the world; box (2, 3), m; gap that it bridges, m.
+    """
+    found, todo = {start}, [node for node in nodes if node[0] == start]
+    while todo:
+        key, box, reach = todo.pop()
+        for node in nodes:
+            if node[0] in found or (key >= 0 and node[0] >= 0):
+                continue  # limbs are joined by a trunk only
+            gap = max(reach, node[2])
+            if (box[0] - gap <= node[1][1]).all() and (node[1][0] - gap <= box[1]).all():
+                found.add(node[0])
+                todo.append(node)
+    return sorted(found)
+
+
+def _bounds(points: Array) -> Array:
+    """Returns the lower and upper corner of points, (2, 3), m; infinitely far without any."""
+    if not len(points):
+        return np.full((2, 3), np.inf)
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def _scope(model: mujoco.MjModel, body: int) -> str:
+    """Returns the scope of a body's name: `left` in `left/base_link`, empty without one."""
+    return str(model.body(body).name).strip("/").rpartition("/")[0]
+
+
+def _robot_name(model: mujoco.MjModel, roots: Ints, is_alone: bool) -> str:
+    """Returns the name of a robot: of its root, or if that only says which part it is, a wider one.
+
+    Args:
+        model: compiled.
+        roots: its root bodies, several with a fused trunk.
+        is_alone: whether the model has no other robot, so that the model's name is its name.
+    """
+    name = str(model.body(int(roots[0])).name).strip("/")
+    model_name = model.names[: model.names.index(b"\0")].decode(errors="replace")
+    model_name = "" if model_name == _UNNAMED else re.sub(r"[ _-]*scene$", "", model_name)
+    scope, _, own = name.rpartition("/")
+    known = _PART_WORDS | set(_words(model_name))
+    if len(roots) == 1 and not known.issuperset(_words(own)):
+        return _as_name(name)
+    return _as_name(scope or (model_name if is_alone else "") or name)
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+", name.lower())
 
 
 def _as_name(text: str) -> str:
@@ -126,185 +267,3 @@ def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, 
         body = fixed[-1] if fixed else body
     chain = np.array([i for i, j in enumerate(joints) if int(model.jnt_bodyid[j]) in along])
     return chain.astype(np.intp), body
-
-
-def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the torque limits of joints, (n,), Nm or N; inf where the model states none.
-
-    The lower of the joint's `actuatorfrcrange` and the `forcerange` of its actuators (for a motor
-    without one its `ctrlrange`) times their gear.
-    """
-    limits = np.full(len(joints), np.inf)
-    for i, joint in enumerate(joints):
-        mine = np.isin(model.actuator_trntype, _DIRECT) & (model.actuator_trnid[:, 0] == joint)
-        if mine.any():
-            limits[i] = sum(_actuator_limit(model, int(k)) for k in mine.nonzero()[0])
-        if model.jnt_actfrclimited[joint]:
-            limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
-    return np.where(limits > 0, limits, np.inf)
-
-
-def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
-    gear = abs(float(model.actuator_gear[actuator, 0]))
-    if model.actuator_forcelimited[actuator]:
-        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
-    is_motor = model.actuator_gaintype[actuator] == _FIXED_GAIN
-    is_motor &= model.actuator_biastype[actuator] == _NO_BIAS
-    if is_motor and model.actuator_ctrllimited[actuator]:
-        gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
-    return float("inf")
-
-
-@dataclass(frozen=True, eq=False)
-class Sizes:
-    """Sizes of a robot's decor.
-
-    Attributes:
-        link: typical distance of neighbouring joints, m.
-        arrow_radius: (n,), m; larger than the housing that the arrow encloses.
-        axes: length of the coordinate axes of the body that each joint moves, (n,), m.
-        load: approximate maximum gravity load of each joint, (n,), Nm or N: the weight it
-            carries times its distance.
-    """
-
-    link: float
-    arrow_radius: Array
-    axes: Array
-    load: Array
-
-
-def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
-    """Computes the sizes of a robot's decor.
-
-    Args:
-        model: compiled.
-        data: in the pose to measure, after `mj_fwdPosition`.
-        tree: the robot.
-    """
-    anchors, axes = data.xanchor[tree.joints], data.xaxis[tree.joints]
-    points, of_body = _surface(model, data, tree.bodies)
-    bodies = model.jnt_bodyid[tree.joints]
-    parents = model.body_parentid[bodies]
-    links = _link_lengths(model, tree, anchors, points)
-    link = float(np.median(links))
-    radius = np.empty(len(tree.joints))
-    for i in range(len(tree.joints)):
-        own, other = (
-            _housing_radius(points[of_body == around] - anchors[i], axes[i], _SLAB * links[i])
-            for around in (bodies[i], parents[i])
-        )
-        # A finger is thinner than its palm; a body without a surface counts as part of its parent.
-        housing = max(own, min(other, _OF_PARENT * own)) if own > 0 else other
-        most = _LARGEST * max(links[i], link)
-        radius[i] = np.clip(_CLEAR * housing, _SMALLEST * links[i], most)
-    return Sizes(link, radius, _AXES * radius, _loads(model, data, tree, link))
-
-
-def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Array) -> Array:
-    """Returns every joint's distance to the farther of its neighbours in the tree, (n,), m.
-
-    Joints that coincide, as in a wrist or a hip, count as one.
-    """
-    extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
-    row = {int(body): i for i, body in enumerate(model.jnt_bodyid[tree.joints])}
-    before = np.full(len(anchors), -1)  # the parent joint of each
-    for i, body in enumerate(model.jnt_bodyid[tree.joints]):
-        at = int(body)
-        while at and before[i] < 0:
-            at = int(model.body_parentid[at])
-            k = row.get(at, -1)
-            if k >= 0 and np.linalg.norm(anchors[i] - anchors[k]) > _AT_ONE_PLACE * extent:
-                before[i] = k
-    links = np.zeros(len(anchors))
-    for i in (before >= 0).nonzero()[0].tolist():
-        step = float(np.linalg.norm(anchors[i] - anchors[before[i]]))
-        links[i], links[before[i]] = max(links[i], step), max(links[before[i]], step)
-    for i in range(len(anchors)):  # coinciding joints share the longest
-        beside = np.linalg.norm(anchors - anchors[i], axis=1) <= _AT_ONE_PLACE * extent
-        links[i] = max(links[i], float(links[beside].max()))
-    known = links > 0
-    links[~known] = np.median(links[known]) if known.any() else extent / 2 or 0.2
-    return links
-
-
-def _housing_radius(points: Array, axis: Array, slab: float) -> float:
-    """Returns the radius of a body about an axis on most sides; links extend on one or two, m.
-
-    Args:
-        points: of its surface, relative to the joint's anchor, (k, 3), m.
-        axis: unit vector (3,).
-        slab: half the length along the axis in which points count, m.
-    """
-    along = points @ axis
-    across = points - along[:, None] * axis
-    near = np.abs(along) <= slab
-    if not near.any():
-        return 0.0
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side /= np.linalg.norm(side)
-    angle = np.arctan2(across[near] @ np.cross(axis, side), across[near] @ side)
-    sector = np.floor((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
-    reach = np.zeros(_SECTORS)
-    np.maximum.at(reach, sector, np.linalg.norm(across[near], axis=1))
-    if not reach.any():
-        return 0.0
-    return float(np.median(reach)) or float(reach[reach > 0].min())
-
-
-def _loads(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, link: float) -> Array:
-    bodies = model.jnt_bodyid[tree.joints]
-    mass = model.body_subtreemass[bodies]
-    lever = np.linalg.norm(data.subtree_com[bodies] - data.xanchor[tree.joints], axis=1)
-    hinge = model.jnt_type[tree.joints] == mujoco.mjtJoint.mjJNT_HINGE
-    load = GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
-    for kind in (hinge, ~hinge):
-        if kind.any():
-            load[kind] = np.maximum(load[kind], _LEAST_SHARE * load[kind].max())
-    return np.asarray(np.maximum(load, 1e-9))
-
-
-def _surface(model: mujoco.MjModel, data: mujoco.MjData, bodies: Ints) -> tuple[Array, Ints]:
-    """Returns points on the visible geoms of bodies (k, 3), m, and the body of each, (k,)."""
-    mine = np.isin(model.geom_bodyid, bodies)
-    shown = mine & (model.geom_group < _SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0)
-    points, owners = [np.empty((0, 3))], [np.empty(0, np.intp)]
-    for geom in (shown if shown.any() else mine).nonzero()[0]:
-        local = _geom_points(model, int(geom))
-        points.append(data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T)
-        owners.append(np.full(len(local), model.geom_bodyid[geom], np.intp))
-    return np.concatenate(points), np.concatenate(owners)
-
-
-def _geom_points(model: mujoco.MjModel, geom: int) -> Array:
-    """Returns points on the surface of a geom in its own frame, (k, 3), m."""
-    kind, size = _TYPES(int(model.geom_type[geom])), np.array(model.geom_size[geom])
-    if kind == _TYPES.mjGEOM_MESH:
-        mesh = int(model.geom_dataid[geom])
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        step = max(count // _MOST_POINTS, 1)
-        return np.array(model.mesh_vert[first : first + count : step], np.float64)
-    ring = _RING
-    if kind in (_TYPES.mjGEOM_SPHERE, _TYPES.mjGEOM_ELLIPSOID):
-        return _ball(np.full(3, size[0]) if kind == _TYPES.mjGEOM_SPHERE else size)
-    if kind in (_TYPES.mjGEOM_CAPSULE, _TYPES.mjGEOM_CYLINDER, _TYPES.mjGEOM_BOX):
-        if kind == _TYPES.mjGEOM_BOX:  # the ring projected onto a rectangle
-            ring = ring / np.abs(ring).max(axis=1, keepdims=True) * [size[0], size[1], 1.0]
-            half = size[2]
-        else:
-            ring, half = ring * size[0], size[1]
-        heights = np.linspace(-half, half, 15)[:, None, None]
-        points = (ring + heights * [0.0, 0.0, 1.0]).reshape(-1, 3)
-        if kind == _TYPES.mjGEOM_CAPSULE:
-            ends = _ball(np.full(3, size[0]))
-            points = np.concatenate([points, ends + np.sign(ends[:, 2:]) * [0.0, 0.0, half]])
-        return np.asarray(points)
-    return np.empty((0, 3))  # planes and height fields are not part of a robot
-
-
-def _ball(radii: Array) -> Array:
-    """Returns points on an ellipsoid, (k, 3)."""
-    polar = np.linspace(0.0, np.pi, 13)[:, None, None]
-    return np.asarray(
-        ((np.sin(polar) * _RING + np.cos(polar) * [0.0, 0.0, 1.0]) * radii).reshape(-1, 3)
-    )

@@ -27,12 +27,15 @@ from ..frames import Array, Bools, Ints
 from ._found_robot import FoundPart, found_part, list_found_frames
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import find_trees
+from ._surfaces import geom_boxes, is_shown
 
 log = logging.getLogger(__name__)
 
 
 _FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
 _MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation for a model without a view
+# Largest gap and size of things beside robots that belong in the picture, over the robots' size.
+_BESIDE, _SMALL = 1.0, 2.0
 _EMPTY = np.empty(0, np.intp)
 
 
@@ -83,10 +86,10 @@ class ModelWorld(WorldView):
     ) -> None:
         self.model, self.data, self.not_finite = model, data, 0
         self.placed = {}
-        trees = find_trees(model)
+        overrides = dict(robots or {})
+        trees = find_trees(model, overrides)
         if not trees:
             raise DeclarationError([Problem("model", _no_joints(model))])
-        overrides = dict(robots or {})
         for robot in overrides:
             if robot not in [tree.name for tree in trees]:
                 raise UnknownName("robot", robot, [tree.name for tree in trees])
@@ -97,6 +100,7 @@ class ModelWorld(WorldView):
         for tree in trees:
             found[tree.name] = found_part(model, rest, tree, overrides.get(tree.name, {}), start)
             start += len(tree.joints)
+        self._trees = trees
         self.robots = dict(found)
         wanted = {double.name: double for double in doubles if double.of in found}
         named, places = list_found_frames(model, found, wanted, frames)
@@ -214,10 +218,25 @@ class ModelWorld(WorldView):
         ]
 
     def geoms_in_view(self) -> Bools:
-        """Returns the geoms of its robots, (ngeom,) bool: the surroundings may be large."""
-        bases = [part.bodies[0] for part in self.robots.values()]
-        of_robots = np.isin(self.model.body_rootid[self.model.geom_bodyid], bases)
-        return np.asarray(of_robots & (self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
+        """Returns the geoms of its robots and of movable things beside them, (ngeom,) bool.
+
+        Fixed surroundings may be large, and do not count.
+        """
+        model = self.model
+        bodies = np.concatenate([tree.bodies[tree.bodies > 0] for tree in self._trees])
+        of_robots = np.isin(model.geom_bodyid, bodies)
+        of_robots[np.concatenate([tree.trunk for tree in self._trees])] = True
+        of_robots &= model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+        if not of_robots.any():
+            return of_robots
+        low, high = geom_boxes(model, self.make_data())
+        lowest, highest = low[of_robots].min(axis=0), high[of_robots].max(axis=0)
+        size = float(np.linalg.norm(highest - lowest))
+        gap = np.maximum(np.maximum(lowest - high, low - highest), 0.0)
+        movable = model.body_weldid[model.geom_bodyid] > 0
+        beside = np.linalg.norm(gap, axis=1) <= _BESIDE * size
+        small = np.linalg.norm(high - low, axis=1) <= _SMALL * size
+        return np.asarray(of_robots | (movable & beside & small & is_shown(model)))
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
         """Sets an input; it then overrides what the model provides for it.

@@ -256,7 +256,9 @@ def overlay(
     """Finds the robots in a compiled model and returns their decor.
 
     A robot is a kinematic tree, one child of the world with its descendants, that has a hinge or
-    slide joint; it is named after the root body. Its arrows show `data.qfrc_actuator`, the
+    slide joint and, if the model has actuators, is driven by one or named in `robots`. Limbs of a
+    trunk that is fused with the world are one robot. It is named after the root body, or after the
+    model if that is a `base_link` or the like. Its arrows show `data.qfrc_actuator`, the
     actuator forces at the joints, until `ROBOT.torques` is set; `ROBOT.commanded_torques` has no
     default. Full width of an arrow is the limit of the joint or of its actuators; without one, the
     gravity load of the joint. Free and ball joints have no single axis and no arrow.
