@@ -182,6 +182,26 @@ def test_what_is_set_is_shown_until_it_is_cleared() -> None:
     assert items(drawn(overlay)) == {0, 1, 2, 3}
 
 
+def test_a_vector_of_the_whole_model_gives_every_robot_its_own() -> None:
+    model, data = compiled("""<mujoco><worldbody>
+      <body name="cube"><freejoint/><geom size=".1"/></body>
+      <body name="a" pos="1 0 0"><joint/><geom size=".1"/></body>
+      <body name="b" pos="2 0 0"><joint/><geom size=".1"/>
+        <body pos="0 0 .3"><joint/><geom size=".1"/></body></body>
+      </worldbody></mujoco>""")
+    overlay = sero_mj.overlay(model, data, doubles=[sero_mj.Double(name="goal", of="b")])
+    whole = np.arange(9.0)
+    for name, expected in (("a", [6]), ("b", [7, 8]), ("goal", [7, 8])):
+        overlay.set(f"{name}.commanded_torques", whole)
+        overlay.robot(name).torques = -whole
+        assert overlay.robot(name).commanded_torques == pytest.approx(expected)
+        assert overlay.robot(name).torques == pytest.approx(-np.array(expected))
+    with pytest.raises(ValueError, match=r"shape \(3,\); .*shape \(2,\), or .*shape \(9,\)$"):
+        overlay.set("b.torques", np.zeros(3))
+    with pytest.raises(ValueError, match="shape"):  # joint angles are not degrees of freedom
+        overlay.set("goal.joint_angles", whole)
+
+
 def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> None:
     model, data = arm()
     double = sero_mj.Double(name="goal", of="arm", joint_angles=np.array([0.5, 0, 0, 0]))

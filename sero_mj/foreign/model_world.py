@@ -244,9 +244,11 @@ class ModelWorld(WorldView):
         Args:
             data: not changed.
             target: `name.input`, e.g. `arm.torques`; see `inputs`.
-            values: (n,), (3,), or one number, SI units; or a mapping from joint names to numbers,
-                without data for the other joints. NaN and infinity mean no data: they are not
-                shown, do not move a double, and are counted in `not_finite`.
+            values: (n,), (3,), or one number, SI units. Of joint values also a vector (nv,) of
+                the model, `data.qfrc_actuator` say, of which the robot's are taken; or a mapping
+                from joint names to numbers, without data for the other joints. NaN and infinity
+                mean no data: they are not shown, do not move a double, and are counted in
+                `not_finite`.
 
         Raises:
             UnknownName: no such name, input or joint.
@@ -259,9 +261,13 @@ class ModelWorld(WorldView):
         if isinstance(values, Mapping) and item.kind in ("angles", "values"):
             values = self._by_name(name, values)
         array = to_array(values)
+        if item.kind == "values" and array.shape == (self.model.nv,):
+            array = array[self._dofs(name)]
         if array.shape != item.shape:
             found = f"shape {array.shape}" if array.size else repr(values)
             many = "1 number" if item.count == 1 else f"{item.meaning}: shape {item.shape}"
+            if item.kind == "values" and item.shape != (self.model.nv,):
+                many += f", or one per degree of freedom of the model: shape ({self.model.nv},)"
             raise ValueError(f"{target}: found {found}; expected {many}")
         bad = ~np.isfinite(array)
         if bad.any() and not isinstance(values, _ByName):
@@ -275,6 +281,11 @@ class ModelWorld(WorldView):
         self._userdata[self.slots[target]] = np.where(bad, np.nan, array).ravel()
         self._userdata[self.flags[target]] = 1.0
         self._live.discard((name, key))
+
+    def _dofs(self, owner: str) -> Ints:
+        """Returns the degrees of freedom of a robot, or of that of a double, (n,)."""
+        part: Any = self.owners[owner]
+        return np.asarray(part.of.dofs if isinstance(part, DoublePart) else part.dofs)
 
     def _by_name(self, owner: str, values: Mapping[str, Any]) -> Array:
         names = self.owners[owner].robot.names

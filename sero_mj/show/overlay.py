@@ -78,7 +78,8 @@ class Overlay:
         Args:
             target: `arm.commanded_torques`, `arm.torques`, `goal.joint_angles`, `push.vector`,
                 `arm.show_axes`, ...
-            values: of the input's shape, SI units; for joints also a mapping from joint names.
+            values: of the input's shape, SI units; for joint values also a vector of the whole
+                model, (nv,), and for joints a mapping from joint names.
 
         Raises:
             UnknownName: no such input or joint; suggests the nearest name.

@@ -17,7 +17,8 @@ from ..frames import Array
 class JointInput:
     """An attribute with one value per joint, (n,), SI units; NaN means no data.
 
-    An overlay also takes a mapping from joint names to numbers.
+    An overlay also takes a mapping from joint names to numbers and, except for joint angles, a
+    vector of its whole model, (nv,).
     """
 
     def __set_name__(self, owner: type, name: str) -> None:
