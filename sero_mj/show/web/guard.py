@@ -14,6 +14,7 @@ Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host a
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import ipaddress
@@ -29,17 +30,18 @@ from collections.abc import Callable
 from typing import Any
 
 from mujoco.studio.web import web_server
-from websockets.asyncio.server import serve
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from ...errors import RenderError
+from .compression import DEFLATE, CompressedResponses
 
 log = logging.getLogger(__name__)
 
 TOKEN_BYTES = 24
 _LONGEST_MESSAGE = 2**20  # bytes; messages with input, camera or clipboard are much shorter
-_OPEN_TIMEOUT = 10.0  # timeout of a connection's request, s
+_REQUEST_TIMEOUT = 10.0  # timeout of a connection's request, s
 _MOST_TOLD = 10  # refused requests that are logged; all are counted
 _PAGE_PATHS = ("/", "/index.html")
 _DESCRIPTORS = "/dev/fd"
@@ -50,6 +52,8 @@ _ISOLATION = {
     "Cross-Origin-Embedder-Policy": "require-corp",
 }
 _MOST_BROWSERS = 999  # for Studio's limit of 8 that look on, and the most that a page may set
+# States on the way to a browser, for Studio's 8: fewer, so that a slow link does not lag behind.
+_MOST_STATES = 4
 _FRAMES_OF = "vscode-webview: " + " ".join(  # notebooks embed the page in a frame
     f"{scheme}://{name}:*" for name in ("localhost", "127.0.0.1") for scheme in ("http", "https")
 )
@@ -216,7 +220,7 @@ def _token_of(query: str) -> str:
 
 
 class GuardedRun:
-    """Runs Studio's server with a guard that checks every connection.
+    """Runs Studio's server with a guard that checks every connection, and compresses what it sends.
 
     Studio has no option for additional request handlers. So its server function runs in a
     namespace whose `serve` calls the guard first; Studio itself is not changed. If another version
@@ -228,6 +232,7 @@ class GuardedRun:
 
     def __init__(self, guard: Guard) -> None:
         self._guard = guard
+        self._compressed = CompressedResponses()
         self._is_guarded = threading.Event()
         self._error: OSError | None = None
 
@@ -239,6 +244,7 @@ class GuardedRun:
             "serve": self._serve,
             "_MAX_SPECTATORS_DEFAULT": _MOST_BROWSERS,
             "_MAX_SPECTATOR_HARD_CAP": _MOST_BROWSERS,
+            "_STATE_MAX_IN_FLIGHT": _MOST_STATES,
         }
         run = types.FunctionType(
             theirs.__code__, namespace, theirs.__name__, theirs.__defaults__, theirs.__closure__
@@ -277,17 +283,37 @@ class GuardedRun:
         ) -> Response | None:
             other = tell(connection, request, response)
             self._guard.set_security_headers(request, other or response)
+            self._compressed.compress(request, other or response)
             return other
 
         options |= {
             "process_request": process_request,
             "process_response": process_response,
             "max_size": _LONGEST_MESSAGE,
-            "open_timeout": _OPEN_TIMEOUT,
+            "create_connection": PatientConnection,
+            "open_timeout": None,
+            "extensions": [DEFLATE],
         }
         options["sock"].listen()  # now listening: connections are queued, not refused
         self._is_guarded.set()
         return serve(handler, **options)
+
+
+class PatientConnection(ServerConnection):
+    """A connection that may take any time to receive the response, but not to send its request.
+
+    `open_timeout` of `serve` includes both, so that pages were cut off on links that are too slow
+    for a file within that time.
+    """
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begins to wait for the request."""
+        super().connection_made(transport)
+        self.loop.call_later(_REQUEST_TIMEOUT, self._end_without_request)
+
+    def _end_without_request(self) -> None:
+        if self.request is None:
+            self.transport.abort()
 
 
 class SameProcessSocket(socket.socket):
