@@ -181,6 +181,7 @@ def test_movable_things_beside_a_robot_are_in_the_view_and_surroundings_are_not(
       <body name="far" pos="3 0 1"><freejoint/><geom size=".05"/></body>
       <body name="gate" pos=".3 0 1"><joint/><geom type="box" size="2 .01 2"/></body>
       <body name="table" pos=".3 0 .5"><geom type="box" size=".1 .1 .1"/></body>
+      <body name="goal" pos=".3 0 1" mocap="true"><geom size=".05"/></body>
       <body name="hidden" pos=".3 0 1"><joint/><geom size=".05" group="4"/></body>
       <geom name="wall" type="box" pos=".3 0 1" size=".1 .1 .1"/>
       </worldbody><actuator><motor joint="arm"/></actuator></mujoco>""")

@@ -189,6 +189,69 @@ def test_a_path_is_a_row_of_doubles() -> None:
         assert difference(shown, overlay.image(320, 240)) > 0.3
 
 
+BARE = """<mujoco><visual><headlight active="{headlight}"/></visual><asset>{sky}</asset>
+  <worldbody>{more}<camera name="front" pos="0 -2 {height}" xyaxes="1 0 0 0 0 1"/>
+    <body name="rod" pos="0 0 {height}"><joint axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".1" rgba=".8 .8 .8 1"/></body>
+  </worldbody></mujoco>"""
+SKY = '<texture type="skybox" builtin="flat" rgb1="1 0 0" width="8" height="48"/>'
+
+
+def bare(height: float = 1.0, more: str = "", sky: str = "", headlight: int = 1) -> mujoco.MjModel:
+    xml = BARE.format(height=height, more=more, sky=sky, headlight=headlight)
+    return mujoco.MjModel.from_xml_string(xml)
+
+
+@pytest.mark.parametrize("camera", [None, "front"])
+def test_a_bare_model_is_lit_on_a_floor_below_a_sky(camera: str | None) -> None:
+    for headlight in (1, 0):
+        model = bare(headlight=headlight)
+        with sero_mj.overlay(model) as shown:
+            picture = shown.image(160, 120, camera)
+            sky, rod, floor = picture[3, 20], picture[60, 80], picture[-1, -20]
+            assert sky.min() > 150 and rod.min() > 120 and floor.min() > 120
+            assert sky[2] > sky[0] and int(np.ptp(floor)) < 20
+            assert shown.pick(155, 118) is None
+        with sero_mj.overlay(model, surroundings=False) as plain:
+            picture = plain.image(160, 120, camera)
+            assert picture[3, 20].max() == picture[-1, -20].max() == 0
+
+
+def test_surroundings_take_nothing_from_the_model_and_change_nothing() -> None:
+    model = bare(more='<light pos="0 0 9"/><geom type="plane" size="1 1 1"/>', sky=SKY)
+    assert sero_mj.overlay(model).world.surroundings() is None
+    own = sero_mj.overlay(bare(more='<light pos="0 0 9"/>', sky=SKY)).world.surroundings()
+    assert own is not None and (own.ngeom, own.nlight, own.vis.headlight.active) == (1, 0, 0)
+    own = sero_mj.overlay(bare(more='<geom type="plane" size="1 1 1"/>')).world.surroundings()
+    assert own is not None and (own.ngeom, own.nlight) == (0, 1)
+    model = bare(sky=SKY)
+    with sero_mj.overlay(model) as shown:
+        before = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+        after = before.copy()
+        mujoco.mj_saveModel(model, None, before)
+        red = shown.image(160, 120)[2, 20]
+        mujoco.mj_saveModel(model, None, after)
+    assert red[0] > 200 and red[1] < 50
+    assert np.array_equal(before, after)
+
+
+def test_the_floor_is_below_what_hangs_lower() -> None:
+    for height, expected in ((3.0, 0.0), (0.6, 0.0), (0.0, -0.6), (-2.0, -2.6)):
+        own = sero_mj.overlay(bare(height)).world.surroundings()
+        assert own is not None and own.geom_pos[0, 2] == pytest.approx(expected, abs=0.01)
+
+
+def test_pictures_of_several_models_do_not_disturb_each_other() -> None:
+    one, other = sero_mj.overlay(bare()), sero_mj.overlay(arm()[0])
+    first, second = one.image(160, 120), other.image(160, 120)
+    assert difference(first, one.image(160, 120)) == 0.0
+    one.close()
+    assert difference(second, other.image(160, 120)) == 0.0
+    assert difference(first, one.image(160, 120)) == 0.0
+    one.close()
+    other.close()
+
+
 def test_the_users_model_is_as_it_was_after_pictures(overlay: Any) -> None:
     model = overlay.model
     before = model.vis.global_.offwidth, model.vis.global_.offheight

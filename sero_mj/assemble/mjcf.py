@@ -25,12 +25,15 @@ from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .scene import Scene
 from .shapes import SHELL, generate_shapes
-from .surroundings import PALETTES, Object, Palette
+from .surroundings import PALETTES, Look, Object, Palette
 
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
 # Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
 _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+_KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
+_TILE = 0.25  # edge of a tile of the floor, m
+_SCENE_SIZE = 1.25  # of a robot for which position and edge are made, m
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
 # A double is slightly smaller than its robot, so that its surface is inside the robot's where
 # they nearly coincide: no flicker (z-fighting).
@@ -202,19 +205,13 @@ def _add_geoms(body: Any, geoms: list[dict[str, Any]]) -> None:
 def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> None:
     visual = root.visual
     palette = PALETTES[scene.view.look]
-    ambient, diffuse = palette.headlight
-    visual.headlight.ambient, visual.headlight.diffuse = [ambient] * 3, [diffuse] * 3
+    _add_headlight(root, palette)
     visual.rgba.haze = [*palette.haze, 1]
-    visual.headlight.specular = [0.05] * 3
     visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
     visual.quality.numslices, visual.quality.numstacks = 24, 10
     visual.quality.numquads = 1  # boxes of 12 triangles: arrows have hundreds of them
     visual.map.znear, visual.map.zfar = 0.01, 50.0
-    root.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=palette.sky[0], rgb2=palette.sky[1], width=64, height=384,
-    )  # fmt: skip
+    _add_sky(root, palette)
     if scene.floor:
         _add_floor(root, palette)
     for name, light in scene.lights.items():
@@ -227,10 +224,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
         # MuJoCo's shadows have dark specks in them far from the axis of a light.
         bases = [robot.base_frame[:3, 3] for robot in scene.robots.values()]
         middle = np.mean(bases, axis=0) if bases else np.zeros(3)
-        root.worldbody.add_light(
-            name="key", pos=np.add(middle, [1.5, -1.5, 4]), dir=[-0.35, 0.4, -1], type=_DIRECTIONAL,
-            diffuse=[palette.key] * 3, specular=[0.2] * 3, castshadow=True,
-        )  # fmt: skip
+        _add_key_light(root, palette, middle + _KEY_LIGHT)
     for name, camera in scene.cameras.items():
         body = root.worldbody
         if name in moved:
@@ -243,18 +237,82 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
         )  # fmt: skip
 
 
-def _add_floor(root: mujoco.MjSpec, palette: Palette) -> None:
+def build_surroundings(
+    look: Look,
+    *,
+    floor: float | None,
+    sky: bool,
+    lights: bool,
+    middle: Array,
+    size: float,
+) -> mujoco.MjSpec:
+    """Returns surroundings as those of scenes, without robots.
+
+    Args:
+        look: colour theme.
+        floor: its height, m; None for no floor.
+        sky: whether there is a sky.
+        lights: whether there are lights.
+        middle: of what is lit, (3,), m.
+        size: of that, m.
+    """
+    root = mujoco.MjSpec()
+    palette = PALETTES[look]
+    root.visual.headlight.active = int(lights)
+    root.visual.rgba.haze = [*palette.haze, 1]
+    if lights:
+        _add_headlight(root, palette)
+        _add_key_light(root, palette, middle + size / _SCENE_SIZE * _KEY_LIGHT)
+    if sky:
+        _add_sky(root, palette)
+    if floor is not None:
+        _add_floor(root, palette, floor, _round_number(size / _SCENE_SIZE * _TILE))
+    return root
+
+
+def _round_number(value: float) -> float:
+    """Returns the largest of 1, 2 and 5 times a power of ten up to a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)))
+
+
+def _add_headlight(root: mujoco.MjSpec, palette: Palette) -> None:
+    headlight = root.visual.headlight
+    ambient, diffuse = palette.headlight
+    headlight.ambient, headlight.diffuse = [ambient] * 3, [diffuse] * 3
+    headlight.specular = [0.05] * 3
+
+
+def _add_key_light(root: mujoco.MjSpec, palette: Palette, at: Array) -> None:
+    root.worldbody.add_light(
+        name="key", pos=at, dir=[-0.35, 0.4, -1], type=_DIRECTIONAL,
+        diffuse=[palette.key] * 3, specular=[0.2] * 3, castshadow=True,
+    )  # fmt: skip
+
+
+def _add_sky(root: mujoco.MjSpec, palette: Palette) -> None:
+    root.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=palette.sky[0], rgb2=palette.sky[1], width=64, height=384,
+    )  # fmt: skip
+
+
+def _add_floor(
+    root: mujoco.MjSpec, palette: Palette, height: float = 0.0, tile: float = _TILE
+) -> None:
     root.add_texture(
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, mark=mujoco.mjtMark.mjMARK_EDGE,
         rgb1=palette.tiles[0], rgb2=palette.tiles[1], markrgb=palette.tiles[2],
         width=256, height=256,
     )  # fmt: skip
-    floor = root.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
+    floor = root.add_material(name="floor", texrepeat=[0.5 / tile] * 2, texuniform=True)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     # A floor that casts shadows is speckled by its own shadow map.
     root.worldbody.add_geom(
-        name="floor", type=geom_type("plane"), size=[0, 0, 0.05], material="floor",
+        name="floor", type=geom_type("plane"), pos=[0, 0, height], size=[0, 0, 0.05],
+        material="floor",
         group=OBJECT_GROUP, castshadow=False,
     )  # fmt: skip
 

@@ -73,6 +73,10 @@ class WorldView(Protocol):
     def geoms_in_view(self) -> Bools:
         """Returns the geoms that a view of the whole scene includes, (ngeom,) bool."""
 
+    def surroundings(self) -> mujoco.MjModel | None:
+        """Returns a model of the floor, sky and lights that hosts add; None for none."""
+        return None
+
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
         """Sets an input.
 

@@ -17,6 +17,7 @@ import numpy as np
 from ..assemble.cartesian import NamedFrame, SmartArrow
 from ..assemble.double import Double
 from ..assemble.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
+from ..assemble.mjcf import build_surroundings
 from ..assemble.parts import DoublePart, DrawnDouble, make_tables
 from ..assemble.robot_parts import VALUE_INPUTS
 from ..assemble.scene import Scene, SceneToggles
@@ -36,6 +37,7 @@ _FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # inp
 _MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation for a model without a view
 # Largest gap and size of things beside robots that belong in the picture, over the robots' size.
 _BESIDE, _SMALL = 1.0, 2.0
+_FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _EMPTY = np.empty(0, np.intp)
 
 
@@ -62,6 +64,7 @@ class ModelWorld(WorldView):
         arrows: Cartesian vectors.
         frames: bodies and sites whose axes are shown, in addition to those of robots.
         toggles: initial toggles of the whole scene.
+        surroundings: whether hosts add the floor, sky and lights that the model lacks.
         name: in titles.
 
     Attributes:
@@ -82,8 +85,10 @@ class ModelWorld(WorldView):
         arrows: Sequence[SmartArrow] = (),
         frames: Sequence[str] = (),
         toggles: SceneToggles | None = None,
+        surroundings: bool = True,
         name: str = "overlay",
     ) -> None:
+        self._has_surroundings = surroundings
         self.model, self.data, self.not_finite = model, data, 0
         self.placed = {}
         overrides = dict(robots or {})
@@ -233,10 +238,34 @@ class ModelWorld(WorldView):
         lowest, highest = low[of_robots].min(axis=0), high[of_robots].max(axis=0)
         size = float(np.linalg.norm(highest - lowest))
         gap = np.maximum(np.maximum(lowest - high, low - highest), 0.0)
-        movable = model.body_weldid[model.geom_bodyid] > 0
+        movable = model.body_dofnum[model.body_weldid[model.geom_bodyid]] > 0
         beside = np.linalg.norm(gap, axis=1) <= _BESIDE * size
         small = np.linalg.norm(high - low, axis=1) <= _SMALL * size
         return np.asarray(of_robots | (movable & beside & small & is_shown(model)))
+
+    def surroundings(self) -> mujoco.MjModel | None:
+        """Returns a model of the floor, sky and lights that the user's model lacks, if any.
+
+        The floor is at height 0, or below robots that hang lower.
+        """
+        model = self.model
+        has_floor = np.isin(model.geom_type, _FLOORS).any()
+        has_sky = (model.tex_type == int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)).any()
+        if not self._has_surroundings or (has_floor and has_sky and model.nlight):
+            return None
+        seen = self.geoms_in_view()
+        low, high = (corner[seen] for corner in geom_boxes(model, self.make_data()))
+        if not seen.any():
+            low = high = np.zeros((1, 3))
+        lowest, highest = low.min(axis=0), high.max(axis=0)
+        return build_surroundings(
+            self.scene.view.look,
+            floor=None if has_floor else min(float(lowest[2]), 0.0),
+            sky=not has_sky,
+            lights=not model.nlight,
+            middle=(lowest + highest) / 2,
+            size=float(np.linalg.norm(highest - lowest)) or float(model.stat.extent),
+        ).compile()
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
         """Sets an input; it then overrides what the model provides for it.

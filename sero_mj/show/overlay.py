@@ -252,6 +252,7 @@ def overlay(
     arrows: Sequence[SmartArrow] = (),
     frames: Sequence[str] = (),
     toggles: SceneToggles | None = None,
+    surroundings: bool = True,
     name: str = "overlay",
 ) -> Overlay:
     """Finds the robots in a compiled model and returns their decor.
@@ -274,6 +275,8 @@ def overlay(
         arrows: Cartesian vectors at frames (`arm/hand`).
         frames: other bodies and sites whose axes are shown.
         toggles: initial toggles of the whole scene.
+        surroundings: whether `image` and windows show a floor, a sky and lights where the model
+            has none; what you draw with a renderer of your own, and a page, has those of the model.
         name: in the window's title.
 
     Raises:
@@ -298,6 +301,7 @@ def overlay(
             arrows=arrows,
             frames=frames,
             toggles=toggles,
+            surroundings=surroundings,
             name=name,
         )
     )

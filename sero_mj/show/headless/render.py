@@ -31,6 +31,7 @@ from ..camera import find_camera
 from ..interaction import Gesture
 from ..picking import TOUCH_TOLERANCE, Picked
 from ..scene_decor import SceneDecor
+from ..surroundings import surroundings_of
 from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
@@ -112,6 +113,8 @@ class HeadlessRenderer:
         self.size = (width, height)
         self.decor = SceneDecor(world, with_text=False)
         self._renderer = _make_renderer(world, width, height)
+        # A new renderer's OpenGL context is the current one.
+        self._surroundings = surroundings_of(world, self._renderer._mjr_context)
         self._typesetter = Typesetter(line_height(world, height))
 
     @property
@@ -141,6 +144,8 @@ class HeadlessRenderer:
     def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
+        if self._surroundings is not None:
+            self._surroundings.add(renderer.scene)
         return PictureView.of_scene(renderer.scene, *self.size, self._typesetter.font)
 
     def pick(

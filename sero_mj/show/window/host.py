@@ -26,6 +26,7 @@ from ..live import LiveHost
 from ..picking import Pixel
 from ..scene_decor import SceneDecor
 from ..status_line import Piece, status_pieces
+from ..surroundings import surroundings_of
 from ..typesetting import Typesetter
 from .capture import Capture
 from .glfw_window import GlWindow
@@ -41,13 +42,15 @@ class Viewport(SceneDecor):
     Args:
         world: the compiled scene.
         toggles: what is shown.
+        context: of the window, current.
 
     Attributes:
         rect: of the last picture in the window.
     """
 
-    def __init__(self, world: WorldView, toggles: Toggles) -> None:
+    def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
         super().__init__(world, toggles, with_text=False)
+        self._surroundings = surroundings_of(world, context)
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
         self._option = mujoco.MjvOption()
@@ -72,6 +75,8 @@ class Viewport(SceneDecor):
         mujoco.mjv_updateScene(
             self.world.model, data, self._option, None, camera, everything, scene
         )
+        if self._surroundings is not None:
+            self._surroundings.add(scene)
         self.rect, self._typesetter = rect, typesetter
         view = PictureView.of_scene(scene, rect.width, rect.height, typesetter.font)
         self.draw(data, view, scene)
@@ -135,7 +140,7 @@ class Window(LiveHost):
         self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
-        self.decor = Viewport(world, self.toggles)
+        self.decor = Viewport(world, self.toggles, self.gl.context)
         self._hud = Hud(self.gl)
         self._mouse = Mouse()
         self._actions |= {
