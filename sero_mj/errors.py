@@ -20,7 +20,7 @@ that every place that meets the same fault says the same sentence.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
@@ -48,7 +48,20 @@ def did_you_mean(name: str, available: Iterable[str]) -> str:
 
 
 class SeroError(Exception):
-    """Base of every error that sero-mj raises on purpose."""
+    """Base of every error that sero-mj raises on purpose; it can be pickled."""
+
+    def __reduce__(self) -> tuple[Callable[..., SeroError], tuple[object, ...]]:
+        """Returns what makes it anew from its text: each kind takes other arguments."""
+        return _made_again, (type(self), self.args, self.__dict__)
+
+
+def _made_again(
+    kind: type[SeroError], args: tuple[object, ...], attributes: dict[str, object]
+) -> SeroError:
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(attributes)
+    return error
 
 
 @dataclass(frozen=True)

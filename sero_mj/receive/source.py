@@ -169,6 +169,11 @@ class Source(Declaration):
             raise ValueError(f"'{event}' has {found} numbers; expected one, as in {event}:1I")
         return event
 
+    def __reduce__(self) -> tuple[Callable[..., Source], tuple[type[Source], dict[str, Any]]]:
+        """Pickles what is declared, and nothing of what it has received or opened."""
+        fields = {key: self.__dict__[key] for key in type(self).model_fields}
+        return _declared_again, (type(self), fields)
+
     @cached_property
     def layout(self) -> Structure:
         """The decoder."""
@@ -509,6 +514,10 @@ def age(packet: Packet | None, now: float) -> float:
     Infinite without a packet, 0 when it came after `now`.
     """
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
+
+
+def _declared_again(kind: type[Source], fields: Mapping[str, Any]) -> Source:
+    return kind(**fields)
 
 
 def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:

@@ -61,6 +61,14 @@ class RunSource(Source):
     _shown: int = PrivateAttr(-1)
     _error: SimulationError | None = PrivateAttr(None)
 
+    def __reduce__(self) -> Any:
+        """Pickles what is declared; of a run that is over its rows."""
+        make, (kind, fields) = super().__reduce__()
+        run = self.run
+        if run.step >= len(run.rows) - 1:
+            fields = {**fields, "run": FinishedRun(run.about, run.structure, run.rows)}
+        return make, (kind, fields)
+
     @cached_property
     def layout(self) -> Structure:
         """The decoder."""

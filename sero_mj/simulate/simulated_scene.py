@@ -46,6 +46,7 @@ def with_routes(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
     """
     scene = copy.copy(scenario.scene)
     scene.sources = {SOURCE: source, **scene.sources}
+    scene.robots = dict(scene.robots)
     scene.doubles, scene.arrows = dict(scene.doubles), dict(scene.arrows)
     routes = {}
     for name, robot in scene.robots.items():

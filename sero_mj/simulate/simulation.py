@@ -88,6 +88,10 @@ class Simulation:
             "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
         )
 
+    def __reduce__(self) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int]]:
+        """Pickles what is run, so that it runs anew, to the same log, where it is unpickled."""
+        return _begun_again, (self.scenario, self._start, self.plant.sensors.seed)
+
     def restart(self, joint_angles: Array, seed: int) -> None:
         """Begins anew with other joint angles and noise; what was changed about the plant stays.
 
@@ -101,7 +105,7 @@ class Simulation:
 
     def _begin(self, start: Array) -> None:
         """Makes a new log, and controllers that remember nothing, for a plant that is at rest."""
-        self.step = 0
+        self.step, self._start = 0, start
         run = self.scenario.run
         times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         parts, targets = self.plant.world.robots, self.scenario.targets
@@ -268,6 +272,13 @@ class Simulation:
             expect.judge(name, log, findings, self.scenario)
             for name, expect in self.scenario.expect.items()
         ]
+
+
+def _begun_again(scenario: Scenario, start: Array, seed: int) -> Simulation:
+    simulation = Simulation(scenario, seed)
+    if not np.array_equal(start, simulation._start):
+        simulation.restart(start, seed)
+    return simulation
 
 
 class ControlledRobot:
