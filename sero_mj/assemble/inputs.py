@@ -149,7 +149,8 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
 def to_array(values: Any) -> Array:
     """Returns the values of an input as an array (k,) or more; empty where they are no numbers."""
     try:
-        return np.atleast_1d(np.asarray(values, dtype=np.float64))
+        array = np.asarray(values, dtype=np.float64)
+        return array if array.ndim else array[None]
     except (TypeError, ValueError):
         return np.empty(0)
 

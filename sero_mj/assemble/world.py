@@ -141,20 +141,24 @@ class World(WorldView):
         """
         item = self.resolve_input(target)
         array = to_array(values)
-        is_fit = np.isfinite(array).all() or item.kind in BLANKABLE
-        if array.shape != item.shape or not is_fit:
+        finite = np.isfinite(array)
+        is_finite = finite.all()
+        if array.shape != item.shape or not (is_finite or item.kind in BLANKABLE):
             found = array.tolist() if array.size else values
             many = "1 finite number" if item.count == 1 else f"{item.count} finite numbers"
             raise ValueError(f"{target}: found {found}; expected {many}")
+        if not is_finite:
+            array = np.where(finite, array, np.nan)
         if item.shape == (4, 4):
             array = to_frame(target, array)
+        userdata = data.userdata
         if item.kind == "pose":
             self.set_pose(data, item.name, array)
         elif item.kind == "angles" and item.name in self.robots:
             data.qpos[self.robots[item.name].qpos] = array
         else:
-            data.userdata[self.slots[target]] = np.where(np.isfinite(array), array, np.nan).ravel()
-        data.userdata[self.flags[target]] = 1.0
+            userdata[self.slots[target]] = array.ravel()
+        userdata[self.flags[target]] = 1.0
 
     def export(self, path: Path) -> list[Path]:
         """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
