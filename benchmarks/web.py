@@ -1,4 +1,4 @@
-"""Measures the web page: our own work per frame, what goes to a browser, and how soon it shows.
+"""Measures the web page: our own work per frame, what goes to a browser, what it costs a loop.
 
     .venv/bin/python benchmarks/web.py
 
@@ -19,8 +19,10 @@ from typing import Any
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 import numpy as np
+from window import loop_scene, measure_loop
 from worlds import WORLDS, make_world
 
+import sero_mj
 from sero_mj import Mirror
 from sero_mj.show.web.host import WebHost
 
@@ -74,6 +76,19 @@ def serve(joints: int) -> None:
         print(json.dumps(found), flush=True)
 
 
+def measure_viewer(browser: Any) -> None:
+    """Prints what a page costs a loop of the user's own while a browser shows it."""
+    with sero_mj.view(loop_scene(), web=True) as viewer:
+        page = browser.new_page(viewport={"width": 480, "height": 320})
+        said: list[str] = []
+        page.on("console", lambda message: said.append(message.text))
+        page.goto(viewer.url)
+        while not any("First remote draw frame applied" in line for line in said):
+            page.wait_for_timeout(20)
+        print(measure_loop(viewer), flush=True)
+        page.close()
+
+
 def measure(browser: Any, joints: int) -> None:
     """Prints what a page costs."""
     server = subprocess.Popen(
@@ -110,6 +125,7 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=chromium, args=_ARGUMENTS)
         for joints in WORLDS:
             measure(browser, joints)
+        measure_viewer(browser)
         browser.close()
 
 
