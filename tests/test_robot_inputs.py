@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -14,6 +15,17 @@ from sero_mj import Double, Scene, SerialRobot, World
 from sero_mj.decor.quantities import joint_values
 from sero_mj.errors import UnknownName
 from sero_mj.show.robot_inputs import RobotInputs
+
+
+@dataclass
+class Holder:
+    """A viewer or an overlay, in so far as it has inputs."""
+
+    world: World
+    data: mujoco.MjData
+
+    def set(self, target: str, values: Any) -> None:
+        self.world.set_input(self.data, target, values)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +50,7 @@ def test_what_is_set_is_what_set_input_sets_and_can_be_read(
 ) -> None:
     by_attribute, by_name = world.make_data(), world.make_data()
     values = np.linspace(-0.7, 0.9, 7)
-    robot = RobotInputs(world, by_attribute, name)
+    robot = RobotInputs(Holder(world, by_attribute), name)
     setattr(robot, key, values.tolist())
     world.set_input(by_name, f"{name}.{key}", values)
     assert (by_attribute.userdata == by_name.userdata).all()
@@ -50,14 +62,14 @@ def test_what_is_set_is_what_set_input_sets_and_can_be_read(
 
 
 def test_before_anything_is_set_there_are_no_torques_and_declared_angles(world: World) -> None:
-    robot = RobotInputs(world, world.make_data(), "lwr")
+    robot = RobotInputs(Holder(world, world.make_data()), "lwr")
     assert np.isnan(robot.torques).all()
     assert robot.joint_angles.tolist() == world.scene.robots["lwr"].home.tolist()
 
 
 def test_other_inputs_of_a_robot_are_set_by_name_or_as_attributes(world: World) -> None:
     data = world.make_data()
-    robot = RobotInputs(world, data, "lwr")
+    robot = RobotInputs(Holder(world, data), "lwr")
     robot.temperatures = np.arange(30.0, 37.0)  # type: ignore[attr-defined]
     assert joint_values(world, data)["temperatures"][:7].tolist() == [*range(30, 37)]
     robot.set("base_frame", np.diag([-1.0, -1.0, 1.0, 1.0]))
@@ -65,11 +77,11 @@ def test_other_inputs_of_a_robot_are_set_by_name_or_as_attributes(world: World) 
 
 
 def test_mistyped_names_are_refused_with_the_nearest(world: World, overlay: Any) -> None:
-    robot = RobotInputs(world, world.make_data(), "lwr")
+    robot = RobotInputs(Holder(world, world.make_data()), "lwr")
     with pytest.raises(UnknownName, match="no input of lwr 'torqes'; did you mean 'torques'"):
         robot.torqes = np.zeros(7)  # type: ignore[attr-defined]
     with pytest.raises(UnknownName, match="no robot 'lrw'; did you mean 'lwr'"):
-        RobotInputs(world, world.make_data(), "lrw")
+        RobotInputs(Holder(world, world.make_data()), "lrw")
     with pytest.raises(UnknownName, match="no robot 'amr'; did you mean 'arm'"):
         overlay.robot("amr")
     with pytest.raises(ValueError, match=r"^lwr.torques: found \[1.0\]; expected 7 finite numbers"):

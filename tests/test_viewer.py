@@ -15,7 +15,7 @@ import pytest
 import sero_mj
 from sero_mj import Scene, SerialRobot
 from sero_mj.errors import SeroError, UsageError
-from sero_mj.show.viewer import Viewer, _mirror_of
+from sero_mj.show.viewer import Viewer, _to_show
 
 
 @pytest.mark.parametrize(
@@ -46,9 +46,10 @@ def test_a_robot_alone_is_no_scene() -> None:
 
 def test_the_look_is_of_the_picture_and_not_of_the_user_s_scene() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
-    assert _mirror_of(scene, "dark").world.scene.view.look == "dark"
+    for given in (scene, "lwr"):
+        shown = _to_show(given, "dark")
+        assert isinstance(shown, Scene) and shown.view.look == "dark"
     assert scene.view.look == "light"
-    assert _mirror_of("lwr", "dark").world.scene.view.look == "dark"
 
 
 def test_an_overlay_looks_as_its_model_does() -> None:

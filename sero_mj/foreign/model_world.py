@@ -68,7 +68,9 @@ class ModelWorld(WorldView):
         name: in titles.
 
     Attributes:
+        options: what it was made with, apart from model and data, as arguments of another one.
         not_finite: number of NaN and infinite values that were set; these are not shown.
+        changes: how often inputs were set or cleared.
 
     Raises:
         DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
@@ -89,7 +91,16 @@ class ModelWorld(WorldView):
         name: str = "overlay",
     ) -> None:
         self._has_surroundings = surroundings
-        self.model, self.data, self.not_finite = model, data, 0
+        self.model, self.data, self.not_finite, self.changes = model, data, 0, 0
+        self.options: dict[str, Any] = {
+            "robots": robots,
+            "doubles": doubles,
+            "arrows": arrows,
+            "frames": frames,
+            "toggles": toggles,
+            "surroundings": surroundings,
+            "name": name,
+        }
         self.placed = {}
         overrides = dict(robots or {})
         trees = find_trees(model, overrides)
@@ -180,7 +191,8 @@ class ModelWorld(WorldView):
 
     def _declare(self) -> None:
         """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
-        self._live = {(name, key) for name in self.robots for key in _FROM_MODEL}
+        self._providable = [(name, key) for name in self.robots for key in _FROM_MODEL]
+        self._live = set(self._providable)
         for double in self.doubles.values():
             if double.path is None:
                 self.set_declared(self.data, double.double, ("joint_angles", *VALUE_INPUTS))
@@ -310,6 +322,19 @@ class ModelWorld(WorldView):
         self._userdata[self.slots[target]] = np.where(bad, np.nan, array).ravel()
         self._userdata[self.flags[target]] = 1.0
         self._live.discard((name, key))
+        self.changes += 1
+
+    def input_state(self) -> Array:
+        """Returns the state of all inputs, (k,), for `set_input_state` of an equal world."""
+        live = [pair in self._live for pair in self._providable]
+        return np.concatenate([self._userdata, live])
+
+    def set_input_state(self, state: Array) -> None:
+        """Sets all inputs to what `input_state` returned."""
+        count = len(self._userdata)
+        self._userdata[:] = state[:count]
+        live = state[count:] > 0
+        self._live = {pair for pair, on in zip(self._providable, live, strict=True) if on}
 
     def _dofs(self, owner: str) -> Ints:
         """Returns the degrees of freedom of a robot, or of that of a double, (n,)."""
@@ -339,6 +364,7 @@ class ModelWorld(WorldView):
         self._userdata[self.flags[target]] = 0.0
         if item.name in self.robots and item.key in _FROM_MODEL:
             self._live.add((item.name, item.key))
+        self.changes += 1
 
 
 class _ByName(np.ndarray):

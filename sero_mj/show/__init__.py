@@ -2,6 +2,7 @@
 
 In: a mirror, or the user's own model and data. Out: pictures and films (`headless/`), a window
 (`window/`), a web page (`web/`); modules that they share are beside these folders.
-Open first: `viewer.py` (a live viewer in Python), `live.py` (what window and page share),
-`interaction.py` (actions of clicks and keys), `picking.py` (finds the item at a pixel).
+Open first: `viewer.py` (a live viewer in Python, drawn by the process of `viewer_main.py`),
+`live.py` (what window and page share), `interaction.py` (actions of clicks and keys),
+`picking.py` (finds the item at a pixel).
 """

@@ -93,7 +93,7 @@ class Overlay:
         Raises:
             UnknownName: no robot or double of that name; suggests the nearest one.
         """
-        return RobotInputs(self.world, self.data, name)
+        return RobotInputs(self, name)
 
     def clear(self, target: str) -> None:
         """Clears an input; torques and accelerations are then those of the model again."""

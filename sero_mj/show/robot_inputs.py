@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 from numpy.typing import ArrayLike
@@ -12,6 +12,21 @@ from ..assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..errors import UnknownName
 from ..frames import Array
+
+
+class HasInputs(Protocol):
+    """A viewer or an overlay."""
+
+    @property
+    def world(self) -> WorldView:
+        """Its robots and inputs."""
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The state of the world."""
+
+    def set(self, target: str, values: Any) -> None:
+        """Sets an input by its full name."""
 
 
 class JointInput:
@@ -27,8 +42,9 @@ class JointInput:
 
     def __get__(self, robot: RobotInputs, owner: type) -> Array:
         """Returns a copy of the current values."""
-        part = robot._world.owners[robot._name]
-        return joint_values(robot._world, robot._data)[self._key][part.joints].copy()
+        world = robot._of.world
+        part = world.owners[robot._name]
+        return joint_values(world, robot._of.data)[self._key][part.joints].copy()
 
     def __set__(self, robot: RobotInputs, values: ArrayLike | Mapping[str, float]) -> None:
         """Sets all values."""
@@ -42,8 +58,7 @@ class RobotInputs:
     set by `set`, or as attributes too.
 
     Args:
-        world: of the robot.
-        data: state of the world.
+        of: what has the robot.
         name: of the robot or double.
 
     Attributes:
@@ -57,7 +72,7 @@ class RobotInputs:
         UnknownName: no robot or double of that name; suggests the nearest one.
     """
 
-    __slots__ = ("_data", "_name", "_world")
+    __slots__ = ("_name", "_of")
 
     joint_angles = JointInput()
     torques = JointInput()
@@ -65,15 +80,14 @@ class RobotInputs:
     joint_accelerations = JointInput()
     billboard_values = JointInput()
 
-    def __init__(self, world: WorldView, data: mujoco.MjData, name: str) -> None:
-        if name not in world.owners:
-            raise UnknownName("robot", name, world.owners)
-        for slot, value in (("_world", world), ("_data", data), ("_name", name)):
-            object.__setattr__(self, slot, value)
+    def __init__(self, of: HasInputs, name: str) -> None:
+        if name not in of.world.owners:
+            raise UnknownName("robot", name, of.world.owners)
+        object.__setattr__(self, "_of", of)
+        object.__setattr__(self, "_name", name)
 
     if TYPE_CHECKING:
-        _world: WorldView
-        _data: mujoco.MjData
+        _of: HasInputs
         _name: str
     else:
 
@@ -92,4 +106,4 @@ class RobotInputs:
             UnknownName: no such input; suggests the nearest one.
             ValueError: the values do not fit the input.
         """
-        self._world.set_input(self._data, f"{self._name}.{key}", values)
+        self._of.set(f"{self._name}.{key}", values)

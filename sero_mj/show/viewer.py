@@ -1,12 +1,12 @@
-"""`view`: shows a scene in a window or on a web page from the user's own loop."""
+"""`view`: shows a scene in a window or on a web page, beside the user's own loop."""
 
 from __future__ import annotations
 
+import atexit
 import copy
-import logging
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
+from urllib.parse import urlsplit
 
 import mujoco
 
@@ -14,66 +14,83 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.surroundings import Look
 from ..assemble.world_view import WorldView
-from ..drive.mirror import LiveWorld, Mirror, Watch
+from ..drive.mirror import LiveWorld, Mirror
 from ..errors import RenderError, UsageError, did_you_mean
+from ..foreign.model_world import ModelWorld
 from ..load import load_scene
 from .headless.backend import has_display
 from .headless.film import Picture
 from .headless.render import DEFAULT_SIZE
-from .live import LiveHost, OnClick
+from .live import OnClick
 from .overlay import Overlay
 from .robot_inputs import RobotInputs
+from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
+from .viewer_process import ViewerProcess
 
 if TYPE_CHECKING:
     from .web.host import WebHost
 
-log = logging.getLogger(__name__)
+_shown: list[Viewer] = []  # those that are open, also where nobody holds them (in a notebook)
 
 
 class Viewer:
-    """A window or web page that the user's own loop updates; a context manager.
+    """A window or web page in a process of its own, which the user's loop feeds.
+
+    It is drawn by itself, whether or not the loop goes on, until it is closed, by its user or by
+    `close`, or this process ends. Can be used as a context manager.
 
     Attributes:
         world: the compiled scene.
-        data: its state; set inputs with `set` or `robot`.
-        host: the `Window` or `WebHost`, with toggles and clock.
-        url: of the page for browsers on this machine; None for a window.
         urls: all addresses of the page, including those for other machines; empty for a window.
+        url: of the page for browsers on this machine; None for a window.
     """
 
     def __init__(
-        self, mirror: LiveWorld, open_host: Callable[..., LiveHost], **options: Any
+        self, world: WorldView, process: ViewerProcess, memory: ViewerMemory, urls: list[str]
     ) -> None:
-        self.world: WorldView = mirror.world
-        self.data: mujoco.MjData = mirror.data
-        self._mirror = mirror
-        mirror.open()
-        try:
-            self.host = open_host(mirror, **options)
-        except BaseException:
-            mirror.close()
-            raise
-        self.urls: list[str] = getattr(self.host, "urls", [])
-        self.url: str | None = self.urls[0] if self.urls else None
-        self.host.frame()
+        self.world = world
+        self.urls = urls
+        self.url: str | None = urls[0] if urls else None
+        self._process, self._memory = process, memory
+        self._on_click: OnClick | None = None
+        _shown.append(self)
 
     @property
     def is_open(self) -> bool:
-        """Whether the user has not closed it."""
-        return self.host.is_open
+        """Whether it is shown: its user has not closed it, and its process lives."""
+        return self._process.is_open
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The state of the world at the last `sync`; of an overlay the user's own data.
+
+        It has what was set, and what the scene's sources have brought. Change it with `set` and
+        `robot` only. Once it is asked for, every `sync` brings it up to date, which takes some
+        50 us for every picture.
+        """
+        if not self._memory.is_read:
+            self._memory.is_read = True
+            self._memory.sync()
+        return self._memory.data
+
+    @property
+    def pictures(self) -> int:
+        """How many pictures have been shown."""
+        return self._memory.pictures
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input, as a route does.
+        """Sets an input, as a route does; the next picture shows it.
 
         Args:
-            target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`, ...
+            target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`,
+                `lwr.show_axes`, `toggles.legend`, ...
             values: of the input's shape, SI units.
 
         Raises:
             UnknownName: no such input; lists the existing ones.
             ValueError: the values do not fit the input.
         """
-        self.world.set_input(self.data, target, values)
+        self._memory.set(target, values)
 
     def robot(self, name: str) -> RobotInputs:
         """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
@@ -81,23 +98,27 @@ class Viewer:
         Raises:
             UnknownName: no robot or double of that name; suggests the nearest one.
         """
-        return RobotInputs(self.world, self.data, name)
+        return RobotInputs(self, name)
 
     def sync(self) -> bool:
-        """Shows the current state if a new frame is due, and handles mouse and keys.
+        """Hands on the state of an overlay's model, takes over what is shown, and handles clicks.
 
-        Otherwise it returns at once, so that it can be called in every cycle of a fast loop. Call
-        it on the thread that opened the viewer, at least a few times a second.
+        It takes some 10 us, so it can be called in every cycle of a fast loop, and never raises
+        because of the viewer. A viewer that is only to show what is `set` needs no call.
 
         Returns:
             whether it is still open.
         """
-        if self.host.is_due:
-            return self.host.frame(wait=False)
+        self._memory.sync()
+        clicks = self._process.clicks
+        while clicks:
+            picked, gesture = clicks.popleft()
+            if self._on_click is not None:
+                self._on_click(picked, gesture)
         return self.is_open
 
     def on_click(self, callback: OnClick) -> None:
-        """Registers `callback(picked, gesture)`, called after every click.
+        """Registers `callback(picked, gesture)`, called by `sync` for every click until then.
 
         Args:
             callback: takes the clicked item, None for the sky and the floor, and the gesture.
@@ -108,17 +129,26 @@ class Viewer:
         if not callable(callback):
             found = type(callback).__name__
             raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
-        self.host.on_click = callback
+        self._on_click = callback
 
     def picture(self) -> Picture:
-        """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
-        picture: Picture = self.host.picture().view(Picture)
+        """Returns a picture of what was set until now, without status line and messages.
+
+        Returns:
+            (height, width, 3), uint8.
+
+        Raises:
+            RenderError: it is closed, or no picture can be made.
+        """
+        self._memory.sync()
+        picture: Picture = self._process.picture().view(Picture)
         return picture
 
     def close(self) -> None:
-        """Closes the host and the sources."""
-        self.host.close()
-        self._mirror.close()
+        """Closes window or page, and the scene's sources. Without it that is done at exit."""
+        if self in _shown:
+            _shown.remove(self)
+        self._process.close()
 
     def _repr_html_(self) -> str:
         """Returns the page as an HTML frame, for notebooks; a text for a window."""
@@ -137,6 +167,12 @@ class Viewer:
         self.close()
 
 
+@atexit.register
+def _close_all() -> None:
+    for viewer in list(_shown):
+        viewer.close()
+
+
 def view(
     scene: Scene | Overlay | Path | str,
     *,
@@ -149,7 +185,7 @@ def view(
     port: int | None = None,
     token: bool = False,
 ) -> Viewer:
-    """Opens a window or a web page on a scene and returns at once.
+    """Opens a window or a web page on a scene, in a process of its own, and returns.
 
     The scene's sources are mirrored, if it has any; the caller can set all inputs:
 
@@ -157,9 +193,13 @@ def view(
             while viewer.sync():
                 viewer.robot("lwr").torques = my_torques()
 
+    It stays open without any further call, in a notebook for example. Opened again (by a cell that
+    is run again, say), it replaces the window or page that this process has on a scene of this name
+    with robots of these names; the page keeps its port.
+
     Args:
         scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
-            `overlay`, whose data the caller steps.
+            `overlay`, whose data the caller steps; its model is shown as it is now.
         web: True for a page, whose address is printed; None for a page only if there is no
             display for a window.
         camera: see `find_camera`.
@@ -184,20 +224,53 @@ def view(
         if value is not None:
             what = "a window, and this is a page" if web else "a page, and this is a window"
             raise UsageError(f"{name}: found {value!r}; it is for {what}: use web={not web}")
-    mirror = _mirror_of(scene, look)
-    if not web:
-        from .window.host import Window
-
-        options = {"size": size or DEFAULT_SIZE, "camera": camera, "full_screen": full_screen}
-        return Viewer(mirror, Window, **options)
-    page: dict[str, Any] = {name: value for name, value in of_page.items() if value is not None}
-    page["camera"] = camera
-    viewer = Viewer(mirror, open_page, **page)
-    if not all(double.is_compiled for double in mirror.world.doubles.values()):
-        log.warning("a page shows no doubles of an overlay; a window and pictures do")
-        viewer.host.toggles.doubles[:] = False
-    print(f"{mirror.world.scene.name} is at {' and '.join(viewer.urls)}", flush=True)
+    shown = _to_show(scene, look)
+    options: dict[str, Any] = {"web": web, "camera": camera}
+    if web:
+        options |= {name: value for name, value in of_page.items() if value is not None}
+    else:
+        options |= {"size": size or DEFAULT_SIZE, "full_screen": full_screen}
+    process = ViewerProcess(is_window=not web)
+    try:
+        viewer = _open(shown, process, options)
+    except BaseException:
+        process.close(at_once=True)
+        raise
+    if web:
+        print(f"{viewer.world.scene.name} is at {' and '.join(viewer.urls)}", flush=True)
     return viewer
+
+
+def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, Any]) -> Viewer:
+    """Opens a viewer in a process, which compiles the scene as well, at the same time."""
+    memory: ViewerMemory
+    if isinstance(shown, Scene):
+        process.describe(shown)
+        mirror = Mirror(shown)  # raises what is wrong with sources and routes, too
+        world: WorldView = mirror.world
+        memory = SceneMemory(world, mirror.data)
+    else:
+        process.describe((shown.model, shown.options))
+        world, memory = shown, OverlayMemory(shown)
+    try:
+        memory.sync()
+        _replace(world.scene, options)
+        urls = process.open(str(memory.arrays.path), options)
+    finally:
+        memory.arrays.remove_name()
+    return Viewer(world, process, memory, urls)
+
+
+def _replace(scene: Scene, options: dict[str, Any]) -> None:
+    """Closes the viewer that is opened again; a page gets its port, and so do its browsers."""
+    for viewer in list(_shown):
+        other = viewer.world.scene
+        is_same = other.name == scene.name and [*other.robots] == [*scene.robots]
+        if viewer.is_open and not (is_same and (viewer.url is not None) == options["web"]):
+            continue
+        if viewer.is_open and viewer.url is not None:
+            options.setdefault("port", urlsplit(viewer.url).port)
+        viewer.close()
 
 
 def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
@@ -221,14 +294,14 @@ def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
     return WebHost(mirror, **options)
 
 
-def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> LiveWorld:
-    """Returns the mirror of a scene with a look, without changing the user's scene."""
+def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | ModelWorld:
+    """Returns a scene with a look, without changing the user's, or the world of an overlay."""
     if look is not None and look not in get_args(Look):
         raise UsageError(f"look: found {look!r}{did_you_mean(str(look), get_args(Look))}")
     if isinstance(scene, Overlay):
         if look is not None:
             raise UsageError(f"look: found '{look}'; an overlay has the look of its model")
-        return Watch(scene.world)
+        return scene.world
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     elif not isinstance(scene, Scene):
@@ -240,4 +313,4 @@ def _mirror_of(scene: Scene | Overlay | Path | str, look: Look | None) -> LiveWo
     if look is not None:
         scene = copy.copy(scene)
         scene.view = scene.view.model_copy(update={"look": look})
-    return Mirror(scene)
+    return scene

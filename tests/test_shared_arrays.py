@@ -1,0 +1,244 @@
+"""What a viewer and its process share, without a process: both ends are here."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from foreign_models import arm
+
+import sero_mj
+from sero_mj import Double, Object, Scene, SerialRobot, SmartArrow, UdpReceiver, World, errors
+from sero_mj.decor.quantities import joint_values
+from sero_mj.drive.mirror import Mirror
+from sero_mj.errors import SeroError
+from sero_mj.foreign.model_world import ModelWorld
+from sero_mj.load import load_scene
+from sero_mj.show.viewer_memory import OverlayMemory, SceneMemory, SharedArrays
+from sero_mj.show.viewer_process import _pickled
+
+
+def test_an_array_is_read_once_and_whole_or_not_at_all() -> None:
+    ours = SharedArrays([3, 0, 2])
+    theirs = SharedArrays([3, 0, 2], ours.path)
+    assert not ours.path.exists()  # nothing is left behind, whoever ends first and how
+    assert theirs.changed() == [] and theirs.read(0) is None
+    ours.write(0, np.array([1.0, np.nan, -np.inf]))
+    ours.write(1, np.empty(0))
+    assert theirs.changed() == [0, 1]
+    assert str(theirs.read(0)) == "[  1.  nan -inf]" and theirs.read(0) is None
+    found = theirs.read(1)
+    assert found is not None and found.size == 0
+    # As if the writer stood still in the middle of a write.
+    ours.write(2, np.array([5.0, 6.0]))
+    ours._cells[-1] = 7.0
+    assert theirs.changed() == [2] and theirs.read(2) is None
+    ours.write(2, np.array([8.0, 9.0]))
+    assert str(theirs.read(2)) == "[8. 9.]" and theirs.number(2) == 2
+
+
+@pytest.fixture
+def ends() -> tuple[SceneMemory, SceneMemory]:
+    """The memory of a scene, as its user has it, and as the process that shows it."""
+
+    def world() -> World:
+        return World(
+            Scene(
+                robots=[SerialRobot.from_model("lwr"), SerialRobot.from_model("lwr", name="two")],
+                doubles=[Double(name="goal", of="lwr")],
+                arrows=[SmartArrow(name="push", at="lwr/flange")],
+            )
+        )
+
+    ours, theirs = world(), world()
+    memory = SceneMemory(ours, ours.make_data())
+    return memory, SceneMemory(theirs, theirs.make_data(), memory.arrays.path)
+
+
+def test_what_is_set_arrives_and_nothing_else(ends: tuple[SceneMemory, SceneMemory]) -> None:
+    ours, theirs = ends
+    world, data = theirs._world, theirs.data
+    world.set_input(data, "lwr.torques", np.full(7, 3.0))  # of a source, say
+    moved = np.eye(4)
+    moved[:3, 3] = 1.0, 2.0, 3.0
+    ours.set("lwr.joint_angles", [0.1] * 7)
+    ours.set("goal.joint_angles", np.arange(7))
+    ours.set("two.torques", [1, np.nan, 3, 4, 5, 6, np.inf])
+    ours.set("two.base_frame", moved)
+    ours.set("push.vector", (1.0, 2.0, 3.0))
+    ours.set("toggles.legend", False)
+    theirs.apply()
+    expected = world.make_data()
+    world.set_input(expected, "lwr.torques", np.full(7, 3.0))
+    for target, values in (
+        ("lwr.joint_angles", [0.1] * 7),
+        ("goal.joint_angles", np.arange(7)),
+        ("two.torques", [1, np.nan, 3, 4, 5, 6, np.inf]),
+        ("two.base_frame", moved),
+        ("push.vector", (1.0, 2.0, 3.0)),
+        ("toggles.legend", False),
+    ):
+        world.set_input(expected, target, values)
+    for field in ("qpos", "userdata", "mocap_pos", "mocap_quat"):
+        assert np.array_equal(getattr(data, field), getattr(expected, field), equal_nan=True), field
+    # What was applied is not applied again over what a source has brought since.
+    world.set_input(data, "lwr.joint_angles", [0.7] * 7)
+    theirs.apply()
+    assert data.qpos[world.robots["lwr"].qpos].tolist() == [0.7] * 7
+
+
+def test_what_is_wrong_is_told_where_it_is_set(ends: tuple[SceneMemory, SceneMemory]) -> None:
+    ours, theirs = ends
+    with pytest.raises(ValueError, match="expected 7 finite numbers"):
+        ours.set("lwr.joint_angles", [np.nan] * 7)
+    with pytest.raises(errors.UnknownName, match="did you mean 'torques'"):
+        ours.set("lwr.torqes", [0.0] * 7)
+    assert theirs.arrays.changed() == []
+
+
+def test_what_is_shown_comes_back_but_over_nothing_set_since(
+    ends: tuple[SceneMemory, SceneMemory],
+) -> None:
+    ours, theirs = ends
+    world, data = theirs._world, theirs.data
+    ours.is_read = True
+    ours.set("lwr.torques", np.full(7, 1.0))
+    theirs.apply()
+    data.time = 4.5
+    moved = np.eye(4)
+    moved[:3, 3] = 1.0, 2.0, 3.0
+    world.set_input(data, "lwr.joint_angles", [0.2] * 7)
+    world.set_input(data, "two.base_frame", moved)
+    theirs.show()
+    ours.set("lwr.torques", np.full(7, 2.0))
+    ours.sync()
+    mine = ours.data
+    torques = joint_values(ours._world, mine)["torques"]
+    assert torques[:7].tolist() == [2.0] * 7 and np.isnan(torques[7:]).all()
+    assert mine.time == 4.5 and ours.pictures == 1
+    assert np.array_equal(mine.qpos, data.qpos)
+    flange = ours._world.frame(mine, "two/flange")  # frames are up to date as well
+    assert flange[:2, 3] == pytest.approx([1.0, 2.0], abs=0.3)
+    # Once it has been shown, what the other side makes of it comes back too (a reset, say).
+    theirs.apply()
+    world.set_input(data, "lwr.torques", np.full(7, 9.0))
+    theirs.show()
+    ours.sync()
+    assert joint_values(ours._world, mine)["torques"][:7].tolist() == [9.0] * 7
+
+
+def overlay_ends() -> tuple[OverlayMemory, OverlayMemory]:
+    model, data = arm()
+    overlay = sero_mj.overlay(
+        model,
+        data,
+        doubles=[Double(name="goal", of="arm")],
+        arrows=[SmartArrow(name="push", at="arm/fore")],
+    )
+    theirs_model, options = pickle.loads(_pickled((model, overlay.world.options)))
+    theirs = ModelWorld(theirs_model, mujoco.MjData(theirs_model), **options)
+    ours = OverlayMemory(overlay.world)
+    return ours, OverlayMemory(theirs, ours.arrays.path)
+
+
+def test_the_state_of_a_user_s_model_arrives_with_what_decor_shows_of_it() -> None:
+    ours, theirs = overlay_ends()
+    world, data = ours._world, ours.data
+    data.ctrl[:] = 0.4
+    for _ in range(50):
+        mujoco.mj_step(world.model, data)
+    mujoco.mj_forward(world.model, data)
+    world.set_input(data, "goal.joint_angles", [0.1, 0.2, 0.3, 0.01])
+    world.set_input(data, "push.vector", [1.0, 2.0, 3.0])
+    for torques in (None, {"elbow": 12.0}, None):  # the model's own, the user's, the model's again
+        if torques is None:
+            world.clear_input("arm.torques")
+        else:
+            world.set_input(data, "arm.torques", torques)
+        ours.sync()
+        theirs.apply()
+        assert theirs.data.time == data.time > 0.09
+        assert np.abs(data.qfrc_actuator).max() > 0.1
+        expected, found = world.state(data), theirs._world.state(theirs.data)
+        assert np.array_equal(found.userdata, expected.userdata, equal_nan=True)
+        for field in ("qpos", "xpos", "xmat", "site_xpos", "site_xmat"):
+            assert getattr(found, field) == pytest.approx(getattr(expected, field), abs=1e-12)
+        assert found.doubles["goal"][0].xpos == pytest.approx(expected.doubles["goal"][0].xpos)
+        ours_values, theirs_values = (joint_values(end._world, end.data) for end in (ours, theirs))
+        for key, values in ours_values.items():
+            assert np.array_equal(values, theirs_values[key], equal_nan=True), key
+
+
+def test_a_scene_is_handed_over_whole() -> None:
+    here = load_scene("lwr_contact")
+    there = pickle.loads(_pickled(here))
+    assert there.routes == here.routes and there.sources == here.sources
+    one, other = World(here), World(there)
+    assert list(one.inputs) == list(other.inputs)
+    assert (one.make_data().userdata == other.make_data().userdata).all()
+    assert (one.model.geom_rgba == other.model.geom_rgba).all()
+
+
+def test_a_simulation_is_simulated_anew_to_the_same_log_unless_it_is_over() -> None:
+    scene = load_scene("drive_home")
+    (source,) = scene.sources.values()
+    source.run.advance(20)
+    (other,) = pickle.loads(_pickled(scene)).sources.values()
+    assert other.run.step == 0 and other.end == source.end
+    other.run.advance(20)
+    assert np.array_equal(other.run.rows, source.run.rows)
+    source.run.advance(source.run.steps)
+    (done,) = pickle.loads(_pickled(scene)).sources.values()
+    assert np.array_equal(done.run.rows, source.run.rows)
+    assert done.about == source.about and done.layout.events == source.layout.events
+
+
+def test_pieces_of_mjcf_and_sources_that_were_open_are_handed_over() -> None:
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><geom type="sphere" size="0.125"/></worldbody></mujoco>'
+    )
+    source = UdpReceiver(structure="7F", udpport=0)
+    scene = Scene(
+        robots=[SerialRobot.from_model("lwr")],
+        objects=[Object(name="ball", mjcf=spec)],
+        sources={"udp": source},
+        routes={"lwr.torques": "udp.values0"},
+    )
+    with Mirror(scene):
+        there = pickle.loads(_pickled(scene))
+    found = there.sources["udp"]
+    assert type(found) is UdpReceiver and found.model_dump() == source.model_dump()
+    world, other = World(scene), World(there)
+    assert np.array_equal(world.model.geom_size, other.model.geom_size)
+
+
+def test_what_cannot_be_pickled_is_told() -> None:
+    scene = Scene(robots=[SerialRobot.from_model("lwr")])
+    scene.sources["mine"] = lambda: None
+    with pytest.raises(errors.UsageError, match="scene: cannot be handed to the viewer's process"):
+        _pickled(scene)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        errors.DeclarationError([errors.Problem("robots.lwr", "is wrong", "a.toml", 3)]),
+        errors.UnknownName("camera", "frnt", ["front"]),
+        errors.StructureError("7G", 1, "expected F"),
+        errors.RouteError("udp.a ** 2", 7, "expected a name", 2),
+        errors.SourceError("udp", "the port is taken"),
+        errors.RecordingError(Path("run.mcap"), "is damaged"),
+        errors.CsvError("a.csv", "no column", line=3, column="b"),
+        errors.SimulationError(1.5, "lwr/A3", "diverges"),
+        errors.RenderError("no display"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_errors_come_from_another_process_as_they_are(error: SeroError) -> None:
+    found: Any = pickle.loads(pickle.dumps(error))
+    assert type(found) is type(error) and str(found) == str(error)
+    assert vars(found) == vars(error)

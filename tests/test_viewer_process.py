@@ -1,0 +1,348 @@
+"""A viewer in a process of its own: what it costs, how it ends, and what comes back."""
+
+from __future__ import annotations
+
+import http.server
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from driver import ROOT
+from web_tools import MISSING as NO_BROWSER
+from window_tools import MISSING as NO_WINDOW
+from window_tools import screen
+
+import sero_mj
+from sero_mj import Scene, SerialRobot, Viewer
+from sero_mj.errors import RenderError, UnknownName, UsageError
+
+pytestmark = pytest.mark.gl
+
+
+def until(found: Callable[[], Any], seconds: float = 20.0) -> Any:
+    """Waits until something is true, and returns it."""
+    end = time.monotonic() + seconds
+    while not (result := found()):
+        assert time.monotonic() < end, "never true"
+        time.sleep(0.01)
+    return result
+
+
+def answers(url: str) -> bool:
+    """Whether there is a page."""
+    try:
+        with urllib.request.urlopen(url, timeout=5) as answer:
+            return b"<html" in answer.read().lower()
+    except (urllib.error.URLError, ConnectionError):
+        return False
+
+
+def process_of(viewer: Viewer) -> subprocess.Popen[bytes]:
+    return viewer._process._process
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Iterator[Viewer]:
+    """A page of a simulation, with a robot that nothing moves but its user."""
+    scene = sero_mj.load_scene("impedance_push")
+    scene.add(SerialRobot.from_model("lwr", name="mine", base_frame={"xyz": [0.0, 1.0, 0.0]}))
+    with sero_mj.view(scene, web=True) as viewer:
+        yield viewer
+
+
+def test_it_is_shown_without_any_call_and_no_call_waits_for_it(viewer: Viewer) -> None:
+    until(lambda: viewer.pictures > 5)
+    assert viewer.url is not None and answers(viewer.url)
+    process = process_of(viewer)
+    process.send_signal(signal.SIGSTOP)  # as if it were in the middle of a long picture
+    try:
+        shown, begin = viewer.pictures, time.monotonic()
+        for k in range(1000):
+            viewer.set("mine.torques", np.full(7, float(k)))
+            assert viewer.sync()
+        assert time.monotonic() - begin < 1.0
+        assert viewer.pictures == shown
+    finally:
+        process.send_signal(signal.SIGCONT)
+    until(lambda: viewer.pictures > shown)
+
+
+def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> None:
+    viewer.robot("mine").joint_angles = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
+    viewer.set("mine.torques", np.arange(7.0))
+    simulated = viewer.robot("lwr")
+
+    def has_come() -> bool:
+        viewer.sync()
+        return viewer.data.time > 0.1 and bool(np.abs(simulated.torques).max() > 1.0)
+
+    until(has_come)
+    begin = viewer.data.time
+    until(lambda: viewer.sync() and viewer.data.time > begin)
+    mine = viewer.robot("mine")
+    assert mine.joint_angles.tolist() == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
+    assert mine.torques.tolist() == [*range(7)]
+    # Frames are those of the angles.
+    alone = sero_mj.World(Scene(robots=[SerialRobot.from_model("lwr")]))
+    data = alone.make_data()
+    alone.set_input(data, "lwr.joint_angles", mine.joint_angles)
+    sero_mj.Placer(alone).place(data)
+    found = viewer.world.frame(viewer.data, "mine/flange")
+    assert found[:3, 3] == pytest.approx(alone.frame(data, "lwr/flange")[:3, 3] + [0, 1, 0])
+
+
+def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
+    viewer.set("mine.joint_angles", np.zeros(7))
+    before = viewer.picture()
+    viewer.set("mine.joint_angles", [0, 1.5, 0, 0, 0, 0, 0])
+    after = viewer.picture()
+    assert before.shape == after.shape == (800, 1280, 3)
+    assert (np.abs(before.astype(int) - after) > 30).any(axis=2).sum() > 5000
+    with pytest.raises(UnknownName, match="did you mean 'joint_angles'"):
+        viewer.set("mine.joint_angle", np.zeros(7))
+
+
+@pytest.mark.skipif(bool(NO_BROWSER), reason=f"needs {', '.join(NO_BROWSER)}")
+def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser: Any) -> None:
+    class Notebook(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(f"<!doctype html><body>{viewer._repr_html_()}</body>".encode())
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    states: list[str] = []
+
+    def watch(socket: Any) -> None:
+        if "/state" in socket.url:
+            socket.on("framereceived", lambda _: states.append("received"))
+            socket.on("close", lambda _: states.append("closed"))
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Notebook) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page = browser.new_page(viewport={"width": 400, "height": 300})
+        page.on("websocket", watch)
+        page.goto(f"http://localhost:{server.server_port}/")
+        until(lambda: page.wait_for_timeout(100) or len(states) > 10, 60)
+        page.wait_for_timeout(3000)
+        seen = len(states)
+        until(lambda: page.wait_for_timeout(100) or len(states) > seen)
+        server.shutdown()
+    assert "closed" not in states
+    page.close()
+
+
+def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    first = sero_mj.view("lwr", web=True)
+    again = sero_mj.view("lwr", web=True)  # a cell that is run again
+    assert not first.is_open and not first.sync()
+    assert again.is_open and again.url == first.url
+    assert process_of(first).returncode == 0
+    with sero_mj.view("lwr_double", web=True) as other:  # another scene has a page of its own
+        assert again.is_open and other.url != again.url
+    assert not other.is_open
+    assert again.url is not None and answers(again.url)
+    assert "http://localhost" in capfd.readouterr().out
+
+    process_of(again).kill()
+    until(lambda: not again.is_open)
+    until(lambda: caplog.records)
+    for _ in range(100):
+        again.set("lwr.torques", np.ones(7))
+        assert not again.sync()
+    with pytest.raises(RenderError, match="no picture: the viewer is closed"):
+        again.picture()
+    again.close()
+    (record,) = caplog.records
+    assert record.getMessage() == "the viewer has died, your program goes on: SIGKILL"
+
+
+def test_what_goes_wrong_there_is_told_here(caplog: pytest.LogCaptureFixture) -> None:
+    with sero_mj.view("lwr", web=True) as viewer:
+        # As if a driver failed: it writes why, and ends.
+        viewer._process._send(("picture",))
+        until(lambda: not viewer.is_open)
+        until(lambda: caplog.records)
+    (record,) = caplog.records
+    assert "goes on: exit status 1; it wrote: ValueError: not enough values" in record.getMessage()
+    with pytest.raises(UnknownName, match="no camera 'frnt'"):
+        sero_mj.view("lwr", web=True, camera="frnt")
+    with pytest.raises(
+        RenderError, match=r"no page at 'nowhere\.invalid': this machine has no such"
+    ):
+        sero_mj.view("lwr", web=True, host="nowhere.invalid")
+
+
+_OF_A_SCRIPT = """
+import sero_mj, sys, time
+class Mine(sero_mj.UdpReceiver):
+    pass
+source = Mine(structure="7F", udpport=0)
+robot = sero_mj.SerialRobot.from_model("lwr")
+scene = dict(robots=[robot], routes={"lwr.torques": "mine.values0"})
+try:
+    sero_mj.view(sero_mj.Scene(sources={"mine": source}, **scene), web=True)
+except sero_mj.SeroError as error:
+    print(error, flush=True)
+viewer = sero_mj.view("lwr", web=True)
+try:
+    print("waits", flush=True)
+    while viewer.sync():
+        time.sleep(0.01)
+except KeyboardInterrupt:
+    time.sleep(0.2)
+    shown = viewer.pictures
+    time.sleep(0.5)
+    print("interrupted", viewer.is_open, viewer.pictures > shown, flush=True)
+sys.stdin.readline()
+"""
+
+
+def test_it_ends_with_the_script_however_that_ends_and_not_before(tmp_path: Path) -> None:
+    for end in ("killed", "done"):
+        script = subprocess.Popen(
+            [sys.executable, "-c", _OF_A_SCRIPT],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            process_group=0,
+        )
+        assert script.stdin and script.stdout and script.stderr
+        with script, script.stdin:
+            refused = script.stdout.readline()
+            assert "Can't get attribute 'Mine'" in refused and "a module that can be" in refused
+            (url,) = re.findall(r"http://\S+", script.stdout.readline())
+            assert script.stdout.readline() == "waits\n" and answers(url)
+            os.killpg(script.pid, signal.SIGINT)  # as Ctrl+C in a terminal
+            assert script.stdout.readline() == "interrupted True True\n"
+            if end == "killed":
+                script.kill()
+            else:
+                script.stdin.write("\n")
+                script.stdin.flush()
+            until(lambda: not answers(url))  # noqa: B023
+            assert script.wait(20) == (-signal.SIGKILL if end == "killed" else 0)
+            assert script.stderr.read() == ""
+
+
+@pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
+def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with screen() as display:
+        monkeypatch.setenv("DISPLAY", display)
+        monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+        robot = SerialRobot.from_model("lwr", show_arrows=True)
+        with sero_mj.view(Scene(robots=[robot], name="window"), size=(400, 300)) as viewer:
+            assert viewer.url is None and "in a window on the screen" in viewer._repr_html_()
+            until(lambda: viewer.pictures > 3)
+            clicks: list[tuple[Any, str, threading.Thread]] = []
+            viewer.on_click(lambda *click: clicks.append((*click, threading.current_thread())))
+            assert viewer.picture().shape == (300 - 29, 400, 3)
+
+            def click(x: int, y: int) -> None:
+                command = ["xdotool", "mousemove", str(x), str(y), "click", "1"]
+                subprocess.run(command, check=True, timeout=20)
+
+            def robot_was_clicked() -> bool:
+                click(200, 150)
+                shown = viewer.pictures
+                until(lambda: viewer.pictures > shown + 2)
+                viewer.sync()
+                return bool(clicks)
+
+            until(robot_was_clicked)
+            picked, gesture, thread = clicks[0]
+            assert picked.owner == "lwr" and gesture == "click"
+            assert thread is threading.main_thread()
+            subprocess.run(["xdotool", "key", "ctrl+q"], check=True, timeout=20)
+            until(lambda: not viewer.sync())
+            assert process_of(viewer).wait(20) == 0
+
+
+def test_a_notebook_shows_it_while_no_cell_runs(tmp_path: Path) -> None:
+    nbformat = pytest.importorskip("nbformat")
+    client = pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    book = nbformat.v4.new_notebook()
+    book.cells = [
+        nbformat.v4.new_code_cell(f"import sys; sys.path.insert(0, {str(ROOT)!r}); import sero_mj"),
+        nbformat.v4.new_code_cell("viewer = sero_mj.view('lwr', web=True)\nviewer"),
+        nbformat.v4.new_code_cell("viewer.set('lwr.torques', [9.0] * 7)\nviewer.pictures"),
+    ]
+    notebook = client.NotebookClient(book, resources={"metadata": {"path": str(tmp_path)}})
+    with notebook.setup_kernel():
+        urls, shown = [], []
+        for index in (0, 1, 2, 1, 2):  # cells are run again
+            notebook.execute_cell(book.cells[index], index)
+            for output in book.cells[index].outputs:
+                data = output.get("data", {})
+                urls += re.findall(r'iframe src="(\S+)"', data.get("text/html", ""))
+            if index == 2:
+                shown.append(int(data["text/plain"]))
+        assert len(urls) == 2 and urls[0] == urls[1]
+        time.sleep(1.0)  # no cell runs
+        assert answers(urls[1])
+        notebook.execute_cell(book.cells[2], 2)
+        (output,) = book.cells[2].outputs
+        assert int(output["data"]["text/plain"]) > shown[1] + 10
+    until(lambda: not answers(urls[1]))
+
+
+def test_a_class_of_a_script_is_refused_with_what_to_do() -> None:
+    scene = Scene(robots=[SerialRobot.from_model("lwr")])
+    scene.sources["mine"] = lambda: None
+    with pytest.raises(UsageError, match=r"cannot be handed to the viewer's process .*picklable"):
+        sero_mj.view(scene, web=True)
+
+
+_WITH_FORKS = """
+import os, sero_mj, sys, time
+viewer = sero_mj.view("lwr", web=True)
+if os.fork() == 0:
+    sys.exit()  # closes what it has open, but not the viewer, which is not its own
+os.wait()
+if os.fork() == 0:  # has all pipes open
+    sys.stdin.readline()
+    os._exit(0)
+assert viewer.sync()
+print("forked", flush=True)
+time.sleep(100)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Linux and macOS")
+def test_it_does_not_stay_with_copies_of_the_process_that_opened_it(tmp_path: Path) -> None:
+    script = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", _WITH_FORKS],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert script.stdin and script.stdout
+    with script, script.stdin:
+        (url,) = re.findall(r"http://\S+", script.stdout.readline())
+        assert script.stdout.readline() == "forked\n" and answers(url)
+        script.kill()
+        until(lambda: not answers(url))
