@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 
 from sero_mj import Mirror
 from sero_mj.load import load_scene
-from sero_mj.show.web import guard
+from sero_mj.show.web import browsers
 from sero_mj.show.web.compression import CompressedResponses
 from sero_mj.show.web.host import WebHost
 from sero_mj.show.web.studio import find_files
@@ -86,7 +86,7 @@ def test_states_are_compressed_for_who_can_read_it(page: WebHost) -> None:
 def test_a_slow_link_is_waited_for_and_a_silent_one_is_not(
     page: WebHost, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guard, "_REQUEST_TIMEOUT", 0.2)
+    monkeypatch.setattr(browsers, "_REQUEST_TIMEOUT", 0.2)
     expected = (find_files() / "web_client.wasm").read_bytes()
     with socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)

@@ -24,9 +24,18 @@ def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -
     with Served(tmp_path, "lwr", settings=settings) as served:
         first = Visitor(browser, served, small)
         first.hears("role=controller")
-        second = Visitor(browser, served, small)
+        second = Visitor(browser, served, (400, 300))
         second.hears("role=spectator")
         second.shows(lambda p: blue(p) > FEW)
+        # It has numbers of its own, in a page without Studio's bar.
+        assert served.until("[*w.decor._others]") == [[400, 268]]
+        served.ask("w.toggles.billboards.fill(True)")
+        served.settle()
+        own, other = "w.decor.panels", "w.decor._others[400, 268].panels"
+        for panels, (width, height) in ((own, (280, 208)), (other, (400, 268))):
+            high = f"max((p.centres + p.sizes / 2).max(axis=0)[{{}}] for p in {panels})"
+            assert 0.8 * width < served.ask(high.format(0)) <= width
+            assert served.ask(high.format(1)) <= height
         first.close()
         third = Visitor(browser, served, small)
         third.hears("role=controller")

@@ -14,7 +14,7 @@ Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host a
 
 from __future__ import annotations
 
-import asyncio
+import functools
 import hashlib
 import hmac
 import ipaddress
@@ -30,18 +30,18 @@ from collections.abc import Callable
 from typing import Any
 
 from mujoco.studio.web import web_server
-from websockets.asyncio.server import ServerConnection, serve
+from websockets.asyncio.server import serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from ...errors import RenderError
+from .browsers import BrowserConnection, Browsers
 from .compression import DEFLATE, CompressedResponses
 
 log = logging.getLogger(__name__)
 
 TOKEN_BYTES = 24
 _LONGEST_MESSAGE = 2**20  # bytes; messages with input, camera or clipboard are much shorter
-_REQUEST_TIMEOUT = 10.0  # timeout of a connection's request, s
 _MOST_TOLD = 10  # refused requests that are logged; all are counted
 _PAGE_PATHS = ("/", "/index.html")
 _DESCRIPTORS = "/dev/fd"
@@ -228,10 +228,11 @@ class GuardedRun:
 
     Args:
         guard: checks requests.
+        browsers: hears what browsers say.
     """
 
-    def __init__(self, guard: Guard) -> None:
-        self._guard = guard
+    def __init__(self, guard: Guard, browsers: Browsers) -> None:
+        self._guard, self._browsers = guard, browsers
         self._compressed = CompressedResponses()
         self._is_guarded = threading.Event()
         self._error: OSError | None = None
@@ -290,30 +291,13 @@ class GuardedRun:
             "process_request": process_request,
             "process_response": process_response,
             "max_size": _LONGEST_MESSAGE,
-            "create_connection": PatientConnection,
+            "create_connection": functools.partial(BrowserConnection, browsers=self._browsers),
             "open_timeout": None,
             "extensions": [DEFLATE],
         }
         options["sock"].listen()  # now listening: connections are queued, not refused
         self._is_guarded.set()
         return serve(handler, **options)
-
-
-class PatientConnection(ServerConnection):
-    """A connection that may take any time to receive the response, but not to send its request.
-
-    `open_timeout` of `serve` includes both, so that pages were cut off on links that are too slow
-    for a file within that time.
-    """
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begins to wait for the request."""
-        super().connection_made(transport)
-        self.loop.call_later(_REQUEST_TIMEOUT, self._end_without_request)
-
-    def _end_without_request(self) -> None:
-        if self.request is None:
-            self.transport.abort()
 
 
 class SameProcessSocket(socket.socket):

@@ -90,6 +90,7 @@ class WebHost(LiveHost):
             why = f"{error}".partition(" Pass a different")[0]  # Studio's hint is not for --port
             raise RenderError(f"no page at {where}: {why}") from error
         WebHost._is_any_open = True
+        self._app.press_time = self.viewer.server.browsers.press_time
         self._time = TimeControl(self.clock)
         self._time.is_held = waits and not self.clock.is_live
         self._handle = viewer_handle.ViewerHandle(
@@ -154,6 +155,7 @@ class WebHost(LiveHost):
             viewer.dispatch(snapshot)
         if viewer.has_ui:
             viewer.dispatch(messages.UpdateEvent())
+            viewer.server.browsers.forget_presses()
             viewer.dispatch(messages.BuildGuiEvent())
         self.decor.show_in(viewer, self.data, self._panels.inset)
         self._greying.show(self.decor.pen.grey)

@@ -17,7 +17,7 @@ from ..live import LiveHost
 from ..status_line import Mood, clock_text, source_text
 from ._panels import RobotPanel, TorquePlots
 from .studio_controls import StudioApp
-from .studio_decor import WebDecor
+from .studio_decor import CUT_OFF, WebDecor
 
 _ONCE = int(imgui.Cond.FirstUseEver)
 _ALWAYS = int(imgui.Cond.Always)
@@ -37,8 +37,6 @@ _HANDLE_FLAGS = _BAR_FLAGS | _flags("AlwaysAutoResize", "NoBackground", "NoFocus
 _NOTE_FLAGS = _BAR_FLAGS | _flags("AlwaysAutoResize", "NoInputs", "NoFocusOnAppearing")
 _PANEL_FLAGS = _flags("AlwaysAutoResize", "NoSavedSettings")
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
-# Studio 4.0's client clips labels that are closer to the left and upper edge of the page.
-_CUT_OFF = 68.0, 64.0  # pixels
 _READABLE = 0.25  # minimum time for which a number is shown, s
 _NARROW = 3.2 * _WIDTH  # width below which panel and billboards would cover the robot
 _TWO_COLUMNS = 900.0  # width from which on the help has two columns
@@ -109,7 +107,7 @@ class PageWindows(plugin.ViewerPlugin):
         """Builds all windows of a frame."""
         host, size = self._host, imgui.GetIO().DisplaySize
         left, right = self._studio.docked
-        self.inset = (max(_CUT_OFF[0], left), 0.0, right, _CUT_OFF[1])
+        self.inset = (max(CUT_OFF[0], left), 0.0, right, CUT_OFF[1])
         # In every frame, since the size is unknown before a browser is connected.
         if self._is_narrow != (size.x < _NARROW):
             self._is_narrow = size.x < _NARROW

@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 from mujoco.studio import endpoints, viewer_protocol, web_viewer
 from mujoco.studio.dear_imgui import dear_imgui as imgui
-from mujoco.studio.web import web_server
+from mujoco.studio.web import state_payload, web_server
 from websockets.exceptions import ConnectionClosed
 
 from ...errors import RenderError
+from .browsers import Browsers
 from .guard import Guard, GuardedRun, SameProcessSocket
 
 LOOPBACK = "127.0.0.1"
@@ -51,11 +53,13 @@ class ChangesOnlyServer(web_server.WebServer):
         sent: number of published states.
         sent_bytes: their size for one browser, bytes.
         is_watched: whether a browser has ever connected.
+        browsers: those that are connected.
     """
 
     def __init__(self, guard: Guard, **options: Any) -> None:
         super().__init__(**options)
         self._guard = guard
+        self.browsers = Browsers()
         self.sent = self.sent_bytes = 0
         self.is_watched = False
         self._last = b""
@@ -67,7 +71,7 @@ class ChangesOnlyServer(web_server.WebServer):
         Raises:
             RenderError: the guard does not work with this version of Studio.
         """
-        run = GuardedRun(self._guard)
+        run = GuardedRun(self._guard, self.browsers)
         self._stop_event.clear()
         self._thread = threading.Thread(target=run, args=(self, self._stop_event), daemon=True)
         self._thread.start()
@@ -224,6 +228,36 @@ class StudioViewer(web_viewer.WebViewer):
             camera.lookat[:], camera.distance = kept.lookat, kept.distance
             camera.azimuth, camera.elevation = kept.azimuth, kept.elevation
         return is_ready
+
+    def payload(self, geoms: list[mujoco.MjvGeom]) -> bytes:
+        """Returns the current state as `sync` sends it to browsers, with other decor.
+
+        Args:
+            geoms: of the decor.
+        """
+        spec = mujoco.mjtState.mjSTATE_INTEGRATION
+        state = np.empty(mujoco.mj_stateSize(self.model, spec))
+        mujoco.mj_getState(self.model, self.data, state, spec)
+        io = imgui.GetIO()
+        return bytes(
+            state_payload.serialize_state_payload(
+                self._model_crc32,
+                int(spec),
+                state.tobytes(),
+                self.camera,
+                self.perturb,
+                self.vis_options,
+                self.model,
+                list(self.render_flags.flags),
+                geoms[: state_payload.MAX_EXTRA_GEOMS],
+                state_payload.ViewerInputState(
+                    mouse_focus=not io.WantCaptureMouse,
+                    camera_index=self.camera_index,
+                    keyboard_focus=not io.WantCaptureKeyboard,
+                    camera_generation=self.client_camera.update_generation(self.camera),
+                ),
+            )
+        )
 
     @property
     def has_ui(self) -> bool:

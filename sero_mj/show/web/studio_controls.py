@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import string
 import time
+from collections.abc import Callable
 
 from mujoco.studio import app as studio_app
 from mujoco.studio import messages, plugin, sim, sim_history, ux
@@ -48,6 +49,7 @@ class StudioApp(studio_app.App):
         host: handles clicks, keys and the pointer.
 
     Attributes:
+        press_time: returns when a button was pressed that is seen to be pressed now, s.
         docked: width of what is docked to the left and the right edge of the page, pixels.
     """
 
@@ -62,6 +64,7 @@ class StudioApp(studio_app.App):
         )
         self._host = host
         self._mouse = Mouse()
+        self.press_time: Callable[[int], float] = lambda button: time.monotonic()
         self.docked = (0.0, 0.0)
 
     def build_gui(self) -> None:
@@ -99,15 +102,16 @@ class StudioApp(studio_app.App):
         height = io.DisplaySize.y
         over_scene = not io.WantCaptureMouse and imgui.IsMousePosValid()
         at = (io.MousePos.x, height - io.MousePos.y)
-        now = time.monotonic()
 
-        def event(kind: str, button: int = LEFT) -> Event:
-            return Event(kind, *at, time=now, button=button, shift=io.KeyShift or io.KeyCtrl)  # type: ignore[arg-type]
+        def event(kind: str, button: int = LEFT, when: float = 0.0) -> Event:
+            return Event(kind, *at, time=when, button=button, shift=io.KeyShift or io.KeyCtrl)  # type: ignore[arg-type]
 
         found = [self._mouse.take(event("move"))]
         for button, studio_button in _BUTTONS:
-            if over_scene and imgui.IsMouseClicked(int(studio_button)):
-                found.append(self._mouse.take(event("press", button)))
+            if imgui.IsMouseClicked(int(studio_button)):
+                when = self.press_time(button)
+                if over_scene:
+                    found.append(self._mouse.take(event("press", button, when)))
             if imgui.IsMouseReleased(int(studio_button)):
                 found.append(self._mouse.take(event("release", button)))
         for each in found:

@@ -20,11 +20,15 @@ from ...decor.scene_writer import GREYNESS
 from ...decor.toggles import Toggles
 from ...frames import Bools
 from ..scene_decor import SceneDecor
+from .browsers import Size
 from .studio import StudioViewer
 
 _LINE = 1.25  # height of decor text over that of Studio's text
 _MAX_SEGMENTS = 26  # boxes of a round arrow; each adds 15 kB/s for every browser
 _PANEL_ALPHA = 0.92  # Studio draws panels more transparent than the classic renderer
+# Studio 4.0's client clips labels that are closer to the left and upper edge of the page.
+CUT_OFF = 68.0, 64.0  # pixels
+_MOST_SIZES = 4  # of pages that have a layout of their own; each takes 1 to 2 ms of a picture
 _FETCHING = 1.0  # time for browsers to fetch a model, and minimum time between two changes, s
 _DEFAULT_RGBA = 0.5, 0.5, 0.5, 1.0  # rgba of a geom that has the colour of its material
 
@@ -59,6 +63,7 @@ class WebDecor(SceneDecor):
         self._camera = mujoco.MjvScene(world.model, maxgeom=0)
         self._font: Font | None = None
         self._size = 0, 0  # of the page, pixels
+        self._others: dict[Size, WebDecor] = {}  # for other browsers, by the size of their page
 
     def show_in(
         self,
@@ -81,13 +86,50 @@ class WebDecor(SceneDecor):
         width, height = self._size
         if self._font is None or width < 1 or height < 1:
             return
-        mujoco.mjv_updateCamera(self.world.model, data, viewer.camera, self._camera)
-        view = PictureView.of_scene(self._camera, width, height, self._font, inset, _PANEL_ALPHA)
+        viewer.extra_geoms[:] = self.geoms(data, viewer.camera, self._size, self._font, inset)
+        self._hide_doubles(viewer.data)
+        if viewer.has_ui:
+            self._show_to_others(viewer, data)
+
+    def geoms(
+        self,
+        data: mujoco.MjData,
+        camera: mujoco.MjvCamera,
+        size: Size,
+        font: Font,
+        inset: tuple[float, float, float, float],
+    ) -> list[mujoco.MjvGeom]:
+        """Returns the current decor for a page.
+
+        Args:
+            data: the world's state, with frames up to date.
+            camera: of the page.
+            size: of the page.
+            font: of its labels.
+            inset: see `PictureView`.
+        """
+        mujoco.mjv_updateCamera(self.world.model, data, camera, self._camera)
+        view = PictureView.of_scene(self._camera, *size, font, inset, _PANEL_ALPHA)
         self._buffer.ngeom = 0
         self.draw(data, view, self._buffer)
         self.count = self._buffer.ngeom
-        viewer.extra_geoms[:] = self._geoms[: self.count]
-        self._hide_doubles(viewer.data)
+        return self._geoms[: self.count]
+
+    def _show_to_others(self, viewer: StudioViewer, data: mujoco.MjData) -> None:
+        """Lays the decor out for browsers whose pages have another size."""
+        assert self._font is not None
+        browsers, toggles = viewer.server.browsers, self.toggles
+        sizes = browsers.sizes_beside(self._size, _MOST_SIZES)
+        self._others = {
+            size: self._others.get(size) or WebDecor(self.world, toggles) for size in sizes
+        }
+        hover, toggles.hover = toggles.hover, None  # the pointer is that of the one in control
+        inset = (CUT_OFF[0], 0.0, 0.0, CUT_OFF[1])
+        browsers.states = {
+            size: viewer.payload(decor.geoms(data, viewer.camera, size, self._font, inset))
+            for size, decor in self._others.items()
+        }
+        toggles.hover = hover
 
     def _hide_doubles(self, data: mujoco.MjData) -> None:
         """Moves doubles that are switched off out of sight."""
