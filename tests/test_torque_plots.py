@@ -6,6 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from source_slots import set_source
 
 from sero_mj import World
@@ -14,7 +16,7 @@ from sero_mj.load import load_scene
 from sero_mj.receive.source import Packets
 from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from sero_mj.show.web._panels import decimate
-from sero_mj.show.window.hud import TorquePlot, y_range
+from sero_mj.show.window.plots import TorquePlot, y_range
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +68,7 @@ def test_every_packet_counts_at_any_frame_rate() -> None:
     assert {30.0 + k for k in range(13)} <= set(measured.tolist())
     assert times[measured == 36.0] == pytest.approx(spikes[6] - times[-1] - data.time, abs=0.006)
     assert np.nanmin(error) == 1.0 - 42.0
-    figure, below = plot.fill(history, 3)
+    figure, below = (each.figure for each in plot.fill(history, 3))
     shown = figure.linedata[0][1 : 2 * figure.linepnt[0] : 2]
     assert {30.0 + k for k in range(13)} <= set(shown.tolist())
     assert below.linedata[0][1 : 2 * below.linepnt[0] : 2].min() == -41.0
@@ -84,8 +86,15 @@ def test_the_figure_holds_both_lines_and_the_limit(world: World) -> None:
         if k >= 20:
             world.set_input(data, "lwr.commanded_torques", np.full(7, 0.8 * limit))
         history.add(data)
-    figure, error = plot.fill(history, 1)
-    assert figure.title == "lwr/A2: torque [Nm] over time [s], limit 176"
+    plots = plot.fill(history, 1)
+    figure, error = (each.figure for each in plots)
+    assert plots[0].title == "lwr/A2: torque [Nm], limit 176"
+    assert [name for name, _ in plots[0].names] == ["measured", "commanded"]
+    for each in plots:
+        numbers = np.array(each.numbers, float)
+        assert numbers[[0, -1]] == pytest.approx(each.figure.range[1])
+        assert np.diff(numbers) == pytest.approx(np.diff(numbers)[0])
+        assert len(numbers) == each.figure.gridsize[1]
     assert figure.linepnt[:4].tolist() == [50, 30, 2, 0]
     assert figure.linedata[1][1:60:2] == pytest.approx(np.full(30, 0.8 * limit), rel=1e-6)
     assert figure.range[1][1] > limit
@@ -108,7 +117,7 @@ def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
     assert np.isnan(values[0]).sum() == 100
     pieces = split_at_gaps(times, values[0])
     assert [len(piece) for piece in pieces] == [150, 150]
-    figure, _ = plot.fill(history, 2)
+    figure = plot.fill(history, 2)[0].figure
     assert figure.linepnt[[0, 4]].tolist() == [150, 150]
     assert figure.linergb[4].tolist() == figure.linergb[0].tolist()
     newest, oldest = figure.linedata[0][0:300:2], figure.linedata[4][0:300:2]
@@ -128,7 +137,7 @@ def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
     low, high, _ = y_range(np.array([2.0, np.nan, 6.0]), np.inf)
     assert low < 2.0
     assert high > 6.0
-    assert (low, high) == (1.0, 8.0)  # round numbers
+    assert (low, high) == (1.0, 7.0)  # round numbers
     low, high, _ = y_range(np.array([-95.0, 20.0]), 100.0)
     assert low < -100.0
     assert high > 20.0
@@ -146,3 +155,13 @@ def test_thinned_lines_keep_every_peak() -> None:
     assert np.isin(x, times).all()
     few = decimate(times[:50], values[:50], 200)
     assert few[0].tolist() == times[:50].tolist()
+
+
+@given(st.floats(-500, 500), st.floats(1e-3, 1000), st.sampled_from([20.0, 176.0, np.inf]))
+def test_the_grid_of_a_plot_has_round_numbers(low: float, span: float, limit: float) -> None:
+    bottom, top, steps = y_range(np.array([low, low + span]), limit)
+    assert bottom <= low and low + span <= top
+    assert 3 <= steps <= 8
+    step = (top - bottom) / steps
+    assert f"{step:.6e}"[:8] in ("1.000000", "2.000000", "5.000000")
+    assert bottom / step == pytest.approx(round(bottom / step), abs=1e-6)  # so that 0 is among them

@@ -225,7 +225,7 @@ def test_full_screen_and_back(window: Driven) -> None:
 def test_the_plot_shows_the_selected_joint(window: Driven) -> None:
     window.key("p")
     window.until("w.shows_plot")
-    window.until("bool(w._plot.torques.linepnt[0] > 2)")
+    window.until("bool(w._plot._torques.linepnt[0] > 2)")
     joint = window.ask("w.joint")
     window.key("bracketright")
     window.until(f"w.joint == ({joint} + 1) % 7")

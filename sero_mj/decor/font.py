@@ -68,11 +68,6 @@ class Font:
         return np.asarray(until[ends] - until[ends - [len(line) for line in lines]])
 
 
-def nearest_font_scale(height: float) -> int:
-    """Returns the font scale (percent) whose line height is closest to `height` pixels."""
-    return min(FONT_HEIGHTS, key=lambda scale: abs(FONT_HEIGHTS[scale] - height))
-
-
 def _default() -> Font:
     widths = np.zeros(128, np.intp)
     widths[32:127] = _WIDTHS_150

@@ -12,7 +12,7 @@ import glfw
 import mujoco
 
 from ...assemble.world_view import WorldView
-from ...decor.font import line_height, nearest_font_scale
+from ...decor.font import line_height
 from ...errors import RenderError
 from ..headless.render import check_size, offscreen_size
 from ..input import LEFT, MIDDLE, RIGHT, Event
@@ -46,8 +46,7 @@ class GlWindow:
 
     Attributes:
         context: for the scene.
-        hud: for plots, whose text's size depends on the screen and not on the picture.
-        typesetter: of the window's own text, of that size.
+        typesetter: of the window's own text; its size depends on the screen, not on the picture.
         blender: lays panels over the window.
         refresh_rate: of the screen, Hz.
 
@@ -87,10 +86,6 @@ class GlWindow:
         # Rendering goes to the window's buffer; the offscreen buffer is unused.
         with offscreen_size(world.model, 16, 16):
             self.context = mujoco.MjrContext(world.model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        empty = mujoco.MjModel.from_xml_string("<mujoco/>")
-        empty.vis.global_.offwidth = empty.vis.global_.offheight = 16
-        empty.vis.quality.shadowsize = empty.vis.quality.offsamples = 0
-        self.hud = mujoco.MjrContext(empty, nearest_font_scale(height))
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
 
     def _listen(self) -> None:
@@ -182,7 +177,6 @@ class GlWindow:
         """Frees the contexts and closes the window."""
         if self._window is not None:
             self.context.free()
-            self.hud.free()
             glfw.destroy_window(self._window)
             self._window = None
 

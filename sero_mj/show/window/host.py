@@ -30,7 +30,8 @@ from ..surroundings import surroundings_of
 from ..typesetting import Typesetter
 from .capture import Capture
 from .glfw_window import GlWindow
-from .hud import Hud, TimeLine, TorquePlot, arrange
+from .hud import Hud, TimeLine, arrange
+from .plots import Plot, TorquePlot
 
 _HINT = "H help"
 _MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
@@ -200,14 +201,14 @@ class Window(LiveHost):
         self.decor.update(self.data, self.navigator.camera, rect, typesetter)
         is_pointing = not (self._mouse.is_down or self.shows_help)
         self.point(self._pointer() if is_pointing else None)
-        figures = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
+        filled = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         end = float(self.clock.end or 0.0)
         self._line = hud.time_line(width, end) if self._has_line else None
         self.work = time.monotonic() - begin
         # A narrow window has only one.
-        self._draw(list(zip(plots, figures, strict=False)), pieces, size)
+        self._draw(list(zip(plots, filled, strict=False)), pieces, size)
         self.gl.swap()
         self._end = time.monotonic()
         # Limits the frame rate where swapping does not wait for the screen's refresh.
@@ -221,15 +222,15 @@ class Window(LiveHost):
 
     def _draw(
         self,
-        plots: list[tuple[mujoco.MjrRect, mujoco.MjvFigure]],
+        plots: list[tuple[mujoco.MjrRect, Plot]],
         pieces: list[Piece],
         size: tuple[int, int],
     ) -> None:
         width, height = size
         hud, picture, now = self._hud, self.decor.rect, time.monotonic()
         self.decor.render(self.gl)
-        for rect, figure in plots:
-            mujoco.mjr_figure(rect, figure, self.gl.hud)
+        for rect, plot in plots:
+            plot.draw(hud, rect, self.gl.context)
         if self.wants_picture or self.camera.wants(now):
             pixels = self.decor.pixels(self.gl.context)
             if self.wants_picture:

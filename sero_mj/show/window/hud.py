@@ -1,19 +1,14 @@
-"""What is in a window besides its picture: plots, status line, time line, messages, help."""
+"""What is in a window besides its picture: status line, time line, messages, help."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
-import numpy as np
 
-from ...assemble.world_view import WorldView
 from ...decor.font import Font
-from ...frames import Array
 from ..status_line import Mood, Piece
-from ..torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from ..typesetting import Placed, Rgb, Rgba, Text
 from .glfw_window import GlWindow
 
@@ -26,8 +21,8 @@ _DONE: Rgba = (0.26, 0.56, 0.82, 1.0)
 _HANDLE: Rgba = (0.93, 0.95, 0.97, 1.0)
 _RED: Rgba = (0.92, 0.22, 0.18, 1.0)
 TITLE: Rgb = (1.0, 0.72, 0.30)
-_DIM = (0.60, 0.65, 0.71)
-_TEXT = (0.90, 0.92, 0.94)
+DIM = (0.60, 0.65, 0.71)
+TEXT = (0.90, 0.92, 0.94)
 _MOODS: dict[Mood, Rgb] = {
     "good": (0.55, 0.85, 0.62),
     "quiet": (0.95, 0.80, 0.40),
@@ -43,22 +38,6 @@ _STRIP_SHARE = 0.36  # fraction of the height for a plot below the picture, in a
 _NARROW = 46.0  # line heights; in a narrower window the plot is below the picture
 _LEAST_STRIP = 10.0  # minimum height, line heights
 _LEAST_PLOT = 20.0  # minimum width, line heights
-
-# Of the plots:
-_PER_POINT = 3  # pixels; of flat lines of shorter pieces software OpenGL leaves out some
-_POINTS = 980  # an MjvFigure has a capacity of 1001 per line
-_NAMES = ("measured", "commanded")
-# Light blue and orange: distinct for the colour-blind and on a dark background.
-_RGB = ((0.45, 0.78, 1.0), (1.0, 0.62, 0.18))
-_ERROR_RGB = (0.75, 0.88, 0.45)
-_LIMITS = (2, 3)  # indices of the limits among the lines of a figure
-_LIMIT_RGB = (0.85, 0.30, 0.30)
-# Fraction of the half range that the lines use; the legend is above it.
-_BELOW, _ABOVE = 0.55, 0.85
-# Of the grid, by the whole units that are in the range.
-_STEPS = {1: 5, 2: 4, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7, 8: 4, 9: 3, 10: 5}
-_HUGE = 1e5  # Nm or N, from which on numbers have an exponent
-_LEAST_RANGE = 1.0  # Nm or N
 
 
 def arrange(
@@ -184,7 +163,7 @@ class Hud:
             lines.append(Text(x, base, text, _MOODS[mood]))
             x += wide + _GAP * h
         if x < right:
-            lines.append(Text(right, base, hint, _DIM))
+            lines.append(Text(right, base, hint, DIM))
         self.panel((0, 0, width, self.bar_height), lines, BAR, is_round=False)
 
     def time_line(self, width: int, end: float) -> TimeLine:
@@ -207,10 +186,10 @@ class Hud:
         The legend, and what is said of a robot, are below.
         """
         h = self.font.height
-        text = _shortened(text, self.font, rect.width - 4 * h)
+        text = shortened(text, self.font, rect.width - 4 * h)
         wide = self.font.width(text) + 1.4 * h
         left = (rect.width - wide) / 2
-        lines = [Text(0.7 * h, 0.35 * h, text, _TEXT)]
+        lines = [Text(0.7 * h, 0.35 * h, text, TEXT)]
         bottom = rect.bottom + rect.height - 4.2 * h  # below that a film is recorded
         self.panel((left, bottom, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
 
@@ -219,7 +198,7 @@ class Hud:
         h = self.font.height
         wide = self.font.width(text) + 2.2 * h
         left, bottom = (width - wide) / 2, top - 2.0 * h
-        self.panel((left, bottom, wide, 1.5 * h), [Text(1.4 * h, 0.25 * h, text, _TEXT)])
+        self.panel((left, bottom, wide, 1.5 * h), [Text(1.4 * h, 0.25 * h, text, TEXT)])
         self.box(left + 0.55 * h, bottom + 0.5 * h, 0.5 * h, 0.5 * h, _RED)
 
     def help_room(self, size: tuple[int, int]) -> tuple[int, int]:
@@ -245,7 +224,7 @@ class Hud:
             for key, meaning in rows:
                 if meaning:
                     lines.append(Text(x, y, key, _MOODS["good"]))
-                    lines.append(Text(x + keys, y, meaning, _TEXT))
+                    lines.append(Text(x + keys, y, meaning, TEXT))
                 elif key:
                     lines.append(Text(x, y, key, TITLE, is_strong=True))
                 y -= line
@@ -253,98 +232,9 @@ class Hud:
         self.panel((left, bottom, wide, tall), lines, HELP)
 
 
-def _shortened(text: str, font: Font, width: float) -> str:
+def shortened(text: str, font: Font, width: float) -> str:
+    """Returns a text without its end where it is wider than so many pixels."""
     text = text.encode("ascii", "replace").decode()
     while len(text) > 4 and font.width(text) > width:
         text = text[:-4] + "..."
     return text
-
-
-def y_range(values: Array, limit: float) -> tuple[float, float, int]:
-    """Returns lower and upper end of the plot, Nm or N, and the number of grid steps.
-
-    Args:
-        values: all values of the plot, Nm or N, NaN for no data.
-        limit: of the torque, inf for none; it is in the range when torques come close to it.
-    """
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    if np.isfinite(limit) and max(abs(low), abs(high)) > 0.8 * limit:
-        high, low = (max(high, limit), low) if high > -low else (high, min(low, -limit))
-    span, middle = max(high - low, _LEAST_RANGE), (low + high) / 2
-    low, high = middle - _BELOW * span, middle + _ABOVE * span
-    for _ in range(2):  # repeated if rounding has made it longer than ten units
-        # `mjr_figure` always widens a range to whole powers of ten.
-        unit = 10.0 ** np.floor(np.log10((high - low) * (1 + 1e-9)))
-        low, high = float(np.floor(low / unit) * unit), float(np.ceil(high / unit) * unit)
-    return low, high, _STEPS.get(round((high - low) / unit), 5)
-
-
-def make_figure(rgb: tuple[tuple[float, float, float], ...]) -> mujoco.MjvFigure:
-    """Returns an empty figure whose first lines have these colours; limits are red."""
-    figure = mujoco.MjvFigure()
-    mujoco.mjv_defaultFigure(figure)
-    figure.flg_legend, figure.flg_extend = 1, 0
-    figure.flg_ticklabel[:] = 1
-    figure.gridsize[0] = 5
-    figure.gridrgb[:] = 0.32, 0.36, 0.42
-    figure.figurergba[:] = 0.07, 0.09, 0.12, 1.0
-    figure.panergba[:] = 0.10, 0.12, 0.16, 1.0
-    figure.legendrgba[:] = 0.07, 0.09, 0.12, 0.6
-    figure.textrgb[:] = 0.88, 0.90, 0.93
-    figure.linewidth, figure.gridwidth = 2.5, 1.0
-    figure.xformat = "%.0f"
-    figure.range[0] = -SPAN, 0.0
-    figure.linergb[: len(rgb)] = rgb
-    figure.linergb[_LIMITS[0] : _LIMITS[1] + 1] = _LIMIT_RGB
-    return figure
-
-
-class TorquePlot:
-    """Fills figures with the history of one joint: torques, and their error."""
-
-    def __init__(self, world: WorldView) -> None:
-        self._world = world
-        self.torques, self.error = make_figure(_RGB), make_figure((_ERROR_RGB,))
-
-    def fill(
-        self, history: TorqueHistory, joint: int, width: int = _PER_POINT * _POINTS
-    ) -> list[mujoco.MjvFigure]:
-        """Returns the figures of a joint of the world, for plots of a width in pixels."""
-        joints = self._world.joints
-        times, (*torques, error) = history.of(joint, min(width // _PER_POINT, _POINTS))
-        limit = float(joints.torque_limit[joint])
-        what, unit = ("torque", "Nm") if joints.revolute[joint] else ("force", "N")
-        bound = f", limit {limit:g}" if np.isfinite(limit) else ""
-        name = joint_name(self._world, joint)
-        self.torques.title = f"{name}: {what} [{unit}] over time [s]{bound}"
-        _set_lines(self.torques, times, dict(zip(_NAMES, torques, strict=True)), limit)
-        self.error.title = f"error [{unit}] over time [s]"
-        _set_lines(self.error, times, {"commanded - measured": error}, np.inf)
-        return [self.torques, self.error]
-
-
-def _set_lines(
-    figure: mujoco.MjvFigure, times: Array, lines: dict[str, Array], limit: float
-) -> None:
-    low, high, steps = y_range(np.concatenate(list(lines.values())), limit)
-    figure.range[1] = low, high
-    figure.gridsize[1] = steps + 1
-    places = -int(np.floor(np.log10((high - low) / steps * 1.001)))
-    figure.yformat = "%.3g" if max(-low, high) >= _HUGE else f"%.{max(0, places)}f"
-    figure.linepnt[:] = 0
-    spare = iter(range(_LIMITS[-1] + 1, len(figure.linepnt)))  # for pieces after a gap
-    for line, (name, values) in enumerate(lines.items()):
-        pieces = split_at_gaps(times, values)
-        figure.linename[line] = name if pieces else ""
-        for piece, at in zip(reversed(pieces), itertools.chain([line], spare), strict=False):
-            count = len(piece)
-            figure.linepnt[at] = count
-            figure.linergb[at] = figure.linergb[line]
-            points = figure.linedata[at]
-            points[0 : 2 * count : 2] = times[piece]
-            points[1 : 2 * count : 2] = values[piece]
-    for line, bound in zip(_LIMITS, (limit, -limit), strict=True):
-        if np.isfinite(limit) and low <= bound <= high:
-            figure.linepnt[line] = 2
-            figure.linedata[line][:4] = -SPAN, bound, 0.0, bound
