@@ -10,6 +10,7 @@ from foreign_models import arm, compiled, jaco
 import sero_mj
 from sero_mj.foreign._model_sizes import measure, torque_limits
 from sero_mj.foreign._model_trees import Tree, find_trees, without_scope
+from sero_mj.foreign._solids import Solids
 
 
 def body(name: str, inside: str = "<joint/>") -> str:
@@ -85,7 +86,7 @@ def test_arrows_are_clear_of_the_housing_and_no_larger_than_needed() -> None:
     # Measured on the meshes by hand: housings of 41 mm, a wrist of 32 mm.
     assert (radius[:3] > 0.045).all() and (radius[:3] < 0.085).all()
     assert (radius[3:6] > 0.036).all() and (radius[3:6] < 0.065).all()
-    assert (radius[6:] < 0.03).all()  # fingers, not their palm
+    assert (radius[6:] < 0.036).all()  # fingers, not their palm
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 50.0])
@@ -100,6 +101,51 @@ def test_sizes_grow_with_the_robot(scale: float) -> None:
     # 1 kg at half of the last link; 4 kg at the distance of their common centre of mass
     com = np.array([3 * 0.0 + 0.5, 3 * 0.5 + 1.0]) / 4
     assert load == pytest.approx([4 * 9.81 * s * np.hypot(*com), 9.81 * s * 0.5], rel=1e-3)
+
+
+def test_what_is_inside_geoms_is_hidden() -> None:
+    model, data = compiled("""<mujoco><worldbody><body><joint/>
+      <geom size=".1"/><geom type="box" size=".05 .05 .05" pos=".2 0 0"/>
+      <geom size=".9" group="4"/></body></worldbody></mujoco>""")
+    radii = np.array([0.01, 0.09, 0.13, 0.2, 0.5])
+    shares = Solids(model, data).hidden_shares(np.zeros(3), np.array([0, 0, 1.0]), radii, 0.01)
+    assert shares[:2] == pytest.approx(1.0) and shares[2] == shares[4] == 0.0
+    assert shares[3] == pytest.approx(2 * np.arcsin(0.05 / 0.2) / (2 * np.pi), abs=0.07)
+
+
+SKIN = """<mujoco><worldbody><body name="bone"><joint axis="0 0 1"/>
+    <geom type="capsule" size=".01" fromto="0 0 -.1 0 0 .1" group="3"/></body></worldbody>
+  <deformable><skin name="fur" vertex="{vertices}"
+    face="0 2 1 1 2 3 4 5 6 5 7 6 0 1 4 1 5 4 2 6 3 3 6 7 0 4 2 2 4 6 1 3 5 3 7 5">
+    <bone body="bone" bindpos="0 0 0" bindquat="1 0 0 0" vertid="0 1 2 3 4 5 6 7"
+      vertweight="1 1 1 1 1 1 1 1"/></skin></deformable></mujoco>"""
+
+
+def test_arrows_are_outside_of_skins() -> None:
+    corners = [(x, y, z) for z in (-0.3, 0.3) for y in (-0.05, 0.05) for x in (-0.05, 0.05)]
+    vertices = " ".join(f"{x} {y} {z}" for x, y, z in corners)
+    model, data = compiled(SKIN.format(vertices=vertices))
+    (tree,) = find_trees(model)
+    assert 0.05 < measure(model, data, tree).arrow_radius[0] < 0.1
+    up, radii = np.array([0.0, 0.0, 1.0]), np.array([0.04, 0.08])
+    assert Solids(model, data).hidden_shares(np.zeros(3), up, radii, 0.02) == pytest.approx([1, 0])
+
+
+def test_arrows_of_close_joints_are_narrow_and_of_similar_size() -> None:
+    vertebra = '<body pos="0 0 .02"><joint axis="0 0 1"/><geom size=".1"/>{}</body>'
+    spine = "{}"
+    for _ in range(8):
+        spine = spine.format(vertebra)
+    model, data = compiled(f"<mujoco><worldbody>{spine.format('')}</worldbody></mujoco>")
+    (tree,) = find_trees(model)
+    sizes = measure(model, data, tree)
+    assert (sizes.arrow_radius > 0.05).all() and np.ptp(np.log(sizes.arrow_radius)) < np.log(1.5)
+    assert sizes.full_width == pytest.approx(0.02 / sizes.arrow_radius)
+    overlay = sero_mj.overlay(model, data)
+    widths = overlay.world.joints.arrow_width_scale / 0.01
+    assert widths == pytest.approx(sizes.full_width)
+    wide = sero_mj.overlay(model, data, robots={tree.name: {"arrow_width_scale": 0.01}})
+    assert wide.world.joints.arrow_width_scale == pytest.approx(0.01)
 
 
 def test_a_joint_without_any_geometry_still_has_sizes() -> None:

@@ -366,7 +366,7 @@ def _joint_table(
                 for part, double in zip(parts, is_double, strict=True)
             ]
         ),
-        arrow_width_scale=gather([robot.arrow_width_scale for robot in robots]),
+        arrow_width_scale=gather([robot.arrow_width_scales for robot in robots]),
         arrow_load=gather([robot.arrow_loads for robot in robots]),
         arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
     )

@@ -273,6 +273,11 @@ class SerialRobot(Declaration):
         return _CLEAR_OF_HOUSING * housing_radii(self.dh, self.flange_frame)
 
     @property
+    def arrow_width_scales(self) -> Array:
+        """`arrow_width_scale` of every joint's arrow (n,)."""
+        return np.full(self.n, self.arrow_width_scale)
+
+    @property
     def arrow_loads(self) -> Array:
         """Effort at which an arrow without limit is as wide as its radius (n,), Nm or N.
 

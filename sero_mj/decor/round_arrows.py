@@ -114,6 +114,10 @@ class RoundArrows(Feature):
         by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
         scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
         widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
+        # Between close joints the full width is less, and so is what no arrow exceeds.
+        narrow = joints.arrow_width_scale / DEFAULT_WIDTH_SCALE
+        widest = WIDEST * joints.arrow_radius * np.where(by_load, np.minimum(narrow, 1.0), 1.0)
+        widths = np.minimum(widths, widest)
         visible = shown.arrows & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
         over = np.abs(values) > limit  # false for NaN
         rgba = np.where((values > 0)[:, None], POSITIVE_RGBA, NEGATIVE_RGBA)

@@ -92,6 +92,7 @@ class FoundRobot(SerialRobot):
 
     _loads: Array | None = PrivateAttr(None)
     _axes: Array | None = PrivateAttr(None)
+    _full_widths: Array | None = PrivateAttr(None)
 
     @property
     def arrow_loads(self) -> Array:
@@ -102,6 +103,12 @@ class FoundRobot(SerialRobot):
     def arrow_radii(self) -> Array:
         """Radius of every joint's arrow (n,), m."""
         return np.broadcast_to(self.arrow_radius, self.n).astype(np.float64)
+
+    @property
+    def arrow_width_scales(self) -> Array:
+        """`arrow_width_scale` of every joint's arrow (n,); less for joints close to each other."""
+        scales = super().arrow_width_scales
+        return scales if self._full_widths is None else scales * self._full_widths
 
     @property
     def axes_length(self) -> float:
@@ -230,7 +237,8 @@ def _found_robot(
         **fields,
     )
     if "arrow_width_scale" not in overrides:
-        robot._loads = sizes.load
+        robot._loads = sizes.load / sizes.full_width
+        robot._full_widths = sizes.full_width
     if "axes_size" not in overrides:
         robot._axes = sizes.axes
     return robot

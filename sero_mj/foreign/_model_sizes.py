@@ -10,17 +10,23 @@ import numpy as np
 from ..assemble.robot_dynamics import GRAVITY
 from ..frames import Array, Ints
 from ._model_trees import ON_JOINT, Tree
-from ._surfaces import surface
+from ._solids import Solids, geom_boxes, geoms_of
 
 _FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
-_CLEAR = 1.45  # radius of an arrow over that of the housing it encloses
-# Bounds of an arrow's radius, fractions of the link length.
-_SMALLEST, _LARGEST = 0.12, 0.5
+# Smallest radius of an arrow: of the link's length, or of half the length of the shorter of the
+# bodies that the joint connects, but of the robot's extent at most.
+_SMALLEST, _OF_HALF, _OF_ROBOT = 0.12, 0.25, 0.05
+_OF_SKIN = 0.12  # of the robot's extent: a skin may be much thicker than the bodies inside of it
+_STEP = 1.12  # ratio of the radii that are tried
+_HEIGHT = 0.3  # of an arrow, over its radius
+_HIDDEN = 0.47  # share of an arrow that may be hidden: links extend on one or two sides
+# How much less has to be hidden of an arrow that is larger by a factor of e, and of one that is
+# larger than a fraction of the link's length.
+_PER_SIZE, _PER_LARGE, _LARGEST = 0.06, 0.2, 0.75
+_FAMILY = 5  # number of joints nearest to a joint, which have arrows of similar size
+_GROWN = 1.4  # largest factor by which an arrow is made larger for that
+_NARROWEST = 0.1  # full width of an arrow over its radius
 _AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
-_OF_PARENT = 1.4  # largest considered ratio of the housing of the parent to that of the moving body
-# Half the length along the axis in which the housing is measured, fraction of the link length.
-_SLAB = 0.2
-_SECTORS = 12
 _AT_ONE_PLACE = 0.02  # of the robot's extent
 _LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
 
@@ -59,7 +65,8 @@ class Sizes:
 
     Attributes:
         link: typical distance of neighbouring joints, m.
-        arrow_radius: (n,), m; larger than the housing that the arrow encloses.
+        arrow_radius: (n,), m; as small as the arrow can be without being hidden in links.
+        full_width: (n,) of arrows, over their radius: 1, or less for joints close to each other.
         axes: length of the coordinate axes of the body that each joint moves, (n,), m.
         load: approximate maximum gravity load of each joint, (n,), Nm or N: the weight it
             carries times its distance.
@@ -67,6 +74,7 @@ class Sizes:
 
     link: float
     arrow_radius: Array
+    full_width: Array
     axes: Array
     load: Array
 
@@ -79,31 +87,83 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
         data: in the pose to measure, after `mj_fwdPosition`.
         tree: the robot.
     """
-    anchors, axes = data.xanchor[tree.joints], data.xaxis[tree.joints]
-    points, of_body = surface(model, data, tree.bodies, tree.trunk)
-    bodies = model.jnt_bodyid[tree.joints]
-    parents = model.body_parentid[bodies]
-    links = _link_lengths(model, tree, anchors, points)
+    anchors = data.xanchor[tree.joints]
+    low, high = geom_boxes(model, data)
+    mine = geoms_of(model, tree.bodies, tree.trunk)
+    extent = float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) if len(mine) else 0.0
+    links = _link_lengths(model, tree, anchors, extent)
     link = float(np.median(links))
-    radius = np.empty(len(tree.joints))
-    for i in range(len(tree.joints)):
-        own, other = (
-            _housing_radius(points[of_body == around] - anchors[i], axes[i], _SLAB * links[i])
-            for around in (bodies[i], parents[i])
-        )
-        # A finger is thinner than its palm; a body without a surface counts as part of its parent.
-        housing = max(own, min(other, _OF_PARENT * own)) if own > 0 else other
-        most = _LARGEST * max(links[i], link)
-        radius[i] = np.clip(_CLEAR * housing, _SMALLEST * links[i], most)
-    return Sizes(link, radius, _AXES * radius, _loads(model, data, tree, link))
+    radius = _radii(model, data, tree, links, extent)
+    apart = np.linalg.norm(anchors[:, None] - anchors, axis=2)
+    apart[apart <= _AT_ONE_PLACE * extent] = np.inf
+    width = np.clip(apart.min(axis=1) / radius, _NARROWEST, 1.0)
+    return Sizes(link, radius, width, _AXES * radius, _loads(model, data, tree, link))
 
 
-def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Array) -> Array:
+def _radii(
+    model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, links: Array, extent: float
+) -> Array:
+    """Returns the radius of every arrow, (n,), m.
+
+    The smallest with which the arrow is seen, rarely larger than the bodies that the joint
+    connects, and where these allow it like those of the joints beside it.
+    """
+    anchors, axes = data.xanchor[tree.joints], data.xaxis[tree.joints]
+    solids, boxes = Solids(model, data), geom_boxes(model, data)
+    of_skin = _OF_SKIN * extent if model.nskin else 0.0
+    tried, hidden, smallest = [], [], []
+    for i, joint in enumerate(tree.joints):
+        lengths = _half_lengths(model, boxes, tree, int(joint))
+        least = max(_SMALLEST * links[i], min(_OF_HALF * min(lengths), _OF_ROBOT * extent))
+        most = max(*lengths, of_skin, least)
+        count = int(np.ceil(np.log(most / least) / np.log(_STEP))) + 1
+        radii = np.geomspace(least, most, count)
+        height = _HEIGHT * np.sqrt(least * most)
+        shares = solids.hidden_shares(anchors[i], axes[i], radii, height)
+        large = _LARGEST * max(links[i], float(np.median(links)))
+        cost = np.maximum(shares - _HIDDEN, 0.0) + _PER_SIZE * np.log(radii / least)
+        cost += _PER_LARGE * np.maximum(np.log(radii / large), 0.0)
+        best = min(int(cost.argmin()) + 1, count - 1)  # one step clear of the surface
+        tried.append(radii[best:])
+        hidden.append(shares[best:])
+        smallest.append(radii[best])
+    radius = np.empty(len(links))
+    for i, (radii, shares) in enumerate(zip(tried, hidden, strict=True)):
+        near = np.argsort(np.linalg.norm(anchors - anchors[i], axis=1), kind="stable")[:_FAMILY]
+        wanted = min(float(np.median(np.array(smallest)[near])), _GROWN * smallest[i])
+        fits = radii[shares <= max(_HIDDEN, shares[0])]
+        radius[i] = fits[np.abs(np.log(fits / wanted)).argmin()]
+    return radius
+
+
+def _half_lengths(
+    model: mujoco.MjModel, boxes: tuple[Array, Array], tree: Tree, joint: int
+) -> list[float]:
+    """Returns half the length of the bodies that a joint connects, m; 0 without any geom.
+
+    Args:
+        model: compiled.
+        boxes: about all geoms, see `geom_boxes`.
+        tree: the robot.
+        joint: id.
+    """
+    low, high = boxes
+    body = int(model.jnt_bodyid[joint])
+    lengths = []
+    for around in (body, int(model.body_parentid[body])):
+        weld = int(model.body_weldid[around])
+        welded = (model.body_weldid == weld).nonzero()[0]
+        mine = geoms_of(model, welded, tree.trunk if weld == 0 else None)
+        if len(mine):
+            lengths.append(float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) / 2)
+    return lengths or [0.0]
+
+
+def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, extent: float) -> Array:
     """Returns every joint's distance to the farther of its neighbours in the tree, (n,), m.
 
     Joints that coincide, as in a wrist or a hip, count as one.
     """
-    extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     row = {int(body): i for i, body in enumerate(model.jnt_bodyid[tree.joints])}
     before = np.full(len(anchors), -1)  # the parent joint of each
     for i, body in enumerate(model.jnt_bodyid[tree.joints]):
@@ -123,30 +183,6 @@ def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, points: Arr
     known = links > 0
     links[~known] = np.median(links[known]) if known.any() else extent / 2 or 0.2
     return links
-
-
-def _housing_radius(points: Array, axis: Array, slab: float) -> float:
-    """Returns the radius of a body about an axis on most sides; links extend on one or two, m.
-
-    Args:
-        points: of its surface, relative to the joint's anchor, (k, 3), m.
-        axis: unit vector (3,).
-        slab: half the length along the axis in which points count, m.
-    """
-    along = points @ axis
-    across = points - along[:, None] * axis
-    near = np.abs(along) <= slab
-    if not near.any():
-        return 0.0
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side /= np.linalg.norm(side)
-    angle = np.arctan2(across[near] @ np.cross(axis, side), across[near] @ side)
-    sector = np.floor((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
-    reach = np.zeros(_SECTORS)
-    np.maximum.at(reach, sector, np.linalg.norm(across[near], axis=1))
-    if not reach.any():
-        return 0.0
-    return float(np.median(reach)) or float(reach[reach > 0].min())
 
 
 def _loads(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, link: float) -> Array:

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from ..frames import Array, Ints
-from ._surfaces import placed_points, surface
+from ._solids import geom_boxes, geoms_of
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -123,20 +123,24 @@ def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]
         return [(np.array([root]), alone) for root in roots]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    limbs = [  # with the body's origin, for limbs without any surface
-        _bounds(np.vstack([data.xpos[root], surface(model, data, np.array([root]))[0]]))
-        for root in hinged
-    ]
+    low, high = geom_boxes(model, data)
+    limbs = []
+    for root in hinged:
+        own = geoms_of(model, np.array([root]))
+        # With the body's origin, for a limb without any geom.
+        corners = np.vstack([data.xpos[root], low[own], high[own]])
+        limbs.append(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     size = np.concatenate([np.ptp(limb, axis=0) for limb in limbs]).reshape(-1, 3)
     largest = 2 * np.linalg.norm(size, axis=1).sum()
     nodes: list[tuple[int, Array, float]] = []  # root, or -1 - geom; box; reach
     nodes += [(root, box, 0.0) for root, box in zip(hinged, limbs, strict=True)]
     for geom in solid.nonzero()[0]:
-        box = _bounds(placed_points(model, data, int(geom)))
+        box = np.stack([low[geom], high[geom]])
         diagonal = float(np.linalg.norm(box[1] - box[0]))
         if diagonal <= largest:  # furniture and walls are no trunk
             nodes.append((-1 - int(geom), box, _TOUCHING * diagonal))
-    groups, joined = [], set()
+    groups: list[tuple[Ints, Ints]] = []
+    joined: set[int] = set()
     for root in roots.tolist():
         if root in joined:
             continue
@@ -178,13 +182,6 @@ def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
                 found.add(node[0])
                 todo.append(node)
     return sorted(found)
-
-
-def _bounds(points: Array) -> Array:
-    """Returns the lower and upper corner of points, (2, 3), m; infinitely far without any."""
-    if not len(points):
-        return np.full((2, 3), np.inf)
-    return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def _scope(model: mujoco.MjModel, body: int) -> str:

@@ -28,7 +28,7 @@ from ..frames import Array, Bools, Ints
 from ._found_robot import FoundPart, found_part, list_found_frames
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import find_trees
-from ._surfaces import geom_boxes, is_shown
+from ._solids import geom_boxes, is_shown
 
 log = logging.getLogger(__name__)
 
