@@ -30,7 +30,7 @@ from sero_mj.errors import RenderError, UnknownName, UsageError
 pytestmark = pytest.mark.gl
 
 
-def until(found: Callable[[], Any], seconds: float = 20.0) -> Any:
+def until(found: Callable[[], Any], seconds: float = 30.0) -> Any:
     """Waits until something is true, and returns it."""
     end = time.monotonic() + seconds
     while not (result := found()):

@@ -26,7 +26,7 @@ from ..drive.place import follow
 from ..foreign.model_world import ModelWorld
 from ..frames import Array
 
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo takes ten times as long for the enum
 _MEMORY = Path("/dev/shm")  # files there are never written to a disk; Linux only
 _HEADER = 2  # of an array: its number, and a checksum
 _MOST = 2**32  # checksums are smaller
