@@ -108,6 +108,11 @@ class LiveHost(ABC):
         """Whether the user has not closed it."""
 
     @property
+    def is_seen(self) -> bool:
+        """Whether anybody may see it now."""
+        return True
+
+    @property
     @abstractmethod
     def is_due(self) -> bool:
         """Whether it is time for the next frame."""

@@ -31,6 +31,7 @@ from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)
 
+_UNSEEN = 0.1  # s between two frames of a page that no browser shows
 _PATIENCE = 5.0  # s after which it ends, even if the host does not come back from drawing
 
 
@@ -196,8 +197,8 @@ def _serve(user: _User, host: LiveHost, memory: ViewerMemory) -> None:
     """Shows frames until the host is closed or the user is gone."""
     while host.frame() and not user.is_gone:
         memory.show()
-        while not user.messages.empty():
-            message = user.messages.get()
+        with suppress(queue.Empty):
+            message = user.messages.get(timeout=0.0 if host.is_seen else _UNSEEN)
             if message is None:
                 return
             _, number = message

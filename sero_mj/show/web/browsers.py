@@ -34,10 +34,20 @@ class Browsers:
 
     def __init__(self) -> None:
         self.states: Mapping[Size, bytes] = {}
+        self._connections: set[Any] = set()
         self._sizes: dict[Any, Size] = {}  # by connection
         # Buttons and times, the oldest first.
         self._presses = collections.deque[tuple[int, float]](maxlen=_MOST_PRESSES)
         self._lock = threading.Lock()
+
+    @property
+    def are_there(self) -> bool:
+        """Whether anything is connected, if only for a file."""
+        return bool(self._connections)
+
+    def greet(self, connection: Any) -> None:
+        """Remembers a connection that has been made."""
+        self._connections.add(connection)
 
     def hear(self, connection: Any, message: str) -> bool:
         """Takes a message of a browser; returns False for one of Studio's."""
@@ -51,6 +61,7 @@ class Browsers:
 
     def forget(self, connection: Any) -> None:
         """Forgets a browser that has left."""
+        self._connections.discard(connection)
         with self._lock:
             self._sizes.pop(connection, None)
 
@@ -102,6 +113,7 @@ class BrowserConnection(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begins to wait for the request."""
         super().connection_made(transport)
+        self._browsers.greet(self)
         self.loop.call_later(_REQUEST_TIMEOUT, self._end_without_request)
 
     def _end_without_request(self) -> None:

@@ -132,6 +132,11 @@ class WebHost(LiveHost):
         return bool(self.viewer.is_running())
 
     @property
+    def is_seen(self) -> bool:
+        """Whether a browser is connected."""
+        return self.viewer.server.browsers.are_there
+
+    @property
     def is_due(self) -> bool:
         """Whether it is time for the next frame."""
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
