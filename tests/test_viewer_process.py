@@ -12,13 +12,14 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from driver import ROOT
+from polling import until
 from web_tools import MISSING as NO_BROWSER
 from window_tools import MISSING as NO_WINDOW
 from window_tools import screen
@@ -29,14 +30,7 @@ from sero_mj.errors import RenderError, UnknownName, UsageError
 
 pytestmark = pytest.mark.gl
 
-
-def until(found: Callable[[], Any], seconds: float = 30.0) -> Any:
-    """Waits until something is true, and returns it."""
-    end = time.monotonic() + seconds
-    while not (result := found()):
-        assert time.monotonic() < end, "never true"
-        time.sleep(0.01)
-    return result
+PATIENCE = 60.0  # s
 
 
 def answers(url: str) -> bool:
@@ -62,7 +56,7 @@ def viewer() -> Iterator[Viewer]:
 
 
 def test_it_is_shown_without_any_call_and_no_call_waits_for_it(viewer: Viewer) -> None:
-    until(lambda: viewer.pictures > 5)
+    assert until(lambda: viewer.pictures > 5, PATIENCE)
     assert viewer.url is not None and answers(viewer.url)
     process = process_of(viewer)
     process.send_signal(signal.SIGSTOP)  # as if it were in the middle of a long picture
@@ -75,7 +69,7 @@ def test_it_is_shown_without_any_call_and_no_call_waits_for_it(viewer: Viewer) -
         assert viewer.pictures == shown
     finally:
         process.send_signal(signal.SIGCONT)
-    until(lambda: viewer.pictures > shown)
+    assert until(lambda: viewer.pictures > shown, PATIENCE)
 
 
 def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> None:
@@ -87,9 +81,9 @@ def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> 
         viewer.sync()
         return viewer.data.time > 0.1 and bool(np.abs(simulated.torques).max() > 1.0)
 
-    until(has_come)
+    assert until(has_come, PATIENCE)
     begin = viewer.data.time
-    until(lambda: viewer.sync() and viewer.data.time > begin)
+    assert until(lambda: viewer.sync() and viewer.data.time > begin, PATIENCE)
     mine = viewer.robot("mine")
     assert mine.joint_angles.tolist() == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
     assert mine.torques.tolist() == [*range(7)]
@@ -137,12 +131,12 @@ def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser:
         page = browser.new_page(viewport={"width": 400, "height": 300})
         page.on("websocket", watch)
         page.goto(f"http://localhost:{server.server_port}/")
-        until(lambda: page.wait_for_timeout(100) or len(states) > 10, 60)
+        assert until(lambda: page.wait_for_timeout(100) or len(states) > 10, PATIENCE)
         before = viewer.pictures
         page.wait_for_timeout(3000)
         assert viewer.pictures > before + 45  # and not 10 a second, as where nobody looks
         seen = len(states)
-        until(lambda: page.wait_for_timeout(100) or len(states) > seen)
+        assert until(lambda: page.wait_for_timeout(100) or len(states) > seen, PATIENCE)
         server.shutdown()
     assert "closed" not in states
     page.close()
@@ -163,8 +157,8 @@ def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
     assert "http://localhost" in capfd.readouterr().out
 
     process_of(again).kill()
-    until(lambda: not again.is_open)
-    until(lambda: caplog.records)
+    assert until(lambda: not again.is_open, PATIENCE)
+    assert until(lambda: caplog.records, PATIENCE)
     for _ in range(100):
         again.set("lwr.torques", np.ones(7))
         assert not again.sync()
@@ -179,8 +173,8 @@ def test_what_goes_wrong_there_is_told_here(caplog: pytest.LogCaptureFixture) ->
     with sero_mj.view("lwr", web=True) as viewer:
         # As if a driver failed: it writes why, and ends.
         viewer._process._send(("picture",))
-        until(lambda: not viewer.is_open)
-        until(lambda: caplog.records)
+        assert until(lambda: not viewer.is_open, PATIENCE)
+        assert until(lambda: caplog.records, PATIENCE)
     (record,) = caplog.records
     assert "goes on: exit status 1; it wrote: ValueError: not enough values" in record.getMessage()
     with pytest.raises(UnknownName, match="no camera 'frnt'"):
@@ -216,34 +210,29 @@ sys.stdin.readline()
 """
 
 
-def test_it_ends_with_the_script_however_that_ends_and_not_before(tmp_path: Path) -> None:
-    for end in ("killed", "done"):
-        script = subprocess.Popen(
-            [sys.executable, "-c", _OF_A_SCRIPT],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            process_group=0,
-        )
-        assert script.stdin and script.stdout and script.stderr
-        with script, script.stdin:
-            refused = script.stdout.readline()
-            assert "Can't get attribute 'Mine'" in refused and "a module that can be" in refused
-            (url,) = re.findall(r"http://\S+", script.stdout.readline())
-            assert script.stdout.readline() == "waits\n" and answers(url)
-            os.killpg(script.pid, signal.SIGINT)  # as Ctrl+C in a terminal
-            assert script.stdout.readline() == "interrupted True True\n"
-            if end == "killed":
-                script.kill()
-            else:
-                script.stdin.write("\n")
-                script.stdin.flush()
-            until(lambda: not answers(url))  # noqa: B023
-            assert script.wait(20) == (-signal.SIGKILL if end == "killed" else 0)
-            assert script.stderr.read() == ""
+def test_it_ends_with_the_script_and_not_before(tmp_path: Path) -> None:
+    script = subprocess.Popen(
+        [sys.executable, "-c", _OF_A_SCRIPT],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        process_group=0,
+    )
+    assert script.stdin and script.stdout and script.stderr
+    with script, script.stdin:
+        refused = script.stdout.readline()
+        assert "Can't get attribute 'Mine'" in refused and "a module that can be" in refused
+        (url,) = re.findall(r"http://\S+", script.stdout.readline())
+        assert script.stdout.readline() == "waits\n" and answers(url)
+        os.killpg(script.pid, signal.SIGINT)  # as Ctrl+C in a terminal
+        assert script.stdout.readline() == "interrupted True True\n"
+        script.stdin.write("\n")
+        script.stdin.flush()
+        assert script.wait(PATIENCE) == 0
+        assert script.stderr.read() == "" and not answers(url)
 
 
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
@@ -256,7 +245,7 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
         robot = SerialRobot.from_model("lwr", show_arrows=True)
         with sero_mj.view(Scene(robots=[robot], name="window"), size=(400, 300)) as viewer:
             assert viewer.url is None and "in a window on the screen" in viewer._repr_html_()
-            until(lambda: viewer.pictures > 3)
+            assert until(lambda: viewer.pictures > 3, PATIENCE)
             clicks: list[tuple[Any, str, threading.Thread]] = []
             viewer.on_click(lambda *click: clicks.append((*click, threading.current_thread())))
             assert viewer.picture().shape == (300 - 29, 400, 3)
@@ -268,16 +257,16 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
             def robot_was_clicked() -> bool:
                 click(200, 150)
                 shown = viewer.pictures
-                until(lambda: viewer.pictures > shown + 2)
+                assert until(lambda: viewer.pictures > shown + 2, PATIENCE)
                 viewer.sync()
                 return bool(clicks)
 
-            until(robot_was_clicked)
+            assert until(robot_was_clicked, PATIENCE)
             picked, gesture, thread = clicks[0]
             assert picked.owner == "lwr" and gesture == "click"
             assert thread is threading.main_thread()
             subprocess.run(["xdotool", "key", "ctrl+q"], check=True, timeout=20)
-            until(lambda: not viewer.sync())
+            assert until(lambda: not viewer.sync(), PATIENCE)
             assert process_of(viewer).wait(20) == 0
 
 
@@ -307,7 +296,7 @@ def test_a_notebook_shows_it_while_no_cell_runs(tmp_path: Path) -> None:
         notebook.execute_cell(book.cells[2], 2)
         (output,) = book.cells[2].outputs
         assert int(output["data"]["text/plain"]) > shown[1] + 3
-    until(lambda: not answers(urls[1]))
+    assert until(lambda: not answers(urls[1]), PATIENCE)
 
 
 def test_a_class_of_a_script_is_refused_with_what_to_do() -> None:
@@ -333,7 +322,7 @@ time.sleep(100)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Linux and macOS")
-def test_it_does_not_stay_with_copies_of_the_process_that_opened_it(tmp_path: Path) -> None:
+def test_it_ends_with_a_killed_script_of_which_copies_live_on(tmp_path: Path) -> None:
     script = subprocess.Popen(
         [sys.executable, "-W", "ignore", "-c", _WITH_FORKS],
         stdin=subprocess.PIPE,
@@ -347,4 +336,4 @@ def test_it_does_not_stay_with_copies_of_the_process_that_opened_it(tmp_path: Pa
         (url,) = re.findall(r"http://\S+", script.stdout.readline())
         assert script.stdout.readline() == "forked\n" and answers(url)
         script.kill()
-        until(lambda: not answers(url))
+        assert until(lambda: not answers(url), PATIENCE)

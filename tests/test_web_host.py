@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from mujoco.studio import messages, sim_history, ux
 from mujoco.studio.dear_imgui import dear_imgui as imgui
-from mujoco.studio.web import state_payload
+from mujoco.studio.web import state_payload, web_server
 from polling import until
 from websockets.sync.client import connect
 
@@ -146,6 +146,26 @@ def test_one_page_at_a_time_and_another_after_it() -> None:
                     assert page.frame()
                 with pytest.raises(RenderError, match="no second page: Studio serves one"):
                     WebHost(mirror)
+
+
+def test_pages_that_start_at_once_get_ports_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    bind = web_server.bind_public_socket
+    rivals = []
+
+    def bind_with_rival(host: str, port: int = 0) -> socket.socket:
+        bound = bind(host, port)
+        if not rivals:  # both may bind the port, and one can listen
+            rivals.append(socket.socket())
+            rivals[0].setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            rivals[0].bind(bound.getsockname())
+            rivals[0].listen()
+        return bound
+
+    monkeypatch.setattr(web_server, "bind_public_socket", bind_with_rival)
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page:
+        assert page.port != rivals[0].getsockname()[1]
+        socket.create_connection(("localhost", page.port), 5).close()
+    rivals[0].close()
 
 
 def test_a_port_that_is_taken_is_told() -> None:

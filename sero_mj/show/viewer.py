@@ -271,7 +271,7 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
         if viewer.is_open and not (is_same and (viewer.url is not None) == options["web"]):
             continue
         if viewer.is_open and viewer.url is not None:
-            options.setdefault("port", urlsplit(viewer.url).port)
+            options["last_port"] = urlsplit(viewer.url).port
         viewer.close()
 
 

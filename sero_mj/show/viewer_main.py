@@ -24,7 +24,7 @@ import mujoco
 
 from ..assemble.scene import Scene
 from ..drive.mirror import LiveWorld, Mirror, Watch
-from ..errors import SeroError, UsageError
+from ..errors import RenderError, SeroError, UsageError
 from ..foreign.model_world import ModelWorld
 from .live import LiveHost
 from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
@@ -180,10 +180,16 @@ def _mirror_of(pickled: bytes) -> tuple[Any, Callable[[Path], ViewerMemory]]:
 
 
 def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
+    last_port = options.pop("last_port", None)
     if options.pop("web"):
         from .viewer import open_page
 
-        page = open_page(mirror, **options)
+        try:
+            page = open_page(mirror, **{"port": last_port or 0, **options})
+        except RenderError:
+            if last_port is None or "port" in options:
+                raise
+            page = open_page(mirror, **options)  # another program has taken it meanwhile
         if not all(double.is_compiled for double in mirror.world.doubles.values()):
             log.warning("a page shows no doubles of an overlay; a window and pictures do")
             page.toggles.doubles[:] = False

@@ -179,7 +179,7 @@ class StudioViewer(web_viewer.WebViewer):
         plugins: list[Any],
         camera: mujoco.MjvCamera,
     ) -> None:
-        self.address = address
+        self.address, self._wanted_port = address, port
         self._token = token
         self._page = read_page(title)
         config = viewer_protocol.ViewerConfig(title=title, http_port=port)
@@ -199,6 +199,23 @@ class StudioViewer(web_viewer.WebViewer):
     @_host.setter
     def _host(self, value: str) -> None:
         """Ignores the value of Studio's constructor, which is all interfaces."""
+
+    @property
+    def _http_sock(self) -> socket.socket:
+        return self._listening
+
+    @_http_sock.setter
+    def _http_sock(self, bound: socket.socket) -> None:
+        """Listens at once: until somebody does, other pages that start can bind the same port."""
+        while True:
+            try:
+                bound.listen()
+            except OSError:  # another one has been faster
+                bound.close()
+                bound = web_server.bind_public_socket(self.address, self._wanted_port)
+            else:
+                self._listening = bound
+                return
 
     def _start_server(self) -> None:
         self._tcp_sock = SameProcessSocket(fileno=self._tcp_sock.detach())
