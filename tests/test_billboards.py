@@ -11,7 +11,7 @@ from sero_mj.assemble.double import Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.decor.billboards import shortened
+from sero_mj.decor.card_names import card_names, shortened, titles
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
 from sero_mj.decor.picture_view import PictureView
@@ -227,14 +227,47 @@ def test_with_several_robots_a_billboard_says_whose_joint_it_is() -> None:
 
 def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
     assert shortened(["left", "right_manipulator_arm"]) == ["left", "right_..or_arm"]
-    same = ["front_left_of_the_hip", "front_lost_of_the_hip"]
-    assert shortened(same) == same
+    alike = ["front_left_of_the_hip", "front_lost_of_the_hip", "front_left_of_the_hip"]
+    assert shortened(alike) == ["front_le.._the_hip", "front_lo.._the_hip", "front_le.._the_hip"]
+    nearly = ["front_left_1_of_the_hip", "front_left_2_of_the_hip"]
+    assert shortened(nearly) == nearly
     robots = [
         SerialRobot(name=name, dh_convention="craig", torques=[2.0], show_billboards=True)
         for name in ("left_manipulator_arm", "right_manipulator_arm")
     ]
     rows = drawn(World(Scene(robots=robots, floor=False)), view_at(distance=20))
     assert sorted(labels(rows)) == ["left_m..or_arm J1    2.0 Nm", "right_..or_arm J1    2.0 Nm"]
+
+
+@pytest.mark.parametrize(
+    ("robot", "joints", "expected"),
+    [
+        ("iiwa", ["lbr_iiwa_joint_1", "lbr_iiwa_joint_2"], ["joint_1", "joint_2"]),
+        ("panda", ["panda_joint1", "panda_finger_joint1"], ["joint1", "finger_joint1"]),
+        (
+            "a1",
+            ["FR_hip_joint", "FL_hip_joint", "FR_upper_joint"],
+            ["FR_hip", "FL_hip", "FR_upper"],
+        ),
+        ("r", ["robot0:WRJ1", "robot0:FFJ0"], ["WRJ1", "FFJ0"]),
+        ("door", ["door_hinge"], ["hinge"]),
+        ("chest", ["right_elbow", "left_elbow"], ["right_elbow", "left_elbow"]),
+        ("arm", ["hip_joint", "hip_link"], ["hip_joint", "hip_link"]),
+        ("arm", ["arm", "arm_2"], ["arm", "arm_2"]),
+        ("arm", ["J1", "J2"], ["J1", "J2"]),
+        ("none", [], []),
+    ],
+)
+def test_names_on_cards_are_without_what_repeats(
+    robot: str, joints: list[str], expected: list[str]
+) -> None:
+    assert card_names(joints, robot) == expected
+
+
+def test_a_title_says_a_name_once() -> None:
+    joints, owners = [["RIGHT_HIP_X"], ["lift", "turn"]], ["RIGHT_HIP_X_LINK", "arm"]
+    assert titles(joints, owners, [True, True]) == ["RIGHT_..X_LINK", "arm lift", "arm turn"]
+    assert titles(joints, owners, [False, False]) == ["RIGHT_HIP_X", "lift", "turn"]
 
 
 def test_the_legend_leaves_small_pictures_alone() -> None:

@@ -281,6 +281,67 @@ def test_a_joint_without_torque_limit_is_as_wide_as_others_at_the_singularity() 
         assert width == pytest.approx(joints.arrow_radius[item] / 2, rel=1e-5)
 
 
+def chain_overlay(count: int) -> tuple[sero_mj.Overlay, Any]:
+    """A chain of many joints with all cards on, and a function that returns the panels."""
+    body = '<body pos="0 0 .1"><joint name="{0}_joint"/><geom size=".03"/>{1}</body>'
+    xml = ""
+    for k in reversed(range(count)):
+        xml = body.format(f"vertebra_of_the_spine_{k}", xml)
+    overlay = sero_mj.overlay(*compiled(f"<mujoco><worldbody>{xml}</worldbody></mujoco>"))
+    overlay.toggles.billboards[:] = True
+    scene = mujoco.MjvScene(overlay.model, maxgeom=5000)
+
+    def panels(width: int = 640, height: int = 480) -> Any:
+        scene.ngeom = 0
+        overlay.draw(scene, f"90,-10,{0.25 * count}", (width, height))
+        return overlay._drawn.panels
+
+    return overlay, panels
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1280, 800)])
+@pytest.mark.parametrize("count", [6, 60])
+def test_cards_do_not_cover_each_other(size: tuple[int, int], count: int) -> None:
+    _, panels = chain_overlay(count)
+    found = panels(*size)
+    low = np.concatenate([p.centres - p.sizes / 2 for p in found])
+    high = np.concatenate([p.centres + p.sizes / 2 for p in found])
+    apart = ((high[:, None] <= low + 1e-6) | (low[:, None] >= high - 1e-6)).any(axis=2)
+    assert (apart | np.eye(len(low), dtype=bool)).all()
+    cards = sum(len(p.texts) for p in found if p.has_values)
+    notes = [line for p in found for lines in p.texts for line in lines if b" of 60 " in line]
+    assert cards == 6 if count == 6 else 4 < cards < 48
+    assert notes == ([] if count == 6 else [b"cards: %d of 60 joints, the most loaded" % cards])
+
+
+def test_cards_are_of_the_most_loaded_joints_and_stay() -> None:
+    overlay, panels = chain_overlay(60)
+    robot = overlay.robot(next(iter(overlay.robots)))
+    load = overlay.world.joints.arrow_load
+
+    def items() -> set[int]:
+        (cards,) = [p for p in panels(1280, 800) if p.has_values]
+        return set(cards.items.tolist())
+
+    share = np.full(60, 0.1)
+    share[20:30] = 0.5
+    robot.torques = share * load
+    first = items()
+    assert first >= set(range(20, 30))
+    others = sorted(set(range(60)) - first)
+    share[others] = 0.11  # a little more than those that have a card
+    robot.torques = share * load
+    assert items() == first
+    share[others[:2]] = 0.4
+    robot.torques = share * load
+    assert items() >= {*others[:2], *range(20, 30)}
+    hidden = next(iter(set(range(60)) - items()))
+    overlay.toggles.details[hidden] = True  # clicked on
+    assert hidden in items()
+    robot.torques = np.full(60, np.nan)
+    assert hidden in items()
+
+
 def test_a_drawn_frame_costs_little() -> None:
     import time
 

@@ -6,7 +6,7 @@ Source: section 2.1 of Hulin, Hertkorn, Preusche: Interactive Features for Robot
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,15 @@ from ..assemble.parts import DoublePart, Owner
 from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..assemble.world_view import WorldView
-from ..frames import Array
-from .cards import Cards, heights_in_order
+from ..frames import Array, Bools, Ints
+from .card_names import card_names, titles
+from .cards import Cards, bounds, heights_in_order
 from .feature import Feature, Frame
-from .panels import PANEL_RGBA, panel_sizes
+from .layout import LEFT, RIGHT, limits
+from .panels import PANEL_RGBA, Panels, panel_sizes
 from .pen import Kind
 from .picture_view import PictureView
+from .toggles import Toggles
 
 NO_DATA = b"no data"
 NO_LIMIT = b"none"
@@ -54,14 +57,18 @@ _DETAILS = {
 }
 
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
-_LONGEST_NAME = 14  # characters of a robot's or a joint's name on a billboard
+_FEWEST = 8  # cards, also where they need several columns
+_GAP = 0.3  # between cards, of a line's height
+# A joint gets the card of another one only if it is loaded more by this factor, and this share.
+_MORE = (1.25, 0.02)
+_MARGIN = 0.5  # of a line's height
 _TINT = 0.30  # fraction of the double's colour in the colour of its panels
 
 
 class Billboards(Feature):
     """The billboards of one world."""
 
-    order = 10
+    order = 55  # after what is in the corners: cards have the room that is left
 
     def __init__(self, world: WorldView) -> None:
         super().__init__(world)
@@ -70,15 +77,17 @@ class Billboards(Feature):
         self._lines: list[list[Line]] = []
         self._details: list[list[Line]] = []
         declared = [declared_lines(part, world.scene) for part in parts]
-        owners = shortened([part.declared.name for part in parts])
-        of_joints = shortened(list(joints.names))
-        for owner, joint, revolute in zip(joints.owner, of_joints, joints.revolute, strict=True):
-            name, part = joint, parts[owner]
-            # With several robots, joint names alone are ambiguous.
-            if len(world.robots) > 1 or isinstance(part, DoublePart):
-                name = f"{owners[owner]} {joint}"
+        # With several robots, joint names alone are ambiguous.
+        is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
+        names = titles(
+            [card_names(part.robot.names, part.robot.name) for part in parts],
+            [part.declared.name for part in parts],
+            is_ambiguous,
+        )
+        for owner, name, revolute in zip(joints.owner, names, joints.revolute, strict=True):
             self._lines.append(billboard_lines(name, declared[owner], not revolute))
             self._details.append(detail_lines(name, not revolute))
+        self._chosen = np.zeros(len(joints.names), bool)  # where there is no room for all
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
@@ -87,10 +96,15 @@ class Billboards(Feature):
         self._widths: dict[tuple[int, int], int] = {}
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the billboards that are shown, of joints in the picture."""
+        """Adds the billboards that are shown, of joints in the picture.
+
+        Where there is no room for all in one column on each side, those of the joints with the
+        largest load, but not less than a few, and of joints that were clicked on; a note says how
+        many.
+        """
         cards = self._cards(frame)
         if cards is not None:
-            frame.cards.append(cards)
+            frame.cards.insert(0, cards)
 
     def _cards(self, frame: Frame) -> Cards | None:
         data, view, toggles, values = frame.data, frame.view, frame.toggles, frame.values
@@ -104,7 +118,9 @@ class Billboards(Feature):
         index, anchors, depth = index[inside], anchors[inside], depth[inside]
         if not len(index):
             return None
-        lines = [self._details[i] if toggles.details[i] else self._lines[i] for i in index]
+        kept = self._with_room(frame, index)
+        index, anchors, depth = index[kept], anchors[kept], depth[kept]
+        lines = [self._lines_of(int(i), toggles) for i in index]
         if toggles.details.any():
             limit = joints.torque_limit
             share = 100 * np.abs(values["torques"]) / limit
@@ -128,6 +144,55 @@ class Billboards(Feature):
             rgba=np.where(stale[index, None], _STALE_RGBA, self._rgba[index]),
         )
 
+    def _lines_of(self, joint: int, toggles: Toggles) -> list[Line]:
+        return self._details[joint] if toggles.details[joint] else self._lines[joint]
+
+    def _with_room(self, frame: Frame, index: Ints) -> Bools:
+        """Returns which cards are shown, (k,), and adds a note if some are not.
+
+        Args:
+            frame: during layout.
+            index: joints of the cards, (k,).
+        """
+        view, line = frame.view, frame.view.font.height
+        count = np.array([len(self._lines_of(int(i), frame.toggles)) for i in index])
+        heights = panel_sizes(np.zeros(len(index)), count, view)[:, 1] + _GAP * line
+        side, is_free = self._side[index], len(self.world.robots) > 1
+        if is_free:  # the layout chooses the sides
+            side = np.zeros(len(index), np.intp)
+
+        def room() -> Array:
+            return _room(frame).sum(keepdims=True) if is_free else _room(frame)
+
+        fits = (np.bincount(side, heights, minlength=len(room())) <= room()).all()
+        if fits or len(index) <= _FEWEST:
+            return np.ones(len(index), bool)
+        note = _note(frame, len(index), len(index))
+        frame.corners.append(note)
+        share = self._shares(frame)[index]
+        factor, more = _MORE
+        share = np.where(self._chosen[index], factor * share + more, share)
+        share[frame.toggles.details[index]] = np.inf
+        kept = np.zeros(len(index), bool)
+        for which, space in enumerate(room()):
+            mine = (side == which).nonzero()[0]
+            mine = mine[np.argsort(-share[mine], kind="stable")]
+            kept[mine[np.cumsum(heights[mine]) <= space]] = True
+        kept[np.argsort(-share, kind="stable")[:_FEWEST]] = True
+        kept |= np.isinf(share)
+        self._chosen[:] = False
+        self._chosen[index[kept]] = True
+        frame.corners[-1] = replace(note, texts=[[_note_text(int(kept.sum()), len(index))]])
+        return kept
+
+    def _shares(self, frame: Frame) -> Array:
+        """Returns the value of every joint's arrow over that of full width, (N,); 0 without any."""
+        joints = self.world.joints
+        of_radius = joints.arrow_radius / joints.arrow_width_scale
+        full = np.where(np.isfinite(joints.arrow_load), joints.arrow_load, of_radius)
+        full = np.where(np.isfinite(frame.arrow_limit), frame.arrow_limit, full)
+        return np.nan_to_num(np.abs(frame.arrow_values) / full, nan=0.0, posinf=0.0)
+
     def _sizes(self, view: PictureView, lines: list[list[Line]], texts: list[list[bytes]]) -> Array:
         """Returns panel sizes (k, 2), pixels, constant except for unusually long numbers."""
         font, known = view.font, self._widths
@@ -144,15 +209,38 @@ class Billboards(Feature):
         return panel_sizes(widths, np.array([len(of_joint) for of_joint in lines]), view)
 
 
-def shortened(names: list[str]) -> list[str]:
-    """Returns names of at most `_LONGEST_NAME` characters, long ones without their middle.
+def _room(frame: Frame) -> Array:
+    """Returns the height that is left for billboards on the left and on the right, (2,), pixels."""
+    low, high = frame.view.free
+    gap = _GAP * frame.view.font.height
+    width, height = high - low
+    rects = [np.concatenate(bounds(corner)) - [*low, *low] for corner in frame.corners]
+    corners = np.array(rects).reshape(-1, 4)
+    room = np.empty(2)
+    for side, reaches in ((LEFT, corners[:, 0] < width / 2), (RIGHT, corners[:, 2] > width / 2)):
+        below, above = limits(corners[reaches], height)
+        room[side] = above - below - 2 * gap
+        for cards in frame.cards:
+            room[side] -= (cards.sizes[cards.side == side, 1] + gap).sum()
+    return np.maximum(room, 0.0)
 
-    Those that would become the same are returned as they are.
-    """
-    half = (_LONGEST_NAME - 2) // 2
-    short = [n if len(n) <= _LONGEST_NAME else f"{n[:half]}..{n[-half:]}" for n in names]
-    of_short = {text: {n for n, s in zip(names, short, strict=True) if s == text} for text in short}
-    return [s if len(of_short[s]) == 1 else n for n, s in zip(names, short, strict=True)]
+
+def _note(frame: Frame, shown: int, count: int) -> Panels:
+    """Returns the note of how many cards are shown, for the lower right corner."""
+    view, margin = frame.view, _MARGIN * frame.view.font.height
+    text = _note_text(shown, count)
+    size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
+    right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
+    for corner in frame.corners:  # above the legend, in a narrow picture
+        low, high = bounds(corner)
+        if high[0] > right - size[0] and low[1] < bottom + size[1]:
+            bottom = high[1] + margin
+    centre = np.array([right, bottom]) + size * (-0.5, 0.5)
+    return Panels(centre[None], size[None], [[text]])
+
+
+def _note_text(shown: int, count: int) -> bytes:
+    return f"cards: {shown} of {count} joints, the most loaded".encode()
 
 
 def _tinted(part: object) -> Array:

@@ -115,7 +115,7 @@ class CardLayout:
         covered = np.concatenate([pixels - radius, pixels + radius], axis=1) - [*low, *low]
         across = np.concatenate([pixels[:, 0], anchors[:, 0]]) - low[0]
         kept_free = np.array(
-            [np.concatenate([low, high]) for low, high in map(_bounds, corners)]
+            [np.concatenate([low, high]) for low, high in map(bounds, corners)]
         ).reshape(-1, 4)
 
         def place(side: Ints, rank: Array) -> Array:
@@ -268,8 +268,8 @@ def _starts(centres: Array, sizes: Array, anchors: Array) -> Array:
 
 def move_below(right: Panels, left: Panels) -> Panels:
     """Returns the upper left corner's panels, moved below the right one's if they overlap."""
-    low, _ = _bounds(right)
-    _, high = _bounds(left)
+    low, _ = bounds(right)
+    _, high = bounds(left)
     down = high[1] - low[1]
     if high[0] < low[0] or down <= 0:
         return left
@@ -284,7 +284,7 @@ def move_clear(panels: Panels, corner: Panels, height: float) -> Panels:
         corner: what is in the corner.
         height: of the picture, pixels.
     """
-    low, high = _bounds(corner)
+    low, high = bounds(corner)
     centres, half = panels.centres.copy(), panels.sizes / 2
     over = ((centres + half > low) & (centres - half < high)).all(axis=1)
     is_lower = low[1] + high[1] < height
@@ -293,7 +293,7 @@ def move_clear(panels: Panels, corner: Panels, height: float) -> Panels:
     return replace(panels, centres=centres)
 
 
-def _bounds(panels: Panels) -> tuple[Array, Array]:
+def bounds(panels: Panels) -> tuple[Array, Array]:
     """Returns the lower left and upper right pixel of all panels of a corner."""
     half = panels.sizes / 2
     return (panels.centres - half).min(axis=0), (panels.centres + half).max(axis=0)

@@ -59,7 +59,7 @@ def columns(
     for which in (LEFT, RIGHT):
         # A corner panel that extends beyond the middle limits the other side too.
         wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
-        low, high = _limits(corners[wide | (on_left == (which == LEFT))], height)
+        low, high = limits(corners[wide | (on_left == (which == LEFT))], height)
         groups.append(_chunks((side == which).nonzero()[0], sizes, gap, high - low))
     widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
     left, right = (sum(group) for group in widths)
@@ -79,7 +79,7 @@ def columns(
             centres[column, 0] = np.maximum(np.minimum(x, width - half), half)
             inner = outward * float((outward * centres[column, 0] - half).min())
             near = _as_near(sides[1 - which], inner, outward, _RAMP * gap, height)
-            low, high = _limits(np.concatenate([sides[which], near]), height)
+            low, high = limits(np.concatenate([sides[which], near]), height)
             high = max(high, low + 2 * gap + float(sizes[column, 1].max()))
             blocked = np.zeros((0, 2))
             if covered is not None:
@@ -94,7 +94,7 @@ def columns(
     return centres
 
 
-def _limits(corners: Array, height: float) -> tuple[float, float]:
+def limits(corners: Array, height: float) -> tuple[float, float]:
     """Returns the vertical range that corners leave free, at least a third of the picture."""
     at_bottom = corners[:, 1] + corners[:, 3] < height
     below = float(corners[at_bottom, 3].max(initial=0.0))

@@ -1,0 +1,86 @@
+"""Names of joints on cards: without what repeats, and not too long."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+_LONGEST = 14  # characters of a robot's or a joint's name
+_BETWEEN = r"[_\-\s/:.]+"  # words of a name
+_WORD = r"[^_\-\s/:.]*"
+_GENERIC = ("joint", "jnt", "j", "link")  # says nothing about a joint
+_END = re.compile(rf"({_BETWEEN}({'|'.join(_GENERIC)}))+$", re.IGNORECASE)
+
+
+def card_names(joints: Sequence[str], robot: str) -> list[str]:
+    """Returns the names of a robot's joints without what repeats.
+
+    Left out are the robot's name in front, the words that all names begin with, and `joint` at the
+    end; but names stay distinct, and more than a number.
+
+    Args:
+        joints: all names of the robot's joints.
+        robot: its name.
+    """
+    own = re.compile(rf"^{re.escape(robot)}{_BETWEEN}(?=.)", re.IGNORECASE)
+    names = _if_clear(list(joints), [own.sub("", name) for name in joints])
+    words = [re.split(_BETWEEN, name) for name in names]
+    for count in range(min(map(len, words), default=1) - 1, 0, -1):
+        if len(names) > 1 and len({tuple(of_name[:count]) for of_name in words}) == 1:
+            start = re.compile(rf"^({_WORD}{_BETWEEN}){{{count}}}")
+            plain = _if_clear(names, [start.sub("", name) for name in names])
+            if plain != names:  # `joint_1` stays as it is
+                names = plain
+                break
+    return _if_clear(names, [_END.sub("", name) for name in names])
+
+
+def _if_clear(names: list[str], plain: list[str]) -> list[str]:
+    """Returns plain names if these are distinct and have letters, else the names."""
+    is_clear = all(re.search("[A-Za-z]", n) and n.lower() not in _GENERIC for n in plain)
+    return plain if is_clear and len({*plain}) == len({*names}) else names
+
+
+def titles(
+    joints: Sequence[Sequence[str]], owners: Sequence[str], is_named: Sequence[bool]
+) -> list[str]:
+    """Returns the titles of the cards of all joints.
+
+    Args:
+        joints: names of the joints of every robot and double, without what repeats.
+        owners: names of these.
+        is_named: whether a title has the name of its owner, for each of these.
+    """
+    of_joints = iter(shortened([name for names in joints for name in names]))
+    found = []
+    for owner, short, names, with_owner in zip(
+        owners, shortened(owners), joints, is_named, strict=True
+    ):
+        for name in names:
+            joint = next(of_joints)
+            # The only joint of a body often has the body's name.
+            is_same = len(names) == 1 and name.lower() in owner.lower()
+            title = short if is_same else f"{short} {joint}"
+            found.append(title if with_owner else joint)
+    return found
+
+
+def shortened(names: Sequence[str]) -> list[str]:
+    """Returns names of at most `_LONGEST` characters, long ones without their middle.
+
+    Those that would become the same are longer, as far as they have to be.
+    """
+
+    def at_most(name: str, length: int) -> str:
+        half = (length - 2) // 2
+        return name if len(name) <= length else f"{name[:half]}..{name[-half:]}"
+
+    lengths = dict.fromkeys(names, _LONGEST)
+    while True:
+        short = {name: at_most(name, length) for name, length in lengths.items()}
+        texts = list(short.values())
+        same = [name for name, text in short.items() if texts.count(text) > 1 and text != name]
+        if not same:
+            return [short[name] for name in names]
+        for name in same:
+            lengths[name] += 2
