@@ -90,18 +90,21 @@ def _lend_textures(own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.M
     context.textureType[first : first + count] = lender.textureType[:count]
     context.ntexture = first + count
     lender.ntexture = 0
-    if own.nmat:
+    at = int(model.nmat)
+    if own.nmat and at < len(context.mat_texuniform):
         roles = int(mujoco.mjtTextureRole.mjNTEXROLE)
         texture = lender.mat_texid[:roles]
-        at = model.nmat
         context.mat_texid[at * roles : (at + 1) * roles] = np.where(
             texture < 0, -1, texture + first
         )
         context.mat_texrepeat[2 * at : 2 * at + 2] = lender.mat_texrepeat[:2]
         context.mat_texuniform[at] = lender.mat_texuniform[0]
+    else:
+        at = -1  # a floor of one colour
+    if own.ngeom:
         # A model that is given a floor has no planes, so that these lists are empty.
         context.basePlane, context.rangePlane = lender.basePlane, lender.rangePlane
         lender.basePlane = lender.rangePlane = 0
     lender.free()
     mujoco.mjr_setBuffer(buffer, context)
-    return int(model.nmat)
+    return at
