@@ -241,6 +241,15 @@ def test_the_floor_is_below_what_hangs_lower() -> None:
         assert own is not None and own.geom_pos[0, 2] == pytest.approx(expected, abs=0.01)
 
 
+def test_the_floor_stays_where_it_is() -> None:
+    overlay = sero_mj.overlay(bare(0.0))
+    first, overlay.data.qpos[0] = overlay.world.surroundings(), np.pi
+    mujoco.mj_forward(overlay.model, overlay.data)
+    again = overlay.world.surroundings()
+    assert first is not None and again is not None
+    assert first.geom_pos[0, 2] == again.geom_pos[0, 2] == pytest.approx(-0.6, abs=0.01)
+
+
 def test_pictures_of_several_models_do_not_disturb_each_other() -> None:
     one, other = sero_mj.overlay(bare()), sero_mj.overlay(arm()[0])
     first, second = one.image(160, 120), other.image(160, 120)

@@ -91,6 +91,7 @@ class ModelWorld(WorldView):
         name: str = "overlay",
     ) -> None:
         self._has_surroundings = surroundings
+        self._surroundings: mujoco.MjModel | None = None
         self.model, self.data, self.not_finite, self.changes = model, data, 0, 0
         self.options: dict[str, Any] = {
             "robots": robots,
@@ -258,8 +259,10 @@ class ModelWorld(WorldView):
     def surroundings(self) -> mujoco.MjModel | None:
         """Returns a model of the floor, sky and lights that the user's model lacks, if any.
 
-        The floor is at height 0, or below robots that hang lower.
+        The floor is at height 0, or below robots that hang lower at the first call: it stays there.
         """
+        if self._surroundings is not None:
+            return self._surroundings
         model = self.model
         has_floor = np.isin(model.geom_type, _FLOORS).any()
         has_sky = (model.tex_type == int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)).any()
@@ -270,7 +273,7 @@ class ModelWorld(WorldView):
         if not seen.any():
             low = high = np.zeros((1, 3))
         lowest, highest = low.min(axis=0), high.max(axis=0)
-        return build_surroundings(
+        self._surroundings = build_surroundings(
             self.scene.view.look,
             floor=None if has_floor else min(float(lowest[2]), 0.0),
             sky=not has_sky,
@@ -278,6 +281,7 @@ class ModelWorld(WorldView):
             middle=(lowest + highest) / 2,
             size=float(np.linalg.norm(highest - lowest)) or float(model.stat.extent),
         ).compile()
+        return self._surroundings
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
         """Sets an input; it then overrides what the model provides for it.
