@@ -105,7 +105,9 @@ def main() -> None:
     console = Console(width=100)
     console.print(table)
     share = 100 * float(np.median(RECORDING))
-    console.print(f"recording costs {share:.0f} % more, most of it in the mcap package (goal: under 50 %)")
+    console.print(
+        f"recording costs {share:.0f} % more, most of it in the mcap package (goal: under 50 %)"
+    )
     console.print("goals: at most 4 times bare (Cartesian 7), at least 25 times real time")
 
 

@@ -22,7 +22,7 @@ from .picture_view import PictureView
 
 _Key = tuple[Kind, int]
 
-_CLOSE = 0.03  # of the picture's width: robots closer than that keep their order
+_CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
 _LEAST_GAIN = 0.05  # of a line's height: less is noise, and no reason to change places
 _ROUNDS = 4  # of placing and uncrossing; panels of several sizes can need more than one
 # Dark on a light scene, light on a dark one.
@@ -73,6 +73,7 @@ class CardLayout:
     def __init__(self, owner_group: Ints) -> None:
         self._owner_group = owner_group
         self._groups_in_order: list[int] = []  # from left to right
+        self._middles: dict[int, float] = {}  # by which they are sorted, pixels
         self._wanted: dict[_Key, int] = {}  # side that the robots' positions give
         self._places: dict[_Key, tuple[int, float]] = {}  # side and rank
 
@@ -195,17 +196,12 @@ class CardLayout:
         return side, rank
 
     def _sort_groups(self, across: Array, of_point: Ints, width: float) -> None:
-        """Sorts the robots in the picture from left to right; two that are close stay in order."""
-        middles = {group: float(across[of_point == group].mean()) for group in set(of_point)}
-        order = [group for group in self._groups_in_order if group in middles]
-        order += sorted(middles.keys() - {*order}, key=lambda group: middles[group])
-        for _ in order:
-            for i in range(len(order) - 1):
-                if middles[order[i]] > middles[order[i + 1]] + _CLOSE * width * (
-                    {order[i], order[i + 1]} <= {*self._groups_in_order}
-                ):
-                    order[i], order[i + 1] = order[i + 1], order[i]
-        self._groups_in_order = order
+        """Sorts the robots in the picture from left to right; small moves change nothing."""
+        for group in set(of_point.tolist()):
+            middle = float(across[of_point == group].mean())
+            if abs(middle - self._middles.get(group, np.inf)) > _CLOSE * width:
+                self._middles[group] = middle
+        self._groups_in_order = sorted(set(of_point.tolist()), key=self._middles.__getitem__)
 
 
 class Outline:
