@@ -27,11 +27,11 @@ from ...decor.toggles import Toggles
 from ...drive.mirror import Mirror, restore
 from ...errors import RenderError
 from ...frames import Array
+from ..added_surroundings import added_surroundings
 from ..camera import find_camera
 from ..interaction import Gesture
 from ..picking import TOUCH_TOLERANCE, Picked
 from ..scene_decor import SceneDecor
-from ..surroundings import surroundings_of
 from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
@@ -114,7 +114,7 @@ class HeadlessRenderer:
         self.decor = SceneDecor(world, with_text=False)
         self._renderer = _make_renderer(world, width, height)
         # A new renderer's OpenGL context is the current one.
-        self._surroundings = surroundings_of(world, self._renderer._mjr_context)
+        self._surroundings = added_surroundings(world, self._renderer._mjr_context)
         self._typesetter = Typesetter(line_height(world, height))
 
     @property

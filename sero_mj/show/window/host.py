@@ -16,6 +16,7 @@ from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
 from ...errors import SeroError
 from ...frames import Array
+from ..added_surroundings import added_surroundings
 from ..camera import Navigator
 from ..clock import time_text
 from ..headless.film import Pixels
@@ -26,7 +27,6 @@ from ..live import LiveHost
 from ..picking import Pixel
 from ..scene_decor import SceneDecor
 from ..status_line import Piece, status_pieces
-from ..surroundings import surroundings_of
 from ..typesetting import Typesetter
 from .capture import Capture
 from .glfw_window import GlWindow
@@ -51,7 +51,7 @@ class Viewport(SceneDecor):
 
     def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
         super().__init__(world, toggles, with_text=False)
-        self._surroundings = surroundings_of(world, context)
+        self._surroundings = added_surroundings(world, context)
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
         self._option = mujoco.MjvOption()

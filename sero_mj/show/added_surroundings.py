@@ -1,4 +1,4 @@
-"""`Surroundings`: a floor, sky and lights of our own around a model that has none.
+"""`AddedSurroundings`: a floor, sky and lights of our own around a model that has none.
 
 MuJoCo's classic renderer draws what is in an `MjvScene` with the textures and meshes that are in
 an `MjrContext`, and both are made from one model. The surroundings are a model of their own, laid
@@ -20,7 +20,7 @@ _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _MOST_GEOMS = 4  # of the surroundings; MuJoCo draws the floor as one
 
 
-def surroundings_of(world: WorldView, context: mujoco.MjrContext) -> Surroundings | None:
+def added_surroundings(world: WorldView, context: mujoco.MjrContext) -> AddedSurroundings | None:
     """Returns the surroundings that a host adds to every frame; None if the world has its own.
 
     Args:
@@ -28,10 +28,10 @@ def surroundings_of(world: WorldView, context: mujoco.MjrContext) -> Surrounding
         context: of the host, whose OpenGL context must be current.
     """
     own = world.surroundings()
-    return None if own is None else Surroundings(own, world.model, context)
+    return None if own is None else AddedSurroundings(own, world.model, context)
 
 
-class Surroundings:
+class AddedSurroundings:
     """A floor, sky and lights that are added to a scene.
 
     Args:
