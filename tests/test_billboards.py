@@ -349,13 +349,19 @@ def test_a_double_has_its_robots_own_inputs_with_values_of_its_own() -> None:
     assert said(world, data)[6:8] == ["A6  T    40 C", "goal A1  T    55 C"]
 
 
-def test_panels_stand_on_the_side_of_their_robot() -> None:
+@pytest.mark.parametrize("joints", [7, 4, 2])
+def test_panels_stand_on_the_side_of_their_robot(joints: int) -> None:
     bases = np.stack([np.eye(4)] * 2)
     bases[:, 1, 3] = 0.5, -0.5
     robots = [
         SerialRobot.from_model("lwr", name=name, base_frame=base, show_billboards=True)
         for name, base in zip(("first", "second"), bases, strict=True)
     ]
+    table = robots[0].dh_params[:joints]  # a robot with fewer joints has its own side as well
+    robots[1] = SerialRobot(
+        name="second", dh_params=table, dh_convention="craig", base_frame=bases[1],
+        show_billboards=True,
+    )  # fmt: skip
     world = World(Scene(robots=robots, floor=False))
     decor, data, toggles = Decor(world), world.make_data(), toggles_of(world)
     for azimuth, first_is_left in ((0.0, True), (np.pi, False), (0.0, True)):

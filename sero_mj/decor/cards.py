@@ -180,14 +180,14 @@ class CardLayout:
         rank = np.concatenate([group.rank for group in groups]).astype(float)
         group_of = np.append(self._owner_group, -1)[owner]  # -1 for no owner
         self._sort_groups(across, of_point, width)
-        if len(self._groups_in_order) > 1:
-            counts = [int((group_of == group).sum()) for group in self._groups_in_order]
-            ends = np.cumsum(counts)
-            for group, count, end in zip(self._groups_in_order, counts, ends, strict=True):
-                if 2 * end <= ends[-1]:
-                    side[group_of == group] = LEFT
-                elif 2 * (end - count) >= ends[-1]:
-                    side[group_of == group] = RIGHT
+        robots = self._groups_in_order
+        if len(robots) > 1:
+            counts = np.array([(group_of == group).sum() for group in robots])
+            middles = np.cumsum(counts) - counts / 2
+            for place, group in enumerate(robots):
+                if 2 * place + 1 != len(robots):  # one in the middle has cards on both sides
+                    of_left = middles[place] < counts.sum() / 2
+                    side[group_of == group] = LEFT if of_left else RIGHT
         for k, key in enumerate(keys):
             if self._wanted.get(key) == side[k]:
                 side[k], rank[k] = self._places[key]
