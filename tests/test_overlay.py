@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from decor_tools import GEOM, belonging, look, of_kind
+from decor_tools import GEOM, belonging, labels, look, of_kind
 from foreign_models import arm, compiled, jaco
 
 import sero_mj
@@ -16,6 +16,7 @@ from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind, Pen
 from sero_mj.decor.picture_view import PictureView
 from sero_mj.decor.toggles import Toggles
+from sero_mj.errors import UnknownName, UsageError
 
 EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
 
@@ -373,3 +374,33 @@ def test_models_of_others_have_arrows_that_move(name: str) -> None:
     driven = np.abs(data.qfrc_actuator[overlay.world.robots[next(iter(overlay.robots))].dofs]) > 0
     arrows = np.unique(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])
     assert len(arrows) and driven[arrows].all()
+
+
+def test_data_without_frames_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    model, _ = arm()
+    sero_mj.overlay(model, mujoco.MjData(model), name="bare")
+    (record,) = caplog.records
+    assert record.getMessage().startswith("the data of bare has no frames yet")
+    assert "call mujoco.mj_forward(model, data)" in record.getMessage()
+    caplog.clear()
+    sero_mj.overlay(model)  # makes its own
+    assert not caplog.records
+
+
+def test_arguments_of_another_type_are_refused() -> None:
+    model, data = arm()
+    with pytest.raises(UsageError, match=r"robots: found \['arm'\]; expected fields by robot, as"):
+        sero_mj.overlay(model, data, robots=["arm"])  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="width: found '640'; expected a number of pixels"):
+        sero_mj.overlay(model, data).image("640", 480)  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="no body or site 'tp'"):
+        sero_mj.overlay(model, data, frames="tp")
+
+
+def test_the_legend_says_how_wide_an_arrow_without_limit_gets() -> None:
+    overlay = sero_mj.overlay(*arm())
+    joints = overlay.world.joints
+    joints.torque_limit[:] = np.inf
+    assert np.isfinite(joints.arrow_load).any()
+    pen = drawn(overlay)
+    assert "width grows up to 1.5 times gravity's load" in labels(pen.rows[: pen.count])

@@ -12,6 +12,7 @@ from ..frames import Array
 from .feature import Feature, Frame
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
+from .round_arrows import WIDEST
 from .toggles import Toggles
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
@@ -29,6 +30,7 @@ _NICE = (1.0, 2.0, 5.0)
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
+_BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
 # A line with a bar before each number, as wide as an arrow of that share of the limit.
 _SHARES = np.array([0.1, 0.5, 1.0])
 _SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
@@ -75,10 +77,12 @@ class Legend(Feature):
             shown = toggles.arrows & (toggles.arrow_quantity == code)
             what, width = _WORDS[ARROW_QUANTITIES[code]]
             if not np.isfinite(limit[shown]).any():
-                width = _UNLIMITED
+                has_load = np.isfinite(self.world.joints.arrow_load[shown]).any()
+                width = _BY_LOAD if has_load else _UNLIMITED
             if not self.world.joints.revolute[shown].all() and code < _TORQUES:
                 what += ", or force"
-            scale = width if width == _UNLIMITED else "".join(_SCALE) + width
+            has_scale = width not in (_UNLIMITED, _BY_LOAD)
+            scale = "".join(_SCALE) + width if has_scale else width
             lines = [f"arrows: {what}".encode(), _SIGNS, scale.encode()]
             texts.append(lines)
         sizes = np.array(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ from .interaction import Gesture
 from .picking import Picked, Pixel
 from .robot_inputs import RobotInputs
 from .scene_decor import SceneDecor
+
+log = logging.getLogger(__name__)
 
 _NOTEBOOK_SIZE = (960, 600)
 _SCENE_SIZE = (640, 480)  # of the picture of a scene that has none
@@ -194,8 +197,12 @@ class Overlay:
 
         Raises:
             RenderError: no OpenGL, or the size is out of range.
+            UsageError: the size is no number.
             UnknownName: no camera of that name.
         """
+        for key, value in (("width", width), ("height", height)):
+            if not isinstance(value, int | np.integer):
+                raise UsageError(f"{key}: found {value!r}; expected a number of pixels")
         renderer = self._renderer
         if renderer is None or renderer.size != (width, height):
             self.close()
@@ -210,6 +217,11 @@ class Overlay:
     def _repr_png_(self) -> bytes | None:
         """Returns a picture as PNG, for notebooks."""
         return self.image(*_NOTEBOOK_SIZE)._repr_png_()
+
+    def __repr__(self) -> str:
+        """Returns the robots with their numbers of joints."""
+        found = ", ".join(f"{name} ({len(joints)} joints)" for name, joints in self.robots.items())
+        return f"Overlay of {found}"
 
     def close(self) -> None:
         """Frees the OpenGL context of `image`."""
@@ -287,11 +299,24 @@ def overlay(
     if is_mjcf_object(model):
         model = as_spec(model, Path()).compile()
     _check_model(model)
+    if robots is not None and not isinstance(robots, Mapping):
+        raise UsageError(
+            f"robots: found {robots!r:.80}; expected fields by robot, as {{'arm': "
+            "{'arrow_radius': 0.06}}"
+        )
+    if isinstance(frames, str):
+        frames = [frames]
     adopt_backend()  # also for a renderer of the user's own
     if data is None:
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
     _check_data(model, data)
+    if not data.xmat.any():
+        log.warning(
+            "the data of %s has no frames yet, so nothing is at its place: call "
+            "mujoco.mj_forward(model, data) before a picture",
+            name,
+        )
     return Overlay(
         ModelWorld(
             model,

@@ -203,7 +203,7 @@ class PageWindows(plugin.ViewerPlugin):
             return
         write_line(*clock_text(host.clock))
         if not host.mirror.sources:
-            write_line("none: the scene is shown as declared", "quiet")
+            write_line("none: as declared, or as a program sets it", "quiet")
         for source in host.mirror.sources.values():
             if source.error is not None:
                 write_line(f"{source.name}: {source.error}", "bad")
