@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import copy
-import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 from urllib.parse import urlsplit
@@ -30,8 +29,6 @@ from .viewer_process import ViewerProcess
 
 if TYPE_CHECKING:
     from .web.host import WebHost
-
-log = logging.getLogger(__name__)
 
 _shown: list[Viewer] = []  # those that are open, also where nobody holds them (in a notebook)
 
@@ -274,7 +271,7 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
         if viewer.is_open and not (is_same and (viewer.url is not None) == options["web"]):
             continue
         if viewer.is_open:
-            log.warning("%s is opened again: its viewer before is closed", other.name)
+            print(f"{other.name} is opened again; its viewer before is closed", flush=True)
         if viewer.is_open and viewer.url is not None:
             options["last_port"] = urlsplit(viewer.url).port
         viewer.close()
