@@ -18,11 +18,20 @@ from window_tools import MISSING, screen
 
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
 FILM = re.compile(r"((?:-o|--render) \S+\.mp4)")
+WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")  # `compare` has the recording's
 FILM_IN_PYTHON = re.compile(r"(render_film\(.+)\)$", re.MULTILINE)
 # What a block writes: an option's or a command's file, or the text of a call in Python.
 OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml))")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-SMALL = (480, 320)  # of films: software takes most of the time of this test to draw them
+# Of films: software takes most of the time of this test to draw them.
+SMALL, FPS = (480, 320), 10
+
+
+def with_small_films(text: str) -> str:
+    """A block whose films are small, and have few frames where that can be said."""
+    text = FILM.sub(r"\1 --size {}x{}".format(*SMALL), text)
+    text = WITH_FPS.sub(rf"\1 --fps {FPS}", text)
+    return FILM_IN_PYTHON.sub(rf"\1, size={SMALL}, fps={FPS})", text)
 
 
 def open_window(language: str, text: str, folder: Path, environment: dict[str, str]) -> None:
@@ -113,13 +122,12 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
             elif note == "background":
                 background.append(subprocess.Popen(text.split(), cwd=tmp_path, env=environment))
             elif language == "bash":
-                run("bash", "-ec", FILM.sub(r"\1 --size {}x{}".format(*SMALL), text))
+                run("bash", "-ec", with_small_films(text))
             elif language == "python":
                 if "dm_control" in text:
                     pytest.importorskip("dm_control", reason="dm-control is not installed")
                 script = tmp_path / "script.py"
-                small = FILM_IN_PYTHON.sub(rf"\1, size={SMALL})", textwrap.dedent(text))
-                script.write_text(small)
+                script.write_text(with_small_films(textwrap.dedent(text)))
                 run(sys.executable, str(script))
     finally:
         for process in background:
