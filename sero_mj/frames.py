@@ -1,4 +1,7 @@
-"""Rigid frames as 4x4 row-major arrays; `T_a_b` maps coordinates of b into a. No MuJoCo."""
+"""Rigid frames as 4x4 row-major arrays; `T_a_b` maps coordinates of b into a; types of arrays.
+
+No MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
+_NICE = (1.0, 2.0, 5.0)
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 # A frame typed with four digits (0.7071) is meant to be a rotation; one off by more is a mistake.
 _TYPED_ROTATION_TOLERANCE = 1e-3
@@ -160,3 +164,9 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
             raise ValueError("'quat' is zero; expected a unit quaternion w, x, y, z")
         rotation = rotation_from_quat(quat)
     return frame(rotation, position)
+
+
+def nice(value: float) -> float:
+    """Returns the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in _NICE if step * power <= value * (1 + 1e-9)) * power)

@@ -26,10 +26,10 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.cards import move_clear
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.legend import nice
 from sero_mj.decor.panels import Panels
 from sero_mj.decor.pen import Kind
 from sero_mj.drive.place import Placer
+from sero_mj.frames import nice
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 VECTOR = [3.0, -4.0, 12.0]  # 13 long

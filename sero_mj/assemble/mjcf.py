@@ -16,7 +16,7 @@ import numpy as np
 
 from .. import frames
 from ..errors import DeclarationError, Problem, collect
-from ..frames import Array
+from ..frames import Array, nice
 from .double import DOUBLE_GROUP, Double, path_fade
 from .inputs import moving
 from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
@@ -266,14 +266,8 @@ def build_surroundings(
     if sky:
         _add_sky(root, palette)
     if floor is not None:
-        _add_floor(root, palette, floor, _round_number(size / _SCENE_SIZE * _TILE))
+        _add_floor(root, palette, floor, nice(size / _SCENE_SIZE * _TILE))
     return root
-
-
-def _round_number(value: float) -> float:
-    """Returns the largest of 1, 2 and 5 times a power of ten up to a value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)))
 
 
 def _add_headlight(root: mujoco.MjSpec, palette: Palette) -> None:
@@ -312,8 +306,7 @@ def _add_floor(
     # A floor that casts shadows is speckled by its own shadow map.
     root.worldbody.add_geom(
         name="floor", type=geom_type("plane"), pos=[0, 0, height], size=[0, 0, 0.05],
-        material="floor",
-        group=OBJECT_GROUP, castshadow=False,
+        material="floor", group=OBJECT_GROUP, castshadow=False,
     )  # fmt: skip
 
 

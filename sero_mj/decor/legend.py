@@ -8,7 +8,7 @@ import numpy as np
 
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
-from ..frames import Array
+from ..frames import Array, nice
 from .feature import Feature, Frame
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
@@ -26,7 +26,6 @@ _WORDS = {
     "joint_accelerations": ("joint acceleration", "acceleration limit"),
     "singularity": ("towards the singularity", "at it"),
 }
-_NICE = (1.0, 2.0, 5.0)
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
@@ -135,9 +134,3 @@ def _bars(panels: Panels, view: PictureView) -> Array:
                 x = left + end - 1.5 * _BAR_WIDTH * line
                 bars.append([x, bottom + 0.1 * line, _BAR_WIDTH * line, height])
     return np.array(bars).reshape(-1, 4)
-
-
-def nice(value: float) -> float:
-    """Returns the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(step for step in _NICE if step * power <= value * (1 + 1e-9)) * power)

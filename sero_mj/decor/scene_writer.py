@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.parts import DrawnDouble
-from ..frames import Array, Bools
+from ..frames import Array, Bools, Ints
 from .pen import GEOM, GREY, Pen
 
 log = logging.getLogger(__name__)
@@ -80,48 +80,48 @@ class SceneWriter:
         scene.ngeom = start + count
         return int(len(rows) - count)
 
+    def _of_model(self, count: int) -> Ints:
+        """Returns which of the first `count` geoms of the scene are the model's, (k,)."""
+        assert self._view is not None
+        rows = self._view[:count]
+        return np.flatnonzero((rows["objtype"] == _GEOM) & (rows["objid"] >= 0))
+
     def _hide(self, hidden: Bools) -> None:
         """Removes geoms of the model from the scene."""
         scene = self._scene
-        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
         if self._view is not None:
-            rows = self._view[: scene.ngeom]
-            of_model = (rows["objtype"] == kind) & (rows["objid"] >= 0)
-            kept = rows[~(of_model & hidden[np.where(of_model, rows["objid"], 0)])]
+            rows, index = self._view[: scene.ngeom], self._of_model(scene.ngeom)
+            kept = np.delete(rows, index[hidden[rows["objid"][index]]])
             rows[: len(kept)] = kept
             scene.ngeom = len(kept)
             return
         for geom in scene.geoms[: scene.ngeom]:
-            if geom.objtype == kind and geom.objid >= 0 and hidden[geom.objid]:
+            if geom.objtype == _GEOM and geom.objid >= 0 and hidden[geom.objid]:
                 geom.rgba[3] = 0.0
 
     def _grey(self, grey: Bools, count: int) -> None:
         """Makes the model's geoms grey, among the first `count` of the scene."""
-        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
         if self._view is not None:
-            rows = self._view[:count]
-            index = ((rows["objtype"] == kind) & (rows["objid"] >= 0)).nonzero()[0]
+            rows, index = self._view[:count], self._of_model(count)
             index = index[grey[rows["objid"][index]]]
             colours = rows["rgba"][index]
             colours[:, :3] += GREYNESS * (np.array(GREY) - colours[:, :3])
             rows["rgba"][index] = colours
             return
         for geom in self._scene.geoms[:count]:
-            if geom.objtype == kind and geom.objid >= 0 and grey[geom.objid]:
+            if geom.objtype == _GEOM and geom.objid >= 0 and grey[geom.objid]:
                 geom.rgba[:3] += GREYNESS * (np.array(GREY) - geom.rgba[:3])
 
     def _fade(self, opacity: Array, count: int) -> None:
         """Multiplies the opacity of the model's geoms, among the first `count` of the scene."""
-        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
         if self._view is not None:
-            rows = self._view[:count]
-            index = ((rows["objtype"] == kind) & (rows["objid"] >= 0)).nonzero()[0]
+            rows, index = self._view[:count], self._of_model(count)
             factors = opacity[rows["objid"][index]]
             index, factors = index[factors < 1], factors[factors < 1]
             rows["rgba"][index, 3] *= factors
             return
         for geom in self._scene.geoms[:count]:
-            if geom.objtype == kind and geom.objid >= 0:
+            if geom.objtype == _GEOM and geom.objid >= 0:
                 geom.rgba[3] *= opacity[geom.objid]
 
 

@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 
 from ..assemble.robot_dynamics import GRAVITY
+from ..assemble.world_view import geom_boxes
 from ..frames import Array, Ints
 from ._model_trees import ON_JOINT, Tree
-from ._solids import Solids, geom_boxes, geoms_of
+from ._solids import Solids, geoms_of
 
 _FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 # Smallest radius of an arrow: of the link's length, or of half the length of the shorter of the
@@ -88,12 +89,12 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
         tree: the robot.
     """
     anchors = data.xanchor[tree.joints]
-    low, high = geom_boxes(model, data)
+    low, high = boxes = geom_boxes(model, data)
     mine = geoms_of(model, tree.bodies, tree.trunk)
     extent = float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) if len(mine) else 0.0
     links = _link_lengths(model, tree, anchors, extent)
     link = float(np.median(links))
-    radius = _radii(model, data, tree, links, extent)
+    radius = _radii(model, data, tree, boxes, links, extent)
     apart = np.linalg.norm(anchors[:, None] - anchors, axis=2)
     apart[apart <= _AT_ONE_PLACE * extent] = np.inf
     width = np.clip(apart.min(axis=1) / radius, _NARROWEST, 1.0)
@@ -101,7 +102,12 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
 
 
 def _radii(
-    model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, links: Array, extent: float
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    tree: Tree,
+    boxes: tuple[Array, Array],
+    links: Array,
+    extent: float,
 ) -> Array:
     """Returns the radius of every arrow, (n,), m.
 
@@ -109,7 +115,7 @@ def _radii(
     connects, and where these allow it like those of the joints beside it.
     """
     anchors, axes = data.xanchor[tree.joints], data.xaxis[tree.joints]
-    solids, boxes = Solids(model, data), geom_boxes(model, data)
+    solids = Solids(model, data)
     of_skin = _OF_SKIN * extent if model.nskin else 0.0
     tried, hidden, smallest = [], [], []
     for i, joint in enumerate(tree.joints):

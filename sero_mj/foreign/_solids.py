@@ -36,14 +36,6 @@ def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> 
     return np.asarray((shown if shown.any() else mine).nonzero()[0])
 
 
-def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Returns the lowest and highest corners of boxes about all geoms, (ngeom, 3) each, m."""
-    rotation = data.geom_xmat.reshape(-1, 3, 3)
-    centre = data.geom_xpos + np.einsum("nij,nj->ni", rotation, model.geom_aabb[:, :3])
-    half = np.einsum("nij,nj->ni", np.abs(rotation), model.geom_aabb[:, 3:])
-    return centre - half, centre + half
-
-
 class Solids:
     """The shown geoms and skins of a model, in one pose.
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from ..assemble.double import OUT_OF_SIGHT
-from ..assemble.world_view import WorldView
+from ..assemble.world_view import WorldView, geom_boxes
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError
 from ..frames import Array
@@ -72,11 +72,8 @@ def bounding_sphere(world: WorldView) -> tuple[Array, float]:
     solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
     if not solid.any():
         return np.zeros(3), 1.0
-    box = model.geom_aabb[solid]
-    rotation = data.geom_xmat[solid].reshape(-1, 3, 3)
-    centre = data.geom_xpos[solid] + np.einsum("nij,nj->ni", rotation, box[:, :3])
-    half = np.einsum("nij,nj->ni", np.abs(rotation), box[:, 3:])
-    low, high = (centre - half).min(0), (centre + half).max(0)
+    lows, highs = geom_boxes(model, data)
+    low, high = lows[solid].min(axis=0), highs[solid].max(axis=0)
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
 
 

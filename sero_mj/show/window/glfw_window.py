@@ -36,7 +36,7 @@ _NAMED_KEYS = {
 
 
 class GlWindow:
-    """A window with an OpenGL context for a world and one for its plots.
+    """A window with an OpenGL context for a world.
 
     Args:
         world: its meshes and textures are loaded.
