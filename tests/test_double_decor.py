@@ -114,7 +114,8 @@ def test_a_standard_table_has_its_arrows_about_the_axes_before_the_links() -> No
     pen = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
     frames = robot.dh.frames(q, BASE)
     for joint, boxes in enumerate(arrows_of(pen, range(3, 6))):
-        out = boxes["pos"] - frames[joint][:3, 3]
+        centre = frames[joint] @ [0, 0, robot.dh.d[joint], 1]  # where the housing is
+        out = boxes["pos"] - centre[:3]
         assert len(boxes) > 9
         assert np.abs(out @ frames[joint][:3, 2]).max() < 1e-6
         assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(len(boxes), 0.17), abs=1e-6)

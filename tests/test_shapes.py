@@ -81,7 +81,7 @@ def test_every_size_is_positive_and_finite_and_every_link_with_a_joint_shows(tab
 @given(TABLES, POINTS, st.integers(0, 2**32 - 1))
 @settings(max_examples=examples(80), deadline=None)
 def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, point, seed):
-    # A turn never opens a gap. A rod that slides does, so those joints stay at zero.
+    # A turn never opens a gap. A rod slides past the frame before it, which stays on its line.
     q = np.random.default_rng(seed).uniform(-pi, pi, len(table)) * table.revolute
     frames = table.frames(q)
     flange = flange_at(point)
@@ -93,21 +93,29 @@ def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, po
     ]
     stops = [T[:3, 3] for T in (*frames, frames[-1] @ flange)]
     tolerance = 1e-10 * max(1.0, np.abs(stops).max())
-    reached = [stops[0]]
+    reached = [np.array([stops[0], stops[0]])]
     left = rods
-    while True:  # walk along rods whose one end is already reached
-        touching = [rod for rod in left if _distances(rod, reached).min() < tolerance]
+    while True:  # walk along rods that touch what is already reached
+        touching = [rod for rod in left if min(_gap(rod, at) for at in reached) < tolerance]
         if not touching:
             break
-        reached += [end for rod in touching for end in rod]
+        reached += touching
         left = [rod for rod in left if not any(rod is taken for taken in touching)]
     for i, stop in enumerate(stops):
-        assert _distances([stop], reached).min() < tolerance, f"nothing leads to frame {i}"
+        gap = min(_gap(np.array([stop, stop]), at) for at in reached)
+        assert gap < tolerance, f"nothing leads to frame {i}"
     assert not left, "a rod stands by itself"
 
 
-def _distances(points, others):
-    return np.linalg.norm(np.asarray(points)[:, None] - np.asarray(others)[None], axis=-1)
+def _gap(rod, other):
+    """The least distance of an end of either of two rods from the other rod."""
+    return min(
+        np.linalg.norm(ends[0] + np.clip(share, 0, 1) * along - end)
+        for ends, points in ((rod, other), (other, rod))
+        for end in points
+        for along in [ends[1] - ends[0]]
+        for share in [(end - ends[0]) @ along / max(along @ along, 1e-300)]
+    )
 
 
 @given(TABLES)
@@ -116,28 +124,68 @@ def test_every_joint_has_a_housing_about_its_axis(table):
     frames = table.frames(np.zeros(len(table)))
     axes, points = table.joint_axes(frames)
     links = generate_shapes(table, np.eye(4))
+    housings = housings_by_joint(table, links)
     for i, turns in enumerate(table.revolute):
-        # The base's pedestal is in link 0; the housing of joint i moves with link i + 1.
-        (housing,) = [shape for shape in links[i + 1] if shape.kind != "capsule"]
+        carrier, housing = housings[i]
         assert housing.kind == ("cylinder" if turns else "box")
-        ends = in_world(frames[i + 1], housing.ends)
+        ends = in_world(frames[carrier], housing.ends)
         scale = max(1.0, np.abs(frames[:, :3, 3]).max())
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         np.testing.assert_allclose(along, axes[i], atol=1e-6)
-        if turns:
-            off = np.cross(ends.mean(axis=0) - points[i], axes[i])
-            np.testing.assert_allclose(off, 0, atol=1e-11 * scale)
+        off = np.cross(ends.mean(axis=0) - points[i], axes[i])
+        np.testing.assert_allclose(off, 0, atol=1e-11 * scale)
         if not turns:
             np.testing.assert_allclose(
                 np.linalg.norm(ends[1] - ends[0]), 2 * housing.size[2], rtol=1e-6
             )
 
 
+def housings_by_joint(table, links):
+    """Every joint's housing, and the link that carries it: it turns, or the rod slides through."""
+    found = []
+    for i, turns in enumerate(table.revolute):
+        carrier = i + 1 if turns else i
+        kind = "cylinder" if turns else "box"
+        # Before it in link 0 is the pedestal, a cylinder; in every other link the last joint's.
+        (housing,) = [s for s in links[carrier] if s.kind == kind and (carrier or kind == "box")]
+        found.append((carrier, housing))
+    return found
+
+
+@pytest.mark.parametrize("convention", ["craig", "standard"])
+def test_the_rod_of_a_prismatic_joint_stays_in_its_housing_over_its_stroke(convention):
+    table = DhTable.from_rows([[0.7, 0.2, 0.3, 0.1]], convention, revolute=[False])
+    base, link = generate_shapes(table, np.eye(4), np.array([0.25]))
+    (housing,) = [shape for shape in base if shape.kind == "box"]
+    centre = housing.ends.mean(axis=0)
+    for q in (0.0, 0.25):
+        T = table.frames([q])[1]
+        ends = in_world(T, link[0].ends)  # the rod comes first
+        along = ends[1] - ends[0]
+        share = (centre - ends[0]) @ along / (along @ along)
+        np.testing.assert_allclose(ends[0] + share * along, centre, atol=1e-12)
+        assert -1e-9 <= share <= 1
+
+
+def test_arrows_stand_at_the_housings_of_a_standard_table():
+    # Joint 1 of the Puma turns at its shoulder, not at the foot of its pedestal.
+    puma = SerialRobot.from_model("puma560")
+    world = World(Scene(robots=[puma]))
+    data = world.make_data()
+    links = generate_shapes(puma.dh, puma.flange_frame)
+    frames = puma.dh.frames(puma.home)
+    for i, (carrier, housing) in enumerate(housings_by_joint(puma.dh, links)):
+        at = data.site(f"puma560/centre{i + 1}").xpos
+        centre = in_world(frames[carrier], housing.ends).mean(axis=0)
+        np.testing.assert_allclose(at, centre, atol=1e-12)
+    np.testing.assert_allclose(data.site("puma560/centre1").xpos, [0, 0, 0.67183], atol=1e-12)
+
+
 @given(TABLES)
 @settings(max_examples=examples(30), deadline=None)
 def test_housings_get_thinner_so_that_nested_joints_share_no_surface(table):
     links = generate_shapes(table, np.eye(4))
-    radii = [shape.size[0] for link in links[1:] for shape in link if shape.kind != "capsule"]
+    radii = [housing.size[0] for _, housing in housings_by_joint(table, links)]
     assert all(thicker > thinner for thicker, thinner in pairwise(radii))
     rods = [shape.size[0] for link in links for shape in link if shape.kind == "capsule"]
     assert not rods or max(rods) < radii[0]

@@ -84,7 +84,7 @@ class SerialRobot(Declaration):
         enable_touch_sensor: whether a click on the robot toggles its features.
         stale_after: s without a packet until the robot is shown grey.
         offsets_to_center_of_joints: (n, 3), m, offset of arrows and billboards in the joint's
-            frame.
+            frame; by default they stand at generated housings.
         show_axes: whether coordinate axes are shown at the base, every joint and the flange.
         axes_size: their length, m; by default in proportion to generated shapes.
         axes_transparency: 0 opaque to 1 invisible.
@@ -312,9 +312,17 @@ class SerialRobot(Declaration):
 
     @property
     def offsets(self) -> Array:
-        """`offsets_to_center_of_joints` (n, 3), zeros where not declared."""
-        declared = self.offsets_to_center_of_joints
-        return np.zeros((self.n, 3)) if declared is None else declared
+        """`offsets_to_center_of_joints` (n, 3): as declared, else at the generated housings.
+
+        These are at the origins of Craig's frames. A standard frame is at the other end of the
+        row's d, often a whole pedestal away from the joint.
+        """
+        if self.offsets_to_center_of_joints is not None:
+            return self.offsets_to_center_of_joints
+        offsets = np.zeros((self.n, 3))
+        if self.dh_convention == "standard" and not self.filenames:
+            offsets[:, 2] = np.where(self.dh.revolute, self.dh.d, 0.0)
+        return offsets
 
     @property
     def home(self) -> Array:

@@ -1,7 +1,8 @@
 """Generates link shapes from a DH table, for robots without meshes.
 
-Every link gets a cylinder about its joint's axis (a box for a prismatic joint) and capsules
-along the offsets to the next joint. Sizes are in proportion to the reach and never zero.
+Every link gets a cylinder about the axis of a revolute joint, or the rod of a prismatic one, which
+slides through a box of the link before; and capsules along the offsets to the next joint. Sizes
+are in proportion to the reach and never zero.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ _RADIUS_OF_REACH = 0.05
 _SMALLEST_REACH = 0.05  # m; a table of zeros still shows its joints
 # Radius of the last link over that of the first, so that nested joints share no surface.
 _TAPER = 0.55
+_HALF_HOUSING = 1.25  # half the length of a housing, in its radii
 _SHORTEST_SEGMENT = 1e-6  # m
 
 
@@ -76,21 +78,24 @@ def generate_shapes(
 
     links: list[list[LinkShape]] = [[] for _ in range(n + 1)]
     for i in range(n):
-        near, far = _segments(table, i, float(strokes[i]))
+        shortest_rod = 2 * _HALF_HOUSING * radii[i]
+        near, far = _segments(table, i, float(strokes[i]), shortest_rod)
         links[i] += _capsules(near, radii[i])
         links[i + 1] += _capsules(far, radii[i + 1])
-        links[i + 1].append(_joint(table, i, radii[i]))
+        carrier = i + 1 if table.revolute[i] else i
+        links[carrier].append(_housing(table, i, radii[i]))
     links[n] += _capsules(np.array([np.zeros(3), flange_frame[:3, 3]]), radii[n])
     links[0].append(_pedestal(radii[0]))
     return links
 
 
-def _segments(table: DhTable, i: int, stroke: float) -> tuple[Array, Array]:
+def _segments(table: DhTable, i: int, stroke: float, shortest_rod: float) -> tuple[Array, Array]:
     """Returns the offsets of row i as polylines: before the joint in frame i, after it in i + 1.
 
     The offset along the axis of a revolute joint is placed before the joint, where it is fixed.
     The rod of a prismatic joint moves with its link.
     """
+    rod = np.copysign(max(abs(table.d[i]) + stroke, shortest_rod), table.d[i])
     a, d, alpha = table.a[i], table.d[i], table.alpha[i]
     along_x, along_z = np.array([a, 0.0, 0.0]), np.array([0.0, 0.0, d])
     zero = np.zeros(3)
@@ -98,14 +103,12 @@ def _segments(table: DhTable, i: int, stroke: float) -> tuple[Array, Array]:
         z_next = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
         if table.revolute[i]:
             return np.array([zero, along_x, along_x + d * z_next]), np.array([zero])
-        rod = np.array([0.0, 0.0, d + np.copysign(stroke, d)])
-        return np.array([zero, along_x]), np.array([-rod, zero])
+        return np.array([zero, along_x]), np.array([[0.0, 0.0, -rod], zero])
     # Standard: Rz(theta) Tz(d), then Tx(a) Rx(alpha); x of the row is x of frame i + 1.
     start = -along_x
     if table.revolute[i]:
         return np.array([zero, along_z]), np.array([start, zero])
     z_joint = np.array([0.0, np.sin(alpha), np.cos(alpha)])
-    rod = d + np.copysign(stroke, d)
     return np.array([zero]), np.array([start - rod * z_joint, start, zero])
 
 
@@ -117,19 +120,23 @@ def _capsules(points: Array, radius: float) -> list[LinkShape]:
     ]
 
 
-def _joint(table: DhTable, i: int, radius: float) -> LinkShape:
-    """Returns the housing about the axis of joint i, in frame i + 1."""
-    if table.convention == "craig":
-        axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
-    else:
-        alpha = table.alpha[i]
-        axis = np.array([0.0, np.sin(alpha), np.cos(alpha)])
-        centre = np.array([-table.a[i], 0.0, 0.0])
-    half = 1.25 * radius * axis
+def _housing(table: DhTable, i: int, radius: float) -> LinkShape:
+    """Returns the housing about the axis of joint i.
+
+    That of a revolute joint is in frame i + 1 and turns; that of a prismatic one is in frame i,
+    where the rod passes through it.
+    """
+    alpha, a = table.alpha[i], table.a[i]
+    axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    if table.convention == "craig" and not table.revolute[i]:
+        axis, centre = np.array([0.0, -np.sin(alpha), np.cos(alpha)]), np.array([a, 0.0, 0.0])
+    elif table.convention == "standard" and table.revolute[i]:
+        axis, centre = np.array([0.0, np.sin(alpha), np.cos(alpha)]), np.array([-a, 0.0, 0.0])
+    half = _HALF_HOUSING * radius * axis
     ends = np.array([centre - half, centre + half])
     if table.revolute[i]:
         return LinkShape("cylinder", np.array([radius]), ends, JOINT)
-    return LinkShape("box", np.array([radius, radius, 1.25 * radius]), ends, JOINT)
+    return LinkShape("box", np.array([radius, radius, _HALF_HOUSING * radius]), ends, JOINT)
 
 
 def _pedestal(radius: float) -> LinkShape:

@@ -1,0 +1,214 @@
+"""Shipped robots that others know: published poses and dynamics, and a second route to each."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from newton_euler import inverse_dynamics
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.robot_dynamics import robot_dynamics
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+
+HALF_PI = math.pi / 2
+NAMES = ["puma560", "panda", "scara", "stanford"]
+QN = np.array([0, math.pi / 4, -math.pi, 0, math.pi / 4, 0])  # the Puma's nominal pose
+
+
+def rot(axis: int, angle: float) -> np.ndarray:
+    turn = np.eye(4)
+    c, s = math.cos(angle), math.sin(angle)
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    turn[a, a], turn[a, b], turn[b, a], turn[b, b] = c, -s, s, c
+    return turn
+
+
+def move(x=0.0, y=0.0, z=0.0) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def chain(*steps: np.ndarray) -> np.ndarray:
+    return np.linalg.multi_dot([*steps, np.eye(4)])
+
+
+def puma(q):
+    """Craig's table of the Puma (ROBOTS.md 4.2, 4): the same frames by the other convention."""
+    rows = [
+        (0, 0, 0.67183), (HALF_PI, 0, 0), (0, 0.4318, 0.15005),
+        (-HALF_PI, 0.0203, 0.4318), (HALF_PI, 0, 0), (-HALF_PI, 0, 0),
+    ]  # fmt: skip
+    steps = [
+        (rot(0, al), move(a), rot(2, t), move(z=d)) for (al, a, d), t in zip(rows, q, strict=True)
+    ]
+    return chain(*(step for row in steps for step in row))
+
+
+def panda(q):
+    """The bodies of mujoco_menagerie's panda.xml: position, and a turn by quat about x."""
+    bodies = [
+        (0, 0, 0.333, 0), (0, 0, 0, -HALF_PI), (0, -0.316, 0, HALF_PI), (0.0825, 0, 0, HALF_PI),
+        (-0.0825, 0.384, 0, -HALF_PI), (0, 0, 0, HALF_PI), (0.088, 0, 0, HALF_PI),
+    ]  # fmt: skip
+    steps = [(move(*at[:3]), rot(0, at[3]), rot(2, t)) for at, t in zip(bodies, q, strict=True)]
+    return chain(*(step for body in steps for step in body), move(z=0.107))
+
+
+def scara(q):
+    """A planar arm of two links, and a tip that points down."""
+    a, b = q[0], q[0] + q[1]
+    x = 0.325 * math.cos(a) + 0.275 * math.cos(b)
+    y = 0.325 * math.sin(a) + 0.275 * math.sin(b)
+    return chain(move(x, y, 0.387 - q[2]), rot(2, b), rot(0, math.pi), rot(2, q[3]))
+
+
+def stanford(q):
+    """Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, example 3.5, position alone.
+
+    Its fourth angle is zero where this table's is at pi/2.
+    """
+    c, s = np.cos(q), np.sin(q)
+    c4, s4 = s[3], -c[3]
+    d1, d2, d3, d6 = 0.412, 0.154, q[2], 0.263
+    T = np.full((4, 4), np.nan)
+    T[:3, 3] = [
+        c[0] * s[1] * d3 - s[0] * d2
+        + d6 * (c[0] * c[1] * c4 * s[4] + c[0] * c[4] * s[1] - s[0] * s4 * s[4]),
+        s[0] * s[1] * d3 + c[0] * d2
+        + d6 * (c[0] * s4 * s[4] + c[1] * c4 * s[0] * s[4] + c[4] * s[0] * s[1]),
+        d1 + c[1] * d3 + d6 * (c[1] * c[4] - c4 * s[1] * s[4]),
+    ]  # fmt: skip
+    return T
+
+
+@pytest.mark.parametrize("by_hand", [puma, panda, scara, stanford])
+def test_table_and_model_agree_with_another_route_at_random_poses(by_hand):
+    name = {"puma": "puma560"}.get(by_hand.__name__, by_hand.__name__)
+    robot = SerialRobot.from_model(name)
+    world = World(Scene(robots=[robot]))
+    data = world.make_data()
+    low, high = robot.position_limits.T
+    for q in np.random.default_rng(5).uniform(low, high, (40, robot.n)):
+        world.set_input(data, f"{name}.joint_angles", q)
+        mujoco.mj_kinematics(world.model, data)
+        expected = by_hand(q)
+        known = ~np.isnan(expected)
+        for pose in (
+            robot.fwd_kin_base_to_flange(q),
+            world.fwd_kin_base_to_flange(data, name),
+        ):
+            np.testing.assert_allclose(pose[known], expected[known], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "q", "position", "rotation"),
+    [
+        # petercorke/robotics-toolbox-python, docs/notebooks/kinematics.ipynb
+        ("puma560", QN, [0.5963, -0.15005, 0.65748], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+        # petercorke/robotics-toolbox-matlab, issue 125: 0.926 m; ROBOTS.md 4.2, 6
+        ("panda", [0] * 7, [0.088, 0, 0.926], np.diag([1, -1, -1])),
+        # Stretched, it reaches 600 mm, for which it is named; its quill moves 210 mm.
+        ("scara", [0] * 4, [0.6, 0, 0.387], np.diag([1, -1, -1])),
+        ("scara", [0, 0, 0.21, 0], [0.6, 0, 0.177], np.diag([1, -1, -1])),
+        # The zero pose of the standard and the modified table in robotics-toolbox-matlab.
+        ("stanford", [0] * 6, [0, 0.154, 0.675], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    ],
+)
+def test_flange_stands_at_the_published_pose(name, q, position, rotation):
+    robot = SerialRobot.from_model(name)
+    pose = robot.fwd_kin_base_to_flange(q)
+    np.testing.assert_allclose(pose[:3, 3], position, atol=5e-5)
+    np.testing.assert_allclose(pose[:3, :3], rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_pose_is_within_the_limits(name):
+    robot = SerialRobot.from_model(name)
+    low, high = robot.position_limits.T
+    assert (robot.home >= low).all() and (robot.home <= high).all()
+    assert "prismatic" in robot.types or name in ("puma560", "panda")
+
+
+# petercorke/robotics-toolbox-python, docs/notebooks/icra2021.ipynb and tests/test_DHRobot.py:
+# what holds the Puma at its nominal pose, Nm, and its inertia matrix there with the motors', kg m2.
+PUMA_GRAVITY = [0, 31.6398804, 6.03513802, 0, 0.0282528, 0]
+PUMA_INERTIA = [
+    [3.65937541, -0.404361246, 0.100613648, -2.51695583e-3, 0, 0],
+    [-0.404361246, 4.41374193, 0.350890665, 0, 2.35951307e-3, 0],
+    [0.100613648, 0.350890665, 0.937841575, 0, 1.48016639e-3, 0],
+    [-2.51695583e-3, 0, 0, 0.192531706, 0, 2.82842712e-5],
+    [0, 2.35951307e-3, 1.48016639e-3, 0, 0.171348452, 0],
+    [0, 0, 0, 2.82842712e-5, 0, 0.194104506],
+]
+
+
+@pytest.fixture(scope="module")
+def puma_world():
+    world = World(Scene(robots=[SerialRobot.from_model("puma560")]), dynamic=True)
+    data = world.make_data()
+    world.set_input(data, "puma560.joint_angles", QN)
+    mujoco.mj_forward(world.model, data)
+    return world, data
+
+
+def test_puma_needs_the_published_torques_against_gravity(puma_world):
+    _, data = puma_world
+    np.testing.assert_allclose(data.qfrc_bias, PUMA_GRAVITY, atol=1e-6)
+    robot = SerialRobot.from_model("puma560")
+    by_hand = inverse_dynamics(robot, robot_dynamics(robot), QN)
+    np.testing.assert_allclose(by_hand, PUMA_GRAVITY, atol=1e-6)
+
+
+def test_puma_has_the_published_inertia_matrix(puma_world):
+    world, data = puma_world
+    found = np.zeros((6, 6))
+    mujoco.mj_fullM(world.model, data, found)
+    # Joint 1 carries what link 3 was given to be a possible body, at most 0.00375 kg m2; motor
+    # inertias are rounded to 1e-5.
+    tolerance = np.full((6, 6), 1e-5)
+    tolerance[0, 0] = 0.0038
+    assert (np.abs(found - PUMA_INERTIA) <= tolerance).all(), found - PUMA_INERTIA
+    assert found[0, 0] != pytest.approx(PUMA_INERTIA[0][0], abs=1e-4)  # it is not as published
+
+
+def test_puma_follows_the_published_torques_of_a_motion(puma_world):
+    # tests/test_DHRobot.py, test_rne: unit velocities and accelerations at the nominal pose,
+    # friction included, less what they are without gravity and what motor and friction add.
+    robot = SerialRobot.from_model("puma560")
+    published = np.array([29.1421, 56.5044, 16.3528, 1.26448, 1.12392, 0.519648])  # velocity 1
+    ones = np.ones(6)
+    dynamics = robot_dynamics(robot)
+    links = inverse_dynamics(robot, dynamics, QN, velocities=ones)
+    viscous = dynamics.viscous_friction
+    # RTB takes the Coulomb friction of this direction (motors 1 and 3 turn the other way round);
+    # the file has the mean of both.
+    gears = np.array([62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686])
+    one_way = gears * [0.395, 0.126, 0.132, 11.2e-3, 9.26e-3, 3.96e-3]
+    np.testing.assert_allclose(links + viscous + one_way, published, atol=4e-3)
+    other_way = gears * [0.435, 0.071, 0.105, 16.9e-3, 14.5e-3, 10.5e-3]
+    np.testing.assert_allclose(dynamics.coulomb_friction, (one_way + other_way) / 2, rtol=1e-3)
+
+
+def test_panda_holds_itself_as_its_masses_say():
+    robot = SerialRobot.from_model("panda")
+    world = World(Scene(robots=[robot]), dynamic=True)
+    data = world.make_data()
+    mujoco.mj_forward(world.model, data)
+    dynamics = robot_dynamics(robot)
+
+    # A second route: the gradient of the potential energy, by finite differences.
+    def energy(q):
+        T = robot.dh.frames(q)[1:]
+        centers = T[:, :3, 3] + np.einsum("nij,nj->ni", T[:, :3, :3], dynamics.centers[1:])
+        return 9.81 * dynamics.masses[1:] @ centers[:, 2]
+
+    step = 1e-6 * np.eye(7)
+    gradient = [(energy(robot.home + h) - energy(robot.home - h)) / 2e-6 for h in step]
+    np.testing.assert_allclose(data.qfrc_bias, gradient, atol=1e-6)
+    assert (np.abs(gradient) < robot.torque_limits).all()
+    assert dynamics.masses[1:].sum() == pytest.approx(16.062132)
