@@ -31,11 +31,31 @@ ARGUMENTS = [
     "--ignore-gpu-blocklist",
     "--no-sandbox",
 ]
-# A page draws this often only: software takes all processors to draw it, and others have to wait.
-_SELDOM = """
+# A page works as ever, but draws only its first frames and those that `Visitor.picture` asks for:
+# software takes all processors to draw, and others have to wait.
+_DRAWS_ON_DEMAND = """
+window.framesDrawn = 0;
+window.framesWanted = 5;
 const next = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = draw => setTimeout(() => next(draw), 200);
+window.requestAnimationFrame = frame => setTimeout(next, 50, time => {
+    frame(time);
+    if (framesDrawn < framesWanted) framesDrawn += 1;
+});
+const calls = WebGL2RenderingContext.prototype;
+for (const name of ["clear", "clearBufferfi", "clearBufferfv", "blitFramebuffer", "drawArrays",
+                    "drawArraysInstanced", "drawElements", "drawElementsInstanced",
+                    "drawRangeElements"]) {
+    const call = calls[name];
+    calls[name] = function (...given) {
+        if (framesDrawn < framesWanted) call.apply(this, given);
+    };
+}
 """
+_DRAW = """() => new Promise(resolve => {
+    framesWanted = framesDrawn + 1;
+    const look = () => framesDrawn < framesWanted ? setTimeout(look, 20) : resolve();
+    look();
+})"""
 # Serves frames, and answers what is asked about the page on its standard input.
 _PROGRAM = """
 from mujoco.studio.dear_imgui import dear_imgui as imgui
@@ -159,7 +179,7 @@ class Visitor:
     ) -> None:
         self._served = served
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
-        self.page.add_init_script(_SELDOM)
+        self.page.add_init_script(_DRAWS_ON_DEMAND)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.goto(served.url)
@@ -170,6 +190,7 @@ class Visitor:
 
     def picture(self) -> NDArray[np.int16]:
         """What is seen, (height, width, 3), without Studio's bar below."""
+        self.page.evaluate(_DRAW)
         png = self.page.screenshot(timeout=60_000)
         pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
         return pixels[:-32]
