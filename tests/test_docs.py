@@ -19,6 +19,7 @@ from window_tools import MISSING, screen
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
 FILM = re.compile(r"((?:-o|--render) \S+\.mp4)")
 WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")  # `compare` has the recording's
+DURATION = re.compile(r"--duration [23]\b")
 FILM_IN_PYTHON = re.compile(r"(render_film\(.+)\)$", re.MULTILINE)
 # What a block writes: an option's or a command's file, or the text of a call in Python.
 OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml))")
@@ -27,9 +28,10 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SMALL, FPS = (480, 320), 10
 
 
-def with_small_films(text: str) -> str:
-    """A block whose films are small, and have few frames where that can be said."""
+def shortened(text: str) -> str:
+    """A block whose films are small and have few frames, and whose recordings are short."""
     text = FILM.sub(r"\1 --size {}x{}".format(*SMALL), text)
+    text = DURATION.sub("--duration 1", text)
     text = WITH_FPS.sub(rf"\1 --fps {FPS}", text)
     return FILM_IN_PYTHON.sub(rf"\1, size={SMALL}, fps={FPS})", text)
 
@@ -47,13 +49,12 @@ def open_window(language: str, text: str, folder: Path, environment: dict[str, s
                 [sys.executable, str(script)], cwd=folder, env=here, check=True, timeout=60
             )
             return
+        opened = ["xdotool", "search", "--sync", "--onlyvisible", "--name", "sero-mj"]
         for line in text.splitlines():
             process = subprocess.Popen(line.partition("#")[0].split(), cwd=folder, env=here)
             try:
-                process.wait(4)
-                raise AssertionError(f"{line}: it has ended")
-            except subprocess.TimeoutExpired:
-                pass
+                subprocess.run(opened, env=here, check=True, timeout=20)
+                assert process.poll() is None, f"{line}: it has ended"
             finally:
                 process.kill()
                 process.wait()
@@ -122,12 +123,12 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
             elif note == "background":
                 background.append(subprocess.Popen(text.split(), cwd=tmp_path, env=environment))
             elif language == "bash":
-                run("bash", "-ec", with_small_films(text))
+                run("bash", "-ec", shortened(text))
             elif language == "python":
                 if "dm_control" in text:
                     pytest.importorskip("dm_control", reason="dm-control is not installed")
                 script = tmp_path / "script.py"
-                script.write_text(with_small_films(textwrap.dedent(text)))
+                script.write_text(shortened(textwrap.dedent(text)))
                 run(sys.executable, str(script))
     finally:
         for process in background:
