@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from conftest import examples
 from decor_tools import of_kind, toggles_of, view_at, world_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -86,7 +87,7 @@ def compare(world: World, camera: str) -> tuple[int, int, set[str]]:
         renderer.decor = SceneDecor(world)  # with panels in the scene, where the oracle sees them
         renderer.toggles.legend = False
         renderer.toggles.cards[:] = True
-        for _ in range(12):
+        for _ in range(examples(12)):
             for name in world.owners:
                 world.set_input(data, f"{name}.joint_angles", rng.uniform(-1.8, 1.8, 7))
             placer.place(data)
@@ -125,9 +126,8 @@ def is_right(world: World, picked: Picked | None, kind: str, item: int) -> bool:
 def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
     asked, wrong, seen = compare(world, "150,-15,2.0")
     assert {"geom", "ARROW", "BILLBOARD", "AXES"} <= seen
-    assert asked > 2500
-    # Only hair's breadths differ.
-    assert wrong / asked < 0.005
+    assert asked > 200 * examples(12)
+    assert wrong / asked < 0.005  # between two surfaces that are a pixel apart
 
 
 @pytest.mark.gl
@@ -146,7 +146,7 @@ def test_picking_agrees_for_doubles_smart_arrows_and_received_frames() -> None:
     )
     asked, wrong, seen = compare(World(scene), "150,-15,2.4")
     assert {"geom", "DOUBLE", "ARROW", "BILLBOARD", "AXES", "VECTOR", "CARD"} <= seen
-    assert asked > 2500
+    assert asked > 200 * examples(12)
     assert wrong / asked < 0.001
 
 
