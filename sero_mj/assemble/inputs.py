@@ -92,7 +92,8 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
     for name, robot in scene.robots.items():
         add(name, (robot.n,), "angles", "joint_angles")
         add(name, (robot.n,), "values", *VALUE_INPUTS, *robot.inputs)
-        add(name, (4, 4), "pose", "base_frame")
+        if robot.mount is None:  # else what carries it moves it
+            add(name, (4, 4), "pose", "base_frame")
         add(name, (4, 4), "frame", "flange_check")
         add(name, (1,), "toggle", *OWNER_TOGGLES)
     for name, double in scene.doubles.items():

@@ -1,8 +1,9 @@
 """Builds a scene's robots and surroundings as MJCF, with `mujoco.MjSpec`.
 
-A robot becomes one mocap body at its base frame with a chain of bodies, one per row of its DH
-table, whose frames are the DH frames: body i is at T_{i-1,i}(q_i = 0) and moves about, or
-along, z of its own frame (craig) or of its parent's (standard).
+A robot becomes one body at its base frame with a chain of bodies, one per row of its DH table,
+whose frames are the DH frames: body i is at T_{i-1,i}(q_i = 0) and moves about, or along, z of
+its own frame (craig) or of its parent's (standard). The base is a mocap body, or hangs on the body
+of the robot that carries it.
 """
 
 from __future__ import annotations
@@ -19,8 +20,15 @@ from ..errors import DeclarationError, Problem, collect
 from ..frames import Array, nice
 from .double import DOUBLE_GROUP, Double, path_fade
 from .inputs import moving
-from .mjcf_dynamics import add_dynamics, exclude_neighbours, set_up_dynamics
+from .mjcf_dynamics import (
+    add_dynamics,
+    exclude_mounted,
+    exclude_neighbours,
+    set_inertia,
+    set_up_dynamics,
+)
 from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, mesh_asset, pose, shape_geom
+from .mounts import base_frames, carrier, mount_order
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .scene import Scene
@@ -68,13 +76,21 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
                 _add_object(root, _moved_body(root, item.name, item.frame), item, np.eye(4))
             else:
                 _add_object(root, root.worldbody, item, item.frame)
-    for name, robot in scene.robots.items():
-        with collect(problems, f"robots.{name}"):
-            _add_robot(root, robot, None if dynamics is None else dynamics[name])
+    unbuilt: set[str | None] = set()
+    for name in mount_order(scene.robots):
+        robot, count = scene.robots[name], len(problems)
+        if carrier(robot) not in unbuilt:  # what carries it is wrong, and that is reported
+            with collect(problems, f"robots.{name}"):
+                _add_robot(root, robot, None if dynamics is None else dynamics[name])
+        if len(problems) > count or carrier(robot) in unbuilt:
+            unbuilt.add(name)
     if problems:
         raise DeclarationError(scene.located(problems))
+    if dynamics is not None:
+        exclude_mounted(root, scene.robots)
+    bases = base_frames(scene.robots)
     for double in scene.doubles.values():
-        _add_double(root, double, scene.robots[double.of])
+        _add_double(root, double, scene.robots[double.of], bases[double.of])
     _add_frames(root, scene)
     return root
 
@@ -92,10 +108,25 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
     piece = _robot_spec(robot)
     if dynamics is not None:
         add_dynamics(piece, robot, dynamics)
-    base = _attach(root, root.worldbody, piece, robot.name, robot.base_frame)
-    base.mocap = True
+    if robot.mount is None:
+        _attach(root, root.worldbody, piece, robot.name, robot.base_frame).mocap = True
+    else:
+        at = root.site(_mount_site(robot.mount))
+        T_body_mount = frames.frame(frames.rotation_from_quat(at.quat), at.pos)
+        base = _attach(root, at.parent, piece, robot.name, T_body_mount @ robot.base_frame)
+        if dynamics is not None:
+            set_inertia(base, dynamics, 0)
     if dynamics is not None:
         exclude_neighbours(root, robot)
+
+
+def _mount_site(mount: str) -> str:
+    """Returns the site of a frame that a robot is mounted on."""
+    name, _, label = mount.partition("/")
+    sites = {"base": "base", "flange": "flange_frame"}
+    if label.startswith("link") and label[4:].isdigit():
+        return f"{name}/frame{label[4:]}"
+    return f"{name}/{sites.get(label, f'axes_{label}')}"
 
 
 def _attach(
@@ -222,7 +253,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
         )  # fmt: skip
     if not scene.lights:
         # MuJoCo's shadows have dark specks in them far from the axis of a light.
-        bases = [robot.base_frame[:3, 3] for robot in scene.robots.values()]
+        bases = [T[:3, 3] for T in base_frames(scene.robots).values()]
         middle = np.mean(bases, axis=0) if bases else np.zeros(3)
         _add_key_light(root, palette, middle + _KEY_LIGHT)
     for name, camera in scene.cameras.items():
@@ -355,7 +386,9 @@ def frame_names(double: Double, robot: SerialRobot) -> list[str]:
     return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
 
 
-def _add_double(root: mujoco.MjSpec, double: Double, robot: SerialRobot) -> None:
+def _add_double(
+    root: mujoco.MjSpec, double: Double, robot: SerialRobot, T_world_base: Array
+) -> None:
     """Adds the bodies of a double, at zero joint angles.
 
     The world hides them after compilation. Compiled out of sight they would make MuJoCo scale
@@ -363,7 +396,7 @@ def _add_double(root: mujoco.MjSpec, double: Double, robot: SerialRobot) -> None
     """
     rows = body_names(double, robot)
     shapes = [] if robot.filenames else generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
-    at_zero = robot.dh.frames(np.zeros(robot.n), robot.base_frame)
+    at_zero = robot.dh.frames(np.zeros(robot.n), T_world_base)
     for names, share in zip(rows, path_fade(len(rows)), strict=True):
         look = {"rgba": double.rgba * [1, 1, 1, share], "group": DOUBLE_GROUP}
         for i, name in enumerate(names):

@@ -6,7 +6,8 @@ with non-adjacent links. The display variant of the scene has none of this.
 
 from __future__ import annotations
 
-from itertools import combinations
+from collections.abc import Mapping
+from itertools import combinations, product
 from typing import Any
 
 import mujoco
@@ -15,6 +16,7 @@ import numpy as np
 from ..frames import Array, Bools
 from .dynamics import principal_moments
 from .mjcf_elements import MESH, hull_asset
+from .mounts import carrying_link
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .shapes import housing_radii
@@ -64,10 +66,7 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
     """Adds masses, joint properties and collision geoms to a robot that is not yet attached."""
     for i in range(robot.n):
         body = piece.body(f"link{i + 1}")
-        moments, axes = principal_moments(dynamics.tensors[i + 1])
-        mujoco.mju_mat2Quat(body.iquat, axes.ravel())
-        body.explicitinertial, body.mass = True, dynamics.masses[i + 1]
-        body.ipos, body.inertia = dynamics.centers[i + 1], moments
+        set_inertia(body, dynamics, i + 1)
         joint = piece.joint(robot.names[i])
         joint.armature = dynamics.motor_inertias[i]
         joint.damping[0] = dynamics.viscous_friction[i]
@@ -79,6 +78,14 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
     _add_hulls(piece, robot, dynamics.hulls)
     # Only a fixed body may be massless; this one is fixed to the last link.
     piece.body("flange").add_body(name=PAYLOAD)
+
+
+def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics, i: int) -> None:
+    """Gives a body the mass, centre and tensor of link i; 0 is the base, which a robot carries."""
+    moments, axes = principal_moments(dynamics.tensors[i])
+    mujoco.mju_mat2Quat(body.iquat, axes.ravel())
+    body.explicitinertial, body.mass = True, dynamics.masses[i]
+    body.ipos, body.inertia = dynamics.centers[i], moments
 
 
 def deflection_joint(name: str) -> str:
@@ -153,14 +160,52 @@ def _links_near_base(robot: SerialRobot) -> Bools:
 
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     """Excludes collisions between links of one housing, in a scene with the robot attached."""
-    flange = root.body(f"{robot.name}/flange")
-    tools = [flange.name, *(body.name for body in flange.find_all("body"))]
-    bodies = [f"{robot.name}/", *(f"{robot.name}/link{i + 1}" for i in range(robot.n))]
+    bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
     near = _ONE_HOUSING * housing_radii(robot.dh, robot.flange_frame)[0]
     steps = np.abs(robot.dh.a) + np.abs(robot.dh.d)
     ends_before = robot.dh_convention == "standard"
     for i, k in combinations(range(robot.n + 1), 2):
         # The offsets between joint i + 1, where link i ends, and joint k, where link k begins.
         if k - i <= 2 or steps[i + 1 : k - ends_before].sum() < near:
-            for other in [bodies[k], *(tools if k == robot.n else [])]:
-                root.add_exclude(bodyname1=bodies[i], bodyname2=other)
+            for other in bodies[k]:
+                root.add_exclude(bodyname1=bodies[i][0], bodyname2=other)
+
+
+def exclude_mounted(root: mujoco.MjSpec, robots: Mapping[str, SerialRobot]) -> None:
+    """Excludes collisions between links that mounts make neighbours.
+
+    As within one robot these are links with up to two joints between them, here over a mount: of
+    the robot that carries and of the carried one, or of two that the same link carries.
+    """
+    ways: dict[tuple[str, int], list[tuple[str, list[int]]]] = {}  # from the carrying link on
+    for name, robot in robots.items():
+        if robot.mount is None:
+            continue
+        below, link = carrying_link(robots, name)
+        n = robots[below].n
+        back, on = [*range(link, max(link - 3, -1), -1)], [*range(link, min(link + 3, n + 1))]
+        here = ways.setdefault((below, link), [(below, back), (below, on)])
+        here.append((name, [*range(min(robot.n, 2) + 1)]))
+    pairs = {
+        (first, second)
+        for here in ways.values()
+        for (one, links), (other, others) in combinations(here, 2)
+        if one != other
+        for (i, link), (k, another) in product(enumerate(links), enumerate(others))
+        if i + k <= 2
+        for first in _bodies_of(root, robots[one], link)
+        for second in _bodies_of(root, robots[other], another)
+    }
+    for first, second in sorted(pairs):
+        root.add_exclude(bodyname1=first, bodyname2=second)
+
+
+def _bodies_of(root: mujoco.MjSpec, robot: SerialRobot, link: int) -> list[str]:
+    """Returns the names of the bodies of a link; the last one's tools are its own."""
+    scope = f"{robot.name}/"
+    names = [f"{scope}link{link}" if link else scope]
+    if link == robot.n:
+        flange = root.body(f"{scope}flange")
+        tools = [flange.name, *(body.name for body in flange.find_all("body"))]
+        names += [name for name in tools if name.startswith(scope)]
+    return names

@@ -32,7 +32,7 @@ class RobotPart:
         dh: its Denavit-Hartenberg table.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
-        mocap: index of its base in `mocap_pos` and `mocap_quat`.
+        mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 where another robot carries it.
         bodies: ids of the base and every link, (n + 1,).
         flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
@@ -160,6 +160,20 @@ class DoublePart:
 
 
 Owner = RobotPart | DoublePart
+
+
+def robots_of_bodies(model: mujoco.MjModel, robots: Mapping[str, RobotPart]) -> Ints:
+    """Returns of every body the number of the robot that it belongs to, (nbody,); -1 for none.
+
+    What is fixed to a robot belongs to it, and robots that it carries do not.
+    """
+    owner = np.full(model.nbody, -1, np.intp)
+    for number, part in reversed(list(enumerate(robots.values()))):
+        owner[[*part.bodies, part.flange_body]] = number
+    owner[0] = -1
+    for body in np.flatnonzero(owner < 0)[1:]:  # parents come before their children
+        owner[body] = owner[model.body_parentid[body]]
+    return owner
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,7 +77,9 @@ class SerialRobot(Declaration):
             Without files, link shapes are generated from the DH table.
         colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
         mesh_scale: metres per unit of the mesh files.
-        base_frame: T_world_base.
+        mount: the frame of another robot that carries its base, e.g. `arm/flange`; None for one
+            that stands in the world.
+        base_frame: T_world_base, or T_mount_base of a mounted robot.
         flange_frame: T_n_flange, from the last joint's frame.
         joint_angles: (n,), initial pose, used until something is received.
         children: objects fixed to the flange.
@@ -128,6 +130,7 @@ class SerialRobot(Declaration):
     colors: dict[str, Rgba] = {}
     filenames: list[Annotated[list[LinkMesh], BeforeValidator(as_link_meshes)]] = []
     mesh_scale: float = Field(1.0, gt=0)
+    mount: str | None = None
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
     joint_angles: Vector | None = None

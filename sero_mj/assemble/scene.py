@@ -13,6 +13,7 @@ from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..toml_file import key_lines, located
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
+from .mounts import carrier, mount_problems
 from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
 from .surroundings import Camera, Light, Object, View
@@ -186,7 +187,14 @@ class Scene:
         ]
         if too_many:  # checking them would take as long as compiling them
             return too_many
-        return [*self._name_problems(), *self._double_problems(), *self._frame_problems()]
+        carriers = {carrier(robot) or "" for robot in self.robots.values()}
+        broken = {name: self.is_broken(name, ("robots",)) for name in carriers}
+        return [
+            *self._name_problems(),
+            *mount_problems(self.robots, broken),
+            *self._double_problems(),
+            *self._frame_problems(),
+        ]
 
     def _name_problems(self) -> list[Problem]:
         """Returns names that are ambiguous in routes."""

@@ -84,7 +84,8 @@ class World(WorldView):
         self.joints, self.frames, self.arrows = make_tables(
             scene, self.owners, self.slots, self.flags, self._sites
         )
-        self.placed = {name: part.mocap for name, part in self.robots.items()}
+        standing = {name: part for name, part in self.robots.items() if part.mocap >= 0}
+        self.placed = {name: part.mocap for name, part in standing.items()}
         for name in [*scene.frames, *(item.name for item in scene.objects), *scene.cameras]:
             body = f"frame-{name}" if name in scene.frames else moved_body(name)
             (index,) = self._bodies([body])

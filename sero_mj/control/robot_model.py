@@ -1,8 +1,8 @@
 """`RobotModel`: the kinematics and dynamics that a controller knows of its robot.
 
-It is a model of that robot alone: no payload, no contact, no other robots, and the masses that
-the controller believes in. What differs from them in the simulated world shows as it would on
-the real robot.
+It is a model of that robot: no payload, no contact, and the masses that the controller believes
+in. Other robots are in it only as what carries it and as its load, see `follow`. What differs from
+that in the simulated world shows as it would on the real robot.
 """
 
 from __future__ import annotations
@@ -21,12 +21,16 @@ from mujoco import (
     mj_makeM,
     mj_rne,
     mj_solveM,
+    mju_mat2Quat,
+    mju_mulQuat,
+    mju_rotVecQuat,
 )
 
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
-from ..frames import Array, frame
+from ..frames import Array, frame, inverse
+from .whole_body import Mounting
 
 
 class RobotModel:
@@ -110,13 +114,69 @@ class RobotModel:
         self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
         self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
+        self._mounting: Mounting | None = None
+        self._loads: list[tuple[Array, Array]] = []
+        self._of_base: list[tuple[Array, Array, Array, Array]] = []
+
+    def follow(self, mounting: Mounting, T_world_base: Array) -> None:
+        """Lets every `update` take over where the base is, and what the robot carries, as a load.
+
+        Args:
+            mounting: whose arrays are read at every update.
+            T_world_base: (4, 4), where the base was when this model was made.
+        """
+        model, inverse_base = self._model, inverse(T_world_base)
+        turn: Array = np.empty(4)
+        mju_mat2Quat(turn, inverse_base[:3, :3].ravel())
+        for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # of those that the base carries
+            quat: Array = np.empty(4)
+            mju_mulQuat(quat, turn, model.body_quat[body])
+            position = inverse_base[:3, :3] @ model.body_pos[body] + inverse_base[:3, 3]
+            self._of_base.append((model.body_pos[body], model.body_quat[body], position, quat))
+        self._loads = [
+            (self._data.cinert[model.jnt_bodyid[link - 1]], load)
+            for link, load in mounting.loads
+            if link > 0  # the base's load is held by what the base stands on
+        ]
+        self._mounting = mounting
+
+    def _move_base(self, mounting: Mounting) -> None:
+        """Puts what the base carries where the base is now."""
+        for body_pos, body_quat, position, quat in self._of_base:
+            mju_rotVecQuat(body_pos, position, mounting.quaternion)
+            np.add(body_pos, mounting.position, body_pos)
+            mju_mulQuat(body_quat, mounting.quaternion, quat)
+
+    def _add_loads(self, mounting: Mounting) -> None:
+        """Adds the inertias of the loads to those of the links that carry them.
+
+        Both are about a point, in the world's axes: by the parallel-axis theorem, a shift by d of
+        the point adds (m d.d - 2 h.d) E + h d^T + d h^T - m d d^T to the tensor and -m d to the
+        first moment h.
+        """
+        x, y, z = (self._data.subtree_com[1] - mounting.about).tolist()
+        for inertia, load in self._loads:
+            xx, yy, zz, xy, xz, yz, hx, hy, hz, m = load.tolist()
+            round_ = m * (x * x + y * y + z * z) - 2.0 * (hx * x + hy * y + hz * z)
+            inertia[:] += (
+                xx + round_ + (2.0 * hx - m * x) * x,
+                yy + round_ + (2.0 * hy - m * y) * y,
+                zz + round_ + (2.0 * hz - m * z) * z,
+                xy + hx * y + hy * x - m * x * y,
+                xz + hx * z + hz * x - m * x * z,
+                yz + hy * z + hz * y - m * y * z,
+                hx - m * x,
+                hy - m * y,
+                hz - m * z,
+                m,
+            )
 
     @classmethod
     def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
         """The model of a declared robot, with its own masses and nothing else in the world.
 
         Args:
-            robot: its declaration.
+            robot: its declaration, standing in the world (`mounts.unmounted`).
             world: a dynamic one with this robot alone, where it has been compiled already.
 
         Raises:
@@ -138,7 +198,14 @@ class RobotModel:
         self._qpos[...] = angles
         self._velocities = velocities
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
+        mounting = self._mounting
+        if mounting is None:
+            mj_fwdKinematics(self._model, self._data)
+            return
+        self._move_base(mounting)
         mj_fwdKinematics(self._model, self._data)
+        if self._loads:
+            self._add_loads(mounting)
 
     def gravity(self, out: Array | None = None) -> Array:
         """g(q), (n,): the torques that hold the robot still.

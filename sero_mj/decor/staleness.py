@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble.inputs import SOURCE_FIELDS
-from ..assemble.parts import DoublePart
+from ..assemble.parts import DoublePart, robots_of_bodies
 from ..assemble.world_view import WorldView
 from ..receive.source import QUIET_AFTER
 from .panels import Panels, labels_at
@@ -145,7 +145,8 @@ def _routed_item(world: WorldView, name: str, ages: NDArray[np.intp]) -> _Routed
     model = world.model
     if name in world.robots:
         part = world.robots[name]
-        own = model.body_rootid[model.geom_bodyid] == part.bodies[0]
+        number = list(world.robots).index(name)
+        own = robots_of_bodies(model, world.robots)[model.geom_bodyid] == number
         return _Routed(name, ages, part.robot.stale_after, int(part.bodies[0]), own)
     if name in world.doubles:
         double: DoublePart = world.doubles[name]

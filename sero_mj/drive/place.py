@@ -10,7 +10,7 @@ import numpy as np
 from ..assemble.cartesian import WORLD
 from ..assemble.double import OUT_OF_SIGHT, fade_in
 from ..assemble.inputs import BLANKABLE
-from ..assemble.parts import DoublePart
+from ..assemble.parts import DoublePart, RobotPart
 from ..assemble.world_view import WorldView
 from ..frames import Array, Ints, frame, rotation_from_quat
 from .route import FrameRoute, Origin, Route
@@ -106,9 +106,11 @@ def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
     """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
+    if any(part.of.mocap < 0 for part in world.doubles.values()):
+        mujoco.mj_kinematics(world.model, data)  # their bases hang on other robots
     for name, part in world.doubles.items():
         robot = part.of
-        base = frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
+        base = _base(world, data, robot)
         dh = robot.dh
         if part.path is not None:
             targets = dh.frames(part.path, base)
@@ -119,6 +121,14 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
             data.mocap_pos[part.mocap] = data.mocap_pos[part.frames] = OUT_OF_SIGHT
             continue
         _place(data, part, targets, dh.frames(data.qpos[robot.qpos], base))
+
+
+def _base(world: WorldView, data: mujoco.MjData, robot: RobotPart) -> Array:
+    """Returns T_world_base (4, 4) of a robot, (4, 4): as received, or where its carrier has it."""
+    if robot.mocap >= 0:
+        return frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
+    body = robot.bodies[0]
+    return frame(data.xmat[body].reshape(3, 3), data.xpos[body])
 
 
 def _place(data: mujoco.MjData, part: DoublePart, targets: Array, actual: Array) -> None:

@@ -19,6 +19,7 @@ from typing import Self
 
 from ..assemble.cartesian import WORLD
 from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
+from ..assemble.mounts import carriers, mount_circles
 from ..assemble.scene import NOT, Scene, names_in
 from ..errors import DeclarationError, Problem, RouteError, collect, did_you_mean, nearest
 from ..receive.source import SIGNALS, Source, make_source
@@ -133,6 +134,8 @@ def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[s
     after: dict[str, set[str]] = {
         name: {double.of} for name, double in scene.doubles.items() if name not in scene.robots
     }
+    if not mount_circles(scene.robots):  # which are reported elsewhere
+        after |= {name: {*carriers(scene.robots, name)} for name in scene.robots}
     placed = set()
     for route in routes:
         mover = route.frame if route.is_fwd_kin else frames[route.frame].moves_with
@@ -222,9 +225,15 @@ class _RouteChecker:
             mistyped = near is not None and key not in ROBOT_INPUTS
             message = f"no input '{key}' of {name}; did you mean '{near}'?"
             return Problem("", message) if mistyped and f"robots.{name}" in scene.broken else None
-        double = scene.doubles.get(name)
+        double, robot = scene.doubles.get(name), scene.robots.get(name)
+        message = ""
         if double is not None and double.path is not None and key != "visible":
-            return Problem("", f"'{name}' shows a path; nothing can be routed to it")
+            message = f"'{name}' shows a path; nothing can be routed to it"
+        if robot is not None and robot.mount is not None and key == "base_frame":
+            message = f"{name} is mounted on {robot.mount}, which moves its base"
+            message += "; remove this route, or the mount"
+        if message:
+            return Problem("", message)
         if keys and (double is None or double.of in scene.robots):
             return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
         if double is not None:

@@ -13,6 +13,7 @@ from dm_env import specs
 from numpy.typing import NDArray
 from pydantic import Field
 
+from ..assemble.mounts import base_frames, unmounted
 from ..assemble.robot import SerialRobot
 from ..assemble.world import World
 from ..control.compiler import Compiler
@@ -125,11 +126,14 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         self._substeps = settings.substeps(timestep)
         self._action = settings.make_action(robots[robot], timestep)
         self._compiler = Compiler()
-        model = self._compiler.robot_model(robots[robot])
+        own = unmounted(robots[robot], base_frames(robots)[robot])
+        model = self._compiler.robot_model(own)
         self._agent = AgentController(self._action, robots[robot], model, timestep)
         self.scenario = copy.copy(scenario)
         self.scenario.controllers = {**scenario.controllers, robot: self._agent}
         self.simulation = Simulation(self.scenario, settings.seed, self._compiler)
+        if self.simulation.whole_body is not None:
+            model.follow(self.simulation.whole_body.mounting(robot), own.base_frame)
         self._robot = AgentRobot(self.simulation, robot)
         self.task: Episode = task.make(self._robot)
         self.episode = -1

@@ -18,7 +18,7 @@ from ..assemble.cartesian import SmartArrow
 from ..assemble.robot import SerialRobot
 from ..declaration import Declaration
 from ..errors import SimulationError
-from ..frames import Array, rotation_angle
+from ..frames import Array, frame, rotation_angle
 from ..runs.measures import MEASURES
 from ..runs.run_log import RunLog
 from ..simulate.expect import Expect
@@ -50,6 +50,12 @@ class AgentRobot:
     def declared(self) -> SerialRobot:
         """Its declaration."""
         return self.simulation.robots[self.name]
+
+    def base(self) -> Array:
+        """T_world_base now, (4, 4), m; of a mounted robot it moves with what carries it."""
+        self.plant.joints.update_derived()
+        data, body = self.plant.data, self.plant.world.robots[self.name].bodies[0]
+        return frame(data.xmat[body].reshape(3, 3), data.xpos[body])
 
     @property
     def plant(self) -> Plant:
@@ -198,7 +204,7 @@ class ReachEpisode(Episode):
         """Chooses a target: where the flange is in a pose that touches nothing."""
         robot = self._robot.declared
         self.goal = self._robot.free_pose(rng)
-        self.target = robot.base_frame @ robot.fwd_kin_base_to_flange(self.goal)
+        self.target = self._robot.base() @ robot.fwd_kin_base_to_flange(self.goal)
 
     def reward(self) -> float:
         """0 to 1, for the state now."""
@@ -214,7 +220,7 @@ class ReachEpisode(Episode):
         """Where flange and target are, in the world, m; for poses also quaternions, w first."""
         angles = self._robot.measured_angles
         robot = self._robot.declared
-        flange = robot.base_frame @ robot.fwd_kin_base_to_flange(angles)
+        flange = self._robot.base() @ robot.fwd_kin_base_to_flange(angles)
         found = {
             "flange_position": flange[:3, 3].copy(),
             "target_position": self.target[:3, 3].copy(),

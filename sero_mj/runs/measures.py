@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ..assemble.mounts import base_frames, carriers
 from ..frames import Array
 from .run_log import RunLog, event_of
 
@@ -25,9 +26,11 @@ def _velocity_error(log: RunLog, robot: str) -> Array:
 
 
 def _flange(log: RunLog, robot: str, angles: Array) -> Array:
-    """T_world_flange, (T, 4, 4)."""
+    """T_world_flange, (T, 4, 4); what carries the robot is where it was."""
     declared = log.robots[robot]
-    return np.asarray(declared.base_frame @ declared.fwd_kin_base_to_flange(angles))
+    below = {name: _actual(log, name, "angles") for name in carriers(log.robots, robot)}
+    base = base_frames(log.robots, below)[robot]
+    return np.asarray(base @ declared.fwd_kin_base_to_flange(angles))
 
 
 def _poses(log: RunLog, robot: str) -> tuple[Array, Array]:

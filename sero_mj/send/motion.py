@@ -5,7 +5,7 @@ It is smooth, within the robot's limits, and comes with the torques that it take
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -62,36 +62,71 @@ class SineMotion:
 
 
 class InverseDynamics:
-    """Joint torques of one robot from its motion, by MuJoCo's inverse dynamics.
+    """Joint torques of robots from their motion, by MuJoCo's inverse dynamics.
+
+    Robots that are mounted on others load these.
 
     Masses are those of the robot's file; where it has none, they follow from the volume of the
     links at the density of water, so the torques are then an estimate.
 
     Attributes:
-        world: of the robot alone.
+        world: of the robots alone.
         data: its state, as the last motion left it.
     """
 
-    def __init__(self, robot: SerialRobot) -> None:
-        self.world = World(Scene(robots=[robot], floor=False))
+    def __init__(self, *robots: SerialRobot) -> None:
+        self.world = World(Scene(robots=list(robots), floor=False))
         self.data = self.world.make_data()
+        parts = self.world.robots.values()
+        self._qpos = np.concatenate([part.qpos for part in parts])
+        self._dofs = np.concatenate([part.dofs for part in parts])
         self.world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
     def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Joint torques that make the motion.
 
         Args:
-            position: of the joints, (n,), rad or m.
+            position: of the joints of all robots, one robot after the other, (n,), rad or m.
             velocity: of the joints, (n,), rad/s or m/s.
             acceleration: of the joints, (n,), rad/s2 or m/s2.
 
         Returns:
             torques, (n,), Nm or N.
         """
-        data = self.data
-        data.qpos[:], data.qvel[:], data.qacc[:] = position, velocity, acceleration
+        data, dofs = self.data, self._dofs
+        data.qpos[self._qpos], data.qvel[dofs], data.qacc[dofs] = position, velocity, acceleration
         mujoco.mj_inverse(self.world.model, data)
-        return np.array(data.qfrc_inverse)
+        return np.asarray(data.qfrc_inverse[dofs])
+
+
+class CommonMotion:
+    """The motion of robots together, with the torques that it takes.
+
+    Args:
+        robots: that move.
+        amplitude: of the motion, 0 stands still, to 1.
+    """
+
+    def __init__(self, robots: Sequence[SerialRobot], amplitude: float) -> None:
+        self._motions = [SineMotion(robot, amplitude) for robot in robots]
+        self._dynamics = InverseDynamics(*robots)
+        ends = np.cumsum([0, *(robot.n for robot in robots)]).tolist()
+        self._rows = {r.name: slice(*ends[i : i + 2]) for i, r in enumerate(robots)}
+        self._last: tuple[float, Array] | None = None
+
+    def of(self, robot: str, t: float, lead: float) -> Array:
+        """Position, velocity, acceleration, torques and target position of a robot, (5, n).
+
+        Args:
+            robot: its name.
+            t: s.
+            lead: s by which the target is ahead.
+        """
+        if self._last is None or self._last[0] != t:  # once for all robots of a packet
+            states = np.concatenate([motion.at(t) for motion in self._motions], axis=1)
+            targets = np.concatenate([motion.at(t + lead)[0] for motion in self._motions])
+            self._last = t, np.vstack([states, self._dynamics.torques(*states), targets])
+        return self._last[1][:, self._rows[robot]]
 
 
 class RobotSignals:
@@ -99,21 +134,20 @@ class RobotSignals:
 
     Args:
         robot: that moves.
-        amplitude: of the motion, 0 stands still, to 1.
+        motion: of it, and of what moves with it.
     """
 
-    def __init__(self, robot: SerialRobot, amplitude: float) -> None:
-        self._robot = robot
-        self._motion = SineMotion(robot, amplitude)
-        self._dynamics = InverseDynamics(robot)
+    def __init__(self, robot: SerialRobot, motion: CommonMotion) -> None:
+        self._robot, self._motion = robot, motion
 
     def signals(self, t: float) -> Mapping[str, Array]:
         """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
-        position, velocity, acceleration = self._motion.at(t)
-        torques = self._dynamics.torques(position, velocity, acceleration)
+        position, velocity, acceleration, torques, target = self._motion.of(
+            self._robot.name, t, LEAD
+        )
         return {
             "joint_angles": position,
-            "commanded_angles": self._motion.at(t + LEAD)[0],
+            "commanded_angles": target,
             "torques": torques,
             "commanded_torques": torques,  # a perfect controller: the error is zero
             "joint_accelerations": acceleration,

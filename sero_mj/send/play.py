@@ -20,7 +20,7 @@ from ..errors import UsageError, did_you_mean
 from ..frames import Array, frame, rotation_about
 from ..receive.source import Source
 from ..receive.structure import Structure
-from .motion import RobotSignals
+from .motion import CommonMotion, RobotSignals
 
 _SWITCHED_AFTER = 4.0  # s
 _DEPENDENT = 1e-9  # share of a row that is new, below which it says nothing new
@@ -109,13 +109,18 @@ class MotionPackets:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
         played = {self._robot_of(item) for item in self._asked(routes)} - {None}
         self._robots: dict[str, Player] = {}
+        motion = None
+        if players is None and played:
+            motion = CommonMotion([*scene.robots.values()], amplitude)
         for name in sorted(name for name in played if name):
-            if players is None:
-                self._robots[name] = RobotSignals(scene.robots[name], amplitude)
-            elif name in players:
+            if motion is not None:
+                self._robots[name] = RobotSignals(scene.robots[name], motion)
+            elif players is not None and name in players:
                 self._robots[name] = players[name]
             else:
-                raise UsageError(f"nothing is known of robot '{name}'{did_you_mean(name, players)}")
+                raise UsageError(
+                    f"nothing is known of robot '{name}'{did_you_mean(name, players or {})}"
+                )
         self._is_motion = players is None
 
     def _check_size(self, route: Route) -> None:

@@ -12,7 +12,7 @@ from typing import Literal, cast
 import mujoco
 import numpy as np
 
-from ..assemble.parts import RobotPart
+from ..assemble.parts import RobotPart, robots_of_bodies
 from ..assemble.world_view import WorldView
 from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
 from ..decor.picture_view import PictureView
@@ -213,7 +213,9 @@ def _pick_solid(
             label = f"{name}/link{link}" if link else f"{name}/base"
             joint = -1 if name not in world.owners else double.joints.start + max(link - 1, 0)
             return Picked("double", label, name, joint, distance)
-    for name, part in world.robots.items():
+    number = int(robots_of_bodies(model, world.robots)[body])
+    if number >= 0:
+        name, part = list(world.robots.items())[number]
         of_robot = _link_of(world, part, body)
         if of_robot is not None:
             label, joint = of_robot

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from ..assemble.dynamics import inertia_problem, principal_moments, tensors_from
 from ..assemble.mjcf_dynamics import PAYLOAD
+from ..assemble.parts import robots_of_bodies
 from ..assemble.world import World
 from ..declaration import numbers
 from ..errors import UnknownName
@@ -135,12 +136,8 @@ class Contacts:
     def __init__(self, world: World, data: mujoco.MjData) -> None:
         self._model, self._data = world.model, data
         self.forces: Array = np.zeros((len(world.robots), 3))
-        roots = world.model.body_rootid
         # Of every geom the robot's number, -1 for all else.
-        self._owner = np.full(world.model.ngeom, -1)
-        for number, part in enumerate(world.robots.values()):
-            mine = roots == roots[part.flange_body]
-            self._owner[mine[world.model.geom_bodyid]] = number
+        self._owner = robots_of_bodies(world.model, world.robots)[world.model.geom_bodyid]
         self._force: Array = np.zeros(6)
 
     def update(self) -> Array:

@@ -7,6 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..assemble.mounts import base_frames, unmounted
+from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..control.compiler import Compiler
 from ..control.controller import Sensed, Target
@@ -14,6 +16,8 @@ from ..control.joint_control import GravityCompensation
 from ..control.make_controller import make_controller
 from ..control.observer import MomentumObserver
 from ..control.plan import Plan, make_plan
+from ..control.robot_model import RobotModel
+from ..control.whole_body import WholeBody
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Array
 from ..receive.structure import Structure
@@ -48,6 +52,7 @@ class Simulation:
         layout: of the log's rows.
         rows: (steps + 1, width), the log; rows behind `step` hold targets only.
         step: how many steps have been made.
+        whole_body: what the controllers of mounted robots know of each other; None where none is.
 
     Raises:
         DeclarationError: what only shows when robots are compiled and targets computed: unstable
@@ -77,6 +82,9 @@ class Simulation:
         )
         self.plant = Plant(self.compiler.world(stripped), sensors, run.timestep)
         self.plant.joints.looks_ahead = False  # controllers have models of their own
+        self.whole_body = (
+            WholeBody(self.plant.world) if WholeBody.is_needed(self.plant.world) else None
+        )
         self._observed_every = max(round(OBSERVED_EVERY / run.timestep), 1)
         self._contacts = None
         if scenario.has_surroundings:
@@ -109,12 +117,16 @@ class Simulation:
         run = self.scenario.run
         times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         parts, targets = self.plant.world.robots, self.scenario.targets
+        angles = {name: start[part.joints] for name, part in parts.items()}
+        bases = base_frames(self.robots, angles)
+        standing = {name: unmounted(robot, bases[name]) for name, robot in self.robots.items()}
+        if self.whole_body is not None:
+            self.whole_body.update(start, self.plant.data)
 
         def plan(name: str) -> Plan:
-            first = start[parts[name].joints]
             controller = self.scenario.controllers.get(name, GravityCompensation())
-            robot, law = self.robots[name], targets.get(name)
-            return make_plan(robot, law, controller, times, self.compiler, first)
+            robot, law = standing[name], targets.get(name)
+            return make_plan(robot, law, controller, times, self.compiler, angles[name])
 
         plans = self._of_robots("targets", plan)
         self._schedule = EventSchedule(self.scenario, self.plant, run.steps)
@@ -128,9 +140,7 @@ class Simulation:
         self._robots = list(
             self._of_robots(
                 "controllers",
-                lambda name: ControlledRobot(
-                    name, self.scenario, plans[name], self.plant, self._drive, self.compiler, every
-                ),
+                lambda name: ControlledRobot(standing[name], self, plans[name], self._drive, every),
             ).values()
         )
         # Views of the log, (T, signals, n): those of all robots lie in a row.
@@ -152,6 +162,17 @@ class Simulation:
         if problems:
             raise DeclarationError(self.scenario.scene.located(problems))
         return made
+
+    def robot_model(self, robot: SerialRobot) -> RobotModel:
+        """Returns a new model of a robot for its controller, which knows what the robot carries.
+
+        Args:
+            robot: as it stands in the world at first.
+        """
+        model = self.compiler.robot_model(robot)
+        if self.whole_body is not None:
+            model.follow(self.whole_body.mounting(robot.name), robot.base_frame)
+        return model
 
     def _make_layout(self, plans: dict[str, Plan]) -> RunLayout:
         events = self._schedule.log_events()
@@ -227,6 +248,7 @@ class Simulation:
             SimulationError: it cannot go on; the log ends with the step before.
         """
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
+        whole_body = self.whole_body
         measured, actual, driven = self._measured, self._actual, self._driven
         (commanded, _), every = self._drive, self._observed_every
         first, stop = self.step + 1, min(to_step, self.steps) + 1
@@ -234,6 +256,8 @@ class Simulation:
         try:
             for k, time in zip(range(first, stop), times, strict=True):
                 schedule.before(k - 1)
+                if whole_body is not None:
+                    whole_body.update(measured[k - 1, 0], plant.data)
                 for robot in self._robots:
                     robot.command(k - 1, time)
                 plant.step(commanded * schedule.gains)
@@ -242,6 +266,8 @@ class Simulation:
                     self._write_contacts(k, contacts.update())
                 schedule.after(k)
                 if k % every == 0:
+                    if whole_body is not None:
+                        whole_body.update(measured[k, 0], plant.data)
                     for robot in self._robots:
                         estimate = robot.observe(measured[k - every + 1 : k + 1])
                         self._estimated[k : k + every, robot.joints] = estimate
@@ -285,13 +311,11 @@ class ControlledRobot:
     """A robot of a plant, its controller, and the observer of its external torques.
 
     Args:
-        name: of the robot.
-        scenario: that it is in.
+        robot: as it stands in the world at first.
+        simulation: that it is in.
         plan: its target at every step.
-        plant: that simulates it.
         drive: (2, N), torques of all joints of the plant, Nm or N: commanded, and asked for before
             the limits; its own are written there.
-        compiler: of the models that controller and observer have.
         observed_every: steps between two estimates of the external torques.
 
     Attributes:
@@ -304,20 +328,18 @@ class ControlledRobot:
 
     def __init__(
         self,
-        name: str,
-        scenario: Scenario,
+        robot: SerialRobot,
+        simulation: Simulation,
         plan: Plan,
-        plant: Plant,
         drive: Array,
-        compiler: Compiler,
         observed_every: int,
     ) -> None:
-        part, timestep = plant.world.robots[name], scenario.run.timestep
-        robot, joints = part.robot, part.joints
-        self.joints = joints
+        name, scenario, plant = robot.name, simulation.scenario, simulation.plant
+        timestep = scenario.run.timestep
+        self.joints = joints = plant.world.robots[name].joints
         declared = scenario.controllers.get(name, GravityCompensation())
         self.controller = make_controller(
-            declared, compiler.robot_model(robot), timestep, robot.torque_limits
+            declared, simulation.robot_model(robot), timestep, robot.torque_limits
         )
         self._commanded, self.controller.asked = drive[:, joints]
         # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
@@ -341,7 +363,7 @@ class ControlledRobot:
         self._planned = self._target.planned[: plan.rows.shape[1]]
         self._planned[...] = plan.rows[0]
         self._observer = MomentumObserver(
-            compiler.robot_model(robot),
+            simulation.robot_model(robot),
             scenario.run.observer_gain,
             timestep * observed_every,
         )
