@@ -160,7 +160,7 @@ def test_the_rod_of_a_prismatic_joint_stays_in_its_housing_over_its_stroke(conve
     centre = housing.ends.mean(axis=0)
     for q in (0.0, 0.25):
         T = table.frames([q])[1]
-        ends = in_world(T, link[0].ends)  # the rod comes first
+        ends = in_world(T, link[0].ends)  # the rod comes first, from its hidden end
         along = ends[1] - ends[0]
         share = (centre - ends[0]) @ along / (along @ along)
         np.testing.assert_allclose(ends[0] + share * along, centre, atol=1e-12)

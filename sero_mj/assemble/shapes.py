@@ -78,8 +78,7 @@ def generate_shapes(
 
     links: list[list[LinkShape]] = [[] for _ in range(n + 1)]
     for i in range(n):
-        shortest_rod = 2 * _HALF_HOUSING * radii[i]
-        near, far = _segments(table, i, float(strokes[i]), shortest_rod)
+        near, far = _segments(table, i, max(strokes[i], 2 * _HALF_HOUSING * radii[i]))
         links[i] += _capsules(near, radii[i])
         links[i + 1] += _capsules(far, radii[i + 1])
         carrier = i + 1 if table.revolute[i] else i
@@ -89,27 +88,22 @@ def generate_shapes(
     return links
 
 
-def _segments(table: DhTable, i: int, stroke: float, shortest_rod: float) -> tuple[Array, Array]:
+def _segments(table: DhTable, i: int, rod: float) -> tuple[Array, Array]:
     """Returns the offsets of row i as polylines: before the joint in frame i, after it in i + 1.
 
-    The offset along the axis of a revolute joint is placed before the joint, where it is fixed.
-    The rod of a prismatic joint moves with its link.
+    The offset along the joint's axis is placed before the joint, where it is fixed. The rod of a
+    prismatic joint moves with its link, and reaches back into that offset.
     """
-    rod = np.copysign(max(abs(table.d[i]) + stroke, shortest_rod), table.d[i])
     a, d, alpha = table.a[i], table.d[i], table.alpha[i]
     along_x, along_z = np.array([a, 0.0, 0.0]), np.array([0.0, 0.0, d])
     zero = np.zeros(3)
+    rod = 0.0 if table.revolute[i] else float(np.copysign(rod, d))
     if table.convention == "craig":
         z_next = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
-        if table.revolute[i]:
-            return np.array([zero, along_x, along_x + d * z_next]), np.array([zero])
-        return np.array([zero, along_x]), np.array([[0.0, 0.0, -rod], zero])
+        return np.array([zero, along_x, along_x + d * z_next]), np.array([[0, 0, -rod], zero])
     # Standard: Rz(theta) Tz(d), then Tx(a) Rx(alpha); x of the row is x of frame i + 1.
-    start = -along_x
-    if table.revolute[i]:
-        return np.array([zero, along_z]), np.array([start, zero])
     z_joint = np.array([0.0, np.sin(alpha), np.cos(alpha)])
-    return np.array([zero]), np.array([start - rod * z_joint, start, zero])
+    return np.array([zero, along_z]), np.array([-along_x - rod * z_joint, -along_x, zero])
 
 
 def _capsules(points: Array, radius: float) -> list[LinkShape]:
@@ -121,16 +115,19 @@ def _capsules(points: Array, radius: float) -> list[LinkShape]:
 
 
 def _housing(table: DhTable, i: int, radius: float) -> LinkShape:
-    """Returns the housing about the axis of joint i.
+    """Returns the housing about the axis of joint i, at the end of the row's offset d.
 
     That of a revolute joint is in frame i + 1 and turns; that of a prismatic one is in frame i,
     where the rod passes through it.
     """
-    alpha, a = table.alpha[i], table.a[i]
+    alpha, a, d = table.alpha[i], table.a[i], table.d[i]
     axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
     if table.convention == "craig" and not table.revolute[i]:
-        axis, centre = np.array([0.0, -np.sin(alpha), np.cos(alpha)]), np.array([a, 0.0, 0.0])
-    elif table.convention == "standard" and table.revolute[i]:
+        axis = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
+        centre = np.array([a, 0.0, 0.0]) + d * axis
+    elif table.convention == "standard" and not table.revolute[i]:
+        centre = d * axis
+    elif table.convention == "standard":
         axis, centre = np.array([0.0, np.sin(alpha), np.cos(alpha)]), np.array([-a, 0.0, 0.0])
     half = _HALF_HOUSING * radius * axis
     ends = np.array([centre - half, centre + half])

@@ -12,7 +12,7 @@ from ..assemble.double import OUT_OF_SIGHT, fade_in
 from ..assemble.inputs import BLANKABLE
 from ..assemble.parts import DoublePart, RobotPart
 from ..assemble.world_view import WorldView
-from ..frames import Array, Ints, frame, rotation_from_quat
+from ..frames import Array, Ints, frame, inverse, rotation_from_quat
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
 
@@ -80,8 +80,11 @@ class Placer:
         data.userdata[self._world.flags[route.to.target]] = 1.0
 
     def _keep(self, data: mujoco.MjData, route: FrameRoute) -> None:
-        target = route.to.target
-        data.userdata[self._world.slots[target]] = self._origin(data, route).ravel()
+        target, T = route.to.target, self._origin(data, route)
+        if route.to.key == "flange_check" and not route.is_fwd_kin:  # it is from base to flange
+            base = self._world.frame(data, self._world.robots[route.to.name].base_name)
+            T = inverse(base) @ T
+        data.userdata[self._world.slots[target]] = T.ravel()
         data.userdata[self._world.flags[target]] = 1.0
 
     def _place_received(self, data: mujoco.MjData, name: str) -> None:

@@ -1,0 +1,130 @@
+"""Moves the parallel robots of five_bar.toml and stewart.toml, by UDP at 200 Hz.
+
+A parallel robot is drawn by serial legs that meet at their flanges. Whoever sends joint angles has
+to close the legs, as a parallel robot's controller does: here is the inverse kinematics of both in
+closed form, and the efforts of the driven joints from statics. The scene says where legs stand.
+
+python parallel_sender.py five_bar|stewart [seconds [port]]
+"""
+
+import math
+import socket
+import struct
+import sys
+import time
+
+import numpy as np
+
+from sero_mj import load_scene
+
+RATE = 200  # packets/s
+PUSH = 15.0  # N, what acts on the five-bar's tool, against its motion
+WEIGHT = 25.0 * 9.81  # N, of the platform with its load
+
+
+def five_bar(robots, t):
+    """Returns the packet of the five-bar at time t, s.
+
+    It is the angles (5,), rad, the driving torques (2,), Nm, and the push on the tool (3,), N.
+    """
+    left, right = robots["left"], robots["right"]
+    u, v = left.dh_params[1][1], left.flange_frame[0, 3]  # the lengths of both legs' links
+    w = 2 * np.pi / 4.0
+    tool = np.array([0.09 * math.cos(w * t), 0.36 + 0.05 * math.sin(2 * w * t)])
+    velocity = np.array([-0.09 * w * math.sin(w * t), 0.10 * w * math.cos(2 * w * t)])
+    push = -PUSH * velocity / np.linalg.norm(velocity)
+    angles = []
+    for leg, side in ((left, 1.0), (right, -1.0)):
+        x, y = tool - leg.base_frame[:2, 3]
+        bend = math.acos((x * x + y * y - u * u - v * v) / (2 * u * v))
+        elbow = -side * bend  # elbows point away from each other
+        shoulder = math.atan2(y, x) - math.atan2(v * math.sin(elbow), u + v * math.cos(elbow))
+        angles += [shoulder, elbow]
+    # The pin: the right leg's last frame is as the left one's flange is.
+    angles.append(math.remainder(angles[0] + angles[1] - angles[2] - angles[3], 2 * math.pi))
+    # What a driven joint's inner link moves at the elbow counts along the outer link only: with its
+    # direction e, e . d tool = u sin(elbow) d q. Push and torques together do no work.
+    directions = [[math.cos(a), math.sin(a)] for a in (angles[0] + angles[1], sum(angles[2:4]))]
+    levers = [u * math.sin(elbow) for elbow in (angles[1], angles[3])]
+    torques = -np.linalg.solve(np.transpose(directions), push) * levers
+    return [*angles, *torques, *push, 0.0]
+
+
+def stewart(robots, t):
+    """Returns the packet of the platform at time t, s.
+
+    It is the joint positions of the six legs (36,), rad and m, and the struts' forces (6,), N.
+    """
+    w = 2 * np.pi / 6.0
+    tilt = [0.16 * math.sin(w * t), 0.16 * math.sin(w * t + 2.0), 0.25 * math.sin(0.5 * w * t)]
+    at = [0.06 * math.cos(w * t), 0.06 * math.sin(w * t), 0.62 + 0.05 * math.sin(2 * w * t)]
+    platform = np.eye(4)
+    platform[:3, :3] = turn(2, tilt[2]) @ turn(1, tilt[1]) @ turn(0, tilt[0])
+    platform[:3, 3] = at
+    legs = [leg(robot, platform) for robot in robots.values()]
+    # The struts carry the platform: their forces and moments about its middle add up to its weight.
+    wrenches = [np.append(d, np.cross(anchor - at, d)) for _, anchor, d in legs]
+    forces = np.linalg.solve(np.transpose(wrenches), [0, 0, WEIGHT, 0, 0, 0])
+    return [*(q for joints, _, _ in legs for q in joints), *forces]
+
+
+def leg(robot, platform):
+    """Returns the joint positions (6,) of a leg for a pose of the platform (4, 4).
+
+    And its anchor there (3,), m, and the direction of its strut (3,), in the world.
+    """
+    end = platform @ np.linalg.inv(robot.flange_frame)  # T_world_6
+    base = robot.base_frame
+    x, y, z = base[:3, :3].T @ (end[:3, 3] - base[:3, 3])
+    length = math.sqrt(x * x + y * y + z * z)
+    universal = [math.atan2(y, x), -math.asin(z / length)]
+    strut = base[:3, :3] @ universal_joint(*universal)
+    R = strut.T @ end[:3, :3]  # what is left to the spherical joint
+    spherical = [
+        math.atan2(R[1, 2], R[0, 2]),
+        -math.asin(R[2, 2]),
+        math.atan2(R[2, 1], -R[2, 0]),
+    ]
+    drawn_in = robot.dh_params[2][3]
+    return [*universal, length - drawn_in, *spherical], end[:3, 3], strut[:, 2]
+
+
+def universal_joint(first, second):
+    """Returns the rotation (3, 3) of two joints with crossing axes; at zero z is x of the base."""
+    half = math.pi / 2
+    return turn(2, first) @ turn(0, -half) @ turn(2, second + half) @ turn(0, half)
+
+
+def turn(axis, angle):
+    """Returns a rotation (3, 3) about x, y or z (0, 1, 2)."""
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R = np.eye(3)
+    R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
+    return R
+
+
+def main():
+    """Sends packets until Ctrl-C, or for so many seconds."""
+    if len(sys.argv) < 2 or sys.argv[1] not in ("five_bar", "stewart"):
+        sys.exit(__doc__)
+    scene = load_scene(sys.argv[1])
+    pose = {"five_bar": five_bar, "stewart": stewart}[sys.argv[1]]
+    (source,) = scene.sources.values()
+    seconds = float(sys.argv[2]) if len(sys.argv) > 2 else math.inf
+    port = int(sys.argv[3]) if len(sys.argv) > 3 else source["port"]
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    start, k = time.monotonic(), 0
+    try:
+        while k < seconds * RATE:
+            values = pose(scene.robots, k / RATE)
+            packet = struct.pack(f"<{len(values)}d", *values)
+            out.sendto(packet, ("127.0.0.1", port))
+            k += 1
+            time.sleep(max(start + k / RATE - time.monotonic(), 0.0))
+    except KeyboardInterrupt:
+        pass
+
+
+if __name__ == "__main__":
+    main()
