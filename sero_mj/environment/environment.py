@@ -15,6 +15,7 @@ from pydantic import Field
 
 from ..assemble.mounts import base_frames, unmounted
 from ..assemble.robot import SerialRobot
+from ..assemble.robot_dynamics import robot_dynamics
 from ..assemble.world import World
 from ..control.compiler import Compiler
 from ..declaration import Declaration
@@ -40,6 +41,7 @@ from .tasks import AgentRobot, Episode, Task
 
 # rad, m: how far springs let joints into their stops, and observations beyond their limits
 BEYOND = {"revolute": 0.2, "prismatic": 0.05}
+_FASTEST_SPRING = 40.0  # rad/s, of a motor on its spring: slow against steps of 1 ms
 
 
 class Settings(Declaration):
@@ -49,14 +51,15 @@ class Settings(Declaration):
         action: what an agent commands: joint torques, or offsets of an impedance's target.
         control_timestep: s between two actions.
         seed: of everything that is random; the same seed gives the same episodes.
-        stiffness: Nm/rad, one for all joints or one each; where actions are target offsets.
+        stiffness: Nm/rad, one for all joints or one each; where actions are target offsets. By
+            default 500, and less where a joint's motor is too light for it.
         damping: ratio, likewise.
     """
 
     action: Kind = "torque"
     control_timestep: float = Field(0.02, ge=1e-4, le=1.0)
     seed: int = Field(0, ge=0, lt=2**32)
-    stiffness: Any = 500.0
+    stiffness: Any = None
     damping: Any = 0.7
 
     def substeps(self, timestep: float) -> int:
@@ -78,7 +81,14 @@ class Settings(Declaration):
         """What an agent commands a robot, at a timestep of the simulation in s."""
         if self.action == "torque":
             return TorqueAction(robot)
-        return ImpedanceAction(robot, self.control_timestep, timestep, self.stiffness, self.damping)
+        stiffness = _usual_stiffness(robot) if self.stiffness is None else self.stiffness
+        return ImpedanceAction(robot, self.control_timestep, timestep, stiffness, self.damping)
+
+
+def _usual_stiffness(robot: SerialRobot) -> Array:
+    """Returns what every joint can have at 1 kHz, (n,), Nm/rad; 500 for those of an LWR."""
+    inertia = robot_dynamics(robot).motor_inertias
+    return np.where(inertia > 0, np.minimum(500.0, inertia * _FASTEST_SPRING**2), 500.0)
 
 
 class Environment(dm_env.Environment):  # type: ignore[misc]
