@@ -371,3 +371,34 @@ def test_panels_stand_on_the_side_of_their_robot(joints: int) -> None:
         across = view.project(pen.rows["pos"][panels])[0][:, 0]
         is_of_first = pen.items[panels] < robots[0].n
         assert ((across < view.width / 2) == (is_of_first == first_is_left)).all()
+
+
+def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() -> None:
+    places = [(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    robots = [
+        SerialRobot.from_model(
+            "lwr", name=f"arm{k}", base_frame={"xyz": [x, y, 0]}, show_billboards=True
+        )
+        for k, (x, y) in enumerate(places)
+    ]
+    world = World(Scene(robots=robots, floor=False))
+    data, decor, rng = world.make_data(), Decor(world), np.random.default_rng(7)
+    links = np.flatnonzero(world.model.geom_bodyid > 0)
+    notes = []
+    for azimuth in np.linspace(0, 2 * np.pi, 8, endpoint=False):
+        for name in world.robots:
+            world.set_input(data, f"{name}.joint_angles", rng.uniform(-1.4, 1.4, 7))
+            world.set_input(data, f"{name}.torques", rng.normal(0, 40, 7))
+        follow(world.model, data)
+        view = view_at(azimuth, distance=4.0, width=640, height=480)
+        decor.draw(data, toggles_of(world), view)
+        (cards,) = (panels for panels in decor.panels if panels.has_values)
+        low, high = cards.centres - cards.sizes / 2, cards.centres + cards.sizes / 2
+        middles, _ = view.project(data.geom_xpos[links])
+        within = (middles[:, None] > low) & (middles[:, None] < high)
+        assert not within.all(axis=2).any()
+        said = [text for p in decor.panels for text in p.texts if b" of 28 " in text[0]]
+        expected = f"cards: {len(cards.texts)} of 28 joints, the most loaded".encode()
+        assert said == ([] if len(cards.texts) == 28 else [[expected]])
+        notes += said
+    assert notes

@@ -6,7 +6,7 @@ Source: section 2.1 of Hulin, Hertkorn, Preusche: Interactive Features for Robot
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,12 +14,11 @@ from ..assemble.parts import DoublePart, Owner
 from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..assemble.world_view import WorldView
-from ..frames import Array, Bools, Ints
+from ..frames import Array
 from .card_names import card_names, titles
-from .cards import Cards, bounds, heights_in_order
+from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
-from .layout import LEFT, RIGHT, limits
-from .panels import PANEL_RGBA, Panels, panel_sizes
+from .panels import PANEL_RGBA, panel_sizes
 from .pen import Kind
 from .picture_view import PictureView
 from .toggles import Toggles
@@ -57,11 +56,6 @@ _DETAILS = {
 }
 
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
-_FEWEST = 8  # cards, also where they need several columns
-_GAP = 0.3  # between cards, of a line's height
-# A joint gets the card of another one only if it is loaded more by this factor, and this share.
-_MORE = (1.25, 0.02)
-_MARGIN = 0.5  # of a line's height
 _TINT = 0.30  # fraction of the double's colour in the colour of its panels
 
 
@@ -87,7 +81,6 @@ class Billboards(Feature):
         for owner, name, revolute in zip(joints.owner, names, joints.revolute, strict=True):
             self._lines.append(billboard_lines(name, declared[owner], not revolute))
             self._details.append(detail_lines(name, not revolute))
-        self._chosen = np.zeros(len(joints.names), bool)  # where there is no room for all
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
@@ -98,9 +91,8 @@ class Billboards(Feature):
     def lay_out(self, frame: Frame) -> None:
         """Adds the billboards that are shown, of joints in the picture.
 
-        Where there is no room for all in one column on each side, those of the joints with the
-        largest load, but not less than a few, and of joints that were clicked on; a note says how
-        many.
+        Where there is no room for all, `CardLayout` keeps those of joints that were clicked on and
+        of the most loaded ones.
         """
         cards = self._cards(frame)
         if cards is not None:
@@ -118,8 +110,6 @@ class Billboards(Feature):
         index, anchors, depth = index[inside], anchors[inside], depth[inside]
         if not len(index):
             return None
-        kept = self._with_room(frame, index)
-        index, anchors, depth = index[kept], anchors[kept], depth[kept]
         lines = [self._lines_of(int(i), toggles) for i in index]
         if toggles.details.any():
             limit = joints.torque_limit
@@ -140,50 +130,13 @@ class Billboards(Feature):
             owners=joints.owner[index],
             side=self._side[index],
             rank=self._rank[index],
+            share=np.where(toggles.details[index], np.inf, self._shares(frame)[index]),
             clear=clear,
             rgba=np.where(stale[index, None], _STALE_RGBA, self._rgba[index]),
         )
 
     def _lines_of(self, joint: int, toggles: Toggles) -> list[Line]:
         return self._details[joint] if toggles.details[joint] else self._lines[joint]
-
-    def _with_room(self, frame: Frame, index: Ints) -> Bools:
-        """Returns which cards are shown, (k,), and adds a note if some are not.
-
-        Args:
-            frame: during layout.
-            index: joints of the cards, (k,).
-        """
-        view, line = frame.view, frame.view.font.height
-        count = np.array([len(self._lines_of(int(i), frame.toggles)) for i in index])
-        heights = panel_sizes(np.zeros(len(index)), count, view)[:, 1] + _GAP * line
-        side, is_free = self._side[index], len(self.world.robots) > 1
-        if is_free:  # the layout chooses the sides
-            side = np.zeros(len(index), np.intp)
-
-        def room() -> Array:
-            return _room(frame).sum(keepdims=True) if is_free else _room(frame)
-
-        fits = (np.bincount(side, heights, minlength=len(room())) <= room()).all()
-        if fits or len(index) <= _FEWEST:
-            return np.ones(len(index), bool)
-        note = _note(frame, len(index), len(index))
-        frame.corners.append(note)
-        share = self._shares(frame)[index]
-        factor, more = _MORE
-        share = np.where(self._chosen[index], factor * share + more, share)
-        share[frame.toggles.details[index]] = np.inf
-        kept = np.zeros(len(index), bool)
-        for which, space in enumerate(room()):
-            mine = (side == which).nonzero()[0]
-            mine = mine[np.argsort(-share[mine], kind="stable")]
-            kept[mine[np.cumsum(heights[mine]) <= space]] = True
-        kept[np.argsort(-share, kind="stable")[:_FEWEST]] = True
-        kept |= np.isinf(share)
-        self._chosen[:] = False
-        self._chosen[index[kept]] = True
-        frame.corners[-1] = replace(note, texts=[[_note_text(int(kept.sum()), len(index))]])
-        return kept
 
     def _shares(self, frame: Frame) -> Array:
         """Returns the value of every joint's arrow over that of full width, (N,); 0 without any."""
@@ -207,40 +160,6 @@ class Billboards(Feature):
             if any(len(t) > len(f.widest) for t, f in zip(of_text, of_joint, strict=True)):
                 widths[k] = max(widths[k], font.block_width(of_text))
         return panel_sizes(widths, np.array([len(of_joint) for of_joint in lines]), view)
-
-
-def _room(frame: Frame) -> Array:
-    """Returns the height that is left for billboards on the left and on the right, (2,), pixels."""
-    low, high = frame.view.free
-    gap = _GAP * frame.view.font.height
-    width, height = high - low
-    rects = [np.concatenate(bounds(corner)) - [*low, *low] for corner in frame.corners]
-    corners = np.array(rects).reshape(-1, 4)
-    room = np.empty(2)
-    for side, reaches in ((LEFT, corners[:, 0] < width / 2), (RIGHT, corners[:, 2] > width / 2)):
-        below, above = limits(corners[reaches], height)
-        room[side] = above - below - 2 * gap
-        for cards in frame.cards:
-            room[side] -= (cards.sizes[cards.side == side, 1] + gap).sum()
-    return np.maximum(room, 0.0)
-
-
-def _note(frame: Frame, shown: int, count: int) -> Panels:
-    """Returns the note of how many cards are shown, for the lower right corner."""
-    view, margin = frame.view, _MARGIN * frame.view.font.height
-    text = _note_text(shown, count)
-    size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
-    right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
-    for corner in frame.corners:  # above the legend, in a narrow picture
-        low, high = bounds(corner)
-        if high[0] > right - size[0] and low[1] < bottom + size[1]:
-            bottom = high[1] + margin
-    centre = np.array([right, bottom]) + size * (-0.5, 0.5)
-    return Panels(centre[None], size[None], [[text]])
-
-
-def _note_text(shown: int, count: int) -> bytes:
-    return f"cards: {shown} of {count} joints, the most loaded".encode()
 
 
 def _tinted(part: object) -> Array:

@@ -15,8 +15,8 @@ import numpy as np
 from ..assemble.double import OUT_OF_SIGHT
 from ..assemble.world_view import WorldView
 from ..frames import Array, Bools, Ints
-from .layout import LEFT, RIGHT, columns, uncross
-from .panels import PANEL_RGBA, Panels, draw_leaders
+from .layout import LEFT, RIGHT, columns, uncross, with_room
+from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 from .pen import Kind, Pen
 from .picture_view import PictureView
 
@@ -24,6 +24,12 @@ _Key = tuple[Kind, int]
 
 _CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
 _LEAST_GAIN = 0.05  # of a line's height: less is noise, and no reason to change places
+_FEWEST = 8  # cards, also where they need several columns
+_GAP = 0.3  # between cards, of a line's height
+# A card takes the room of another one only if its share is larger by this factor, and this much.
+_MORE = (1.25, 0.02)
+_NEW_ROOM = 0.5  # of a line's height, by which robots must be farther away from a new card
+_MARGIN = 0.5  # of a line's height
 _ROUNDS = 4  # of placing and uncrossing; panels of several sizes can need more than one
 # Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
@@ -43,6 +49,8 @@ class Cards:
             for none.
         side: `LEFT` or `RIGHT`, (k,), where there is one robot; else the robot's side is taken.
         rank: vertical order, lowest first, (k,).
+        share: how much each carries of what it can, (k,): where there is no room for all, those
+            with the largest are shown; inf for those that are always shown.
         clear: minimum horizontal distance of their columns from the anchors, pixels.
         rgba: (k, 4), or one for all.
     """
@@ -55,8 +63,17 @@ class Cards:
     owners: Ints
     side: Ints
     rank: Ints
+    share: Array
     clear: float
     rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
+
+    def only(self, kept: Bools) -> Cards:
+        """Returns those of its cards that are kept, (k,)."""
+        arrays = ("items", "anchors", "sizes", "owners", "side", "rank", "share")
+        parts = {name: getattr(self, name)[kept] for name in arrays}
+        texts = [text for text, is_kept in zip(self.texts, kept, strict=True) if is_kept]
+        rgba = self.rgba[kept] if isinstance(self.rgba, np.ndarray) else self.rgba
+        return replace(self, **parts, texts=texts, rgba=rgba)
 
 
 class CardLayout:
@@ -76,6 +93,7 @@ class CardLayout:
         self._middles: dict[int, float] = {}  # by which they are sorted, pixels
         self._wanted: dict[_Key, int] = {}  # side that the robots' positions give
         self._places: dict[_Key, tuple[int, float]] = {}  # side and rank
+        self._chosen: set[_Key] = set()  # where there is no room for all
 
     def lay_out(
         self,
@@ -87,8 +105,11 @@ class CardLayout:
         owners: Ints,
         corners: list[Panels],
         leader_rgba: tuple[float, float, float, float] = LEADER_RGBA["light"],
-    ) -> list[Panels]:
-        """Places every card, draws the leaders and returns the panels for `draw_panels`.
+    ) -> tuple[list[Cards], list[Panels], list[Panels]]:
+        """Places the cards and draws their leaders.
+
+        Where there is no room for all beside what the robots cover, those with the largest share
+        are shown, but not less than a few, and a note in the corner says how many.
 
         Args:
             pen: where to.
@@ -100,13 +121,14 @@ class CardLayout:
             owners: index of the robot or double of every point, (m,).
             corners: panels in the corners of the picture, which cards must not cover.
             leader_rgba: of the leaders.
+
+        Returns:
+            the cards that are shown, their panels, and the note for the corner if there is one.
         """
         groups = [group for group in groups if group.texts]
         if not groups:
-            return []
-        anchors = np.concatenate([group.anchors for group in groups])
-        sizes = np.concatenate([group.sizes for group in groups])
-        gap = view.font.height * 0.3
+            return [], [], []
+        gap = _GAP * view.font.height
         low, high = view.free
         width, height = high - low
         pixels, depth = view.project(points)
@@ -114,10 +136,17 @@ class CardLayout:
         pixels, of_point = pixels[is_before], self._owner_group[owners[is_before]]
         radius = (radii[is_before] / view.pixel_size(depth[is_before]))[:, None]
         covered = np.concatenate([pixels - radius, pixels + radius], axis=1) - [*low, *low]
+        keys = _keys(groups)
+        side, rank = self._last_places(keys, groups, pixels[:, 0], of_point, width)
+        kept, note = self._choose(view, groups, side, covered, corners)
+        corners = [*corners, *note]
+        if note:
+            groups = _only(groups, kept)
+            keys, side, rank = _keys(groups), side[kept], rank[kept]
+        kept_free = _rectangles(corners, low)
+        anchors = np.concatenate([group.anchors for group in groups])
+        sizes = np.concatenate([group.sizes for group in groups])
         across = np.concatenate([pixels[:, 0], anchors[:, 0]]) - low[0]
-        kept_free = np.array(
-            [np.concatenate([low, high]) for low, high in map(bounds, corners)]
-        ).reshape(-1, 4)
 
         def place(side: Ints, rank: Array) -> Array:
             order = np.argsort(rank, kind="stable")
@@ -131,14 +160,11 @@ class CardLayout:
                 width,
                 height,
                 span=(max(float(across.min()), 0.0), min(float(across.max()), width)),
-                kept_free=kept_free - [*low, *low],
+                kept_free=kept_free,
                 covered=covered,
             )
             return centres + low
 
-        keys = [(group.kind, int(item)) for group in groups for item in group.items]
-        owner = np.concatenate([group.owners for group in groups])
-        side, rank = self._last_places(keys, groups, owner, pixels[:, 0], of_point, width)
         for _ in range(_ROUNDS):
             centres = place(side, rank)
             starts = _starts(centres, sizes, anchors)
@@ -164,18 +190,68 @@ class CardLayout:
                 )
             )
             first += len(group.texts)
-        return panels
+        return groups, panels, note
+
+    def _choose(
+        self,
+        view: PictureView,
+        groups: list[Cards],
+        side: Ints,
+        covered: Array,
+        corners: list[Panels],
+    ) -> tuple[Bools, list[Panels]]:
+        """Returns which cards are shown, (k,), and a note of how many, in a list; none for all."""
+        low, high = view.free
+        line, (width, height) = view.font.height, high - low
+        sizes = np.concatenate([group.sizes for group in groups])
+        share = np.concatenate([group.share for group in groups])
+        keys = _keys(groups)
+        last = np.array([key in self._chosen for key in keys])
+        factor, more = _MORE
+
+        def fitting(corners: list[Panels], distance: float) -> Bools:
+            return with_room(
+                sizes,
+                np.where(last, factor * share + more, share),
+                side,
+                _GAP * line,
+                width,
+                height,
+                kept_free=_rectangles(corners, low),
+                covered=covered + distance * np.array([-1, -1, 1, 1]),
+            )
+
+        if len(keys) <= _FEWEST or (not self._chosen and fitting(corners, 0.0).all()):
+            self._chosen.clear()
+            return np.ones(len(keys), bool), []
+        is_load = np.concatenate(
+            [np.full(len(group.texts), group.kind == Kind.BILLBOARD) for group in groups]
+        )
+        note = _note(view, len(keys), len(keys), corners)
+        corners = [*corners, note]
+        kept = fitting(corners, _NEW_ROOM * line)
+        if kept.all():
+            self._chosen.clear()
+            return kept, []
+        if self._chosen:
+            kept |= fitting(corners, 0.0) & last
+        kept |= np.isinf(share)
+        missing = max(_FEWEST - int(kept.sum()), 0)
+        kept[np.argsort(np.where(kept, np.inf, -share), kind="stable")[:missing]] = True
+        self._chosen = {key for key, is_kept in zip(keys, kept, strict=True) if is_kept}
+        text = _note_text(int((kept & is_load).sum()), int(is_load.sum()))
+        return kept, [replace(note, texts=[[text]])]
 
     def _last_places(
         self,
         keys: list[_Key],
         groups: list[Cards],
-        owner: Ints,
         across: Array,
         of_point: Ints,
         width: float,
     ) -> tuple[Ints, Array]:
         """Returns side and rank of every card (k,): the last ones, or those of a new card."""
+        owner = np.concatenate([group.owners for group in groups])
         side = np.concatenate([group.side for group in groups])
         rank = np.concatenate([group.rank for group in groups]).astype(float)
         group_of = np.append(self._owner_group, -1)[owner]  # -1 for no owner
@@ -189,7 +265,7 @@ class CardLayout:
                     of_left = middles[place] < counts.sum() / 2
                     side[group_of == group] = LEFT if of_left else RIGHT
         for k, key in enumerate(keys):
-            if self._wanted.get(key) == side[k]:
+            if self._wanted.get(key) == side[k] and key in self._places:
                 side[k], rank[k] = self._places[key]
             else:
                 self._wanted[key] = int(side[k])
@@ -202,6 +278,41 @@ class CardLayout:
             if abs(middle - self._middles.get(group, np.inf)) > _CLOSE * width:
                 self._middles[group] = middle
         self._groups_in_order = sorted(set(of_point.tolist()), key=self._middles.__getitem__)
+
+
+def _keys(groups: list[Cards]) -> list[_Key]:
+    return [(group.kind, int(item)) for group in groups for item in group.items]
+
+
+def _only(groups: list[Cards], kept: Bools) -> list[Cards]:
+    """Returns the cards that are kept, without groups of which none is."""
+    ends = np.cumsum([len(group.texts) for group in groups])
+    parts = zip(groups, np.split(kept, ends[:-1]), strict=True)
+    return [group.only(mine) for group, mine in parts if mine.any()]
+
+
+def _rectangles(corners: list[Panels], origin: Array) -> Array:
+    """Returns left, bottom, right and top of every corner's panels from an origin, (c, 4)."""
+    rows = np.array([np.concatenate(bounds(corner)) for corner in corners]).reshape(-1, 4)
+    return rows - np.tile(origin, 2)
+
+
+def _note(view: PictureView, shown: int, count: int, corners: list[Panels]) -> Panels:
+    """Returns the note of how many cards are shown, for the lower right corner."""
+    margin = _MARGIN * view.font.height
+    text = _note_text(shown, count)
+    size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
+    right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
+    for corner in corners:  # above the legend, in a narrow picture
+        low, high = bounds(corner)
+        if high[0] > right - size[0] and low[1] < bottom + size[1]:
+            bottom = high[1] + margin
+    centre = np.array([right, bottom]) + size * (-0.5, 0.5)
+    return Panels(centre[None], size[None], [[text]])
+
+
+def _note_text(shown: int, count: int) -> bytes:
+    return f"cards: {shown} of {count} joints, the most loaded".encode()
 
 
 class Outline:

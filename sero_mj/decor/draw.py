@@ -96,9 +96,10 @@ class Decor:
         cards: list[Panels] = []
         if frame.cards:
             body = self._outline.points(of_model, pen.hidden, data.site_xpos, frame.shown.arrows)
-            cards = self._cards.lay_out(
+            frame.cards, cards, note = self._cards.lay_out(
                 pen, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]
             )
+            frame.corners += note
         notes = self._staleness.panels(pen, data, view, stale)
         for corner in frame.corners:
             notes = [move_clear(note, corner, view.height) for note in notes]

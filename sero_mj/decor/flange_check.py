@@ -134,6 +134,7 @@ class FlangeCheck(Feature):
             owners=np.array(items, np.intp),
             side=np.full(len(items), RIGHT, np.intp),
             rank=np.array(items, np.intp) + top,
+            share=np.full(len(items), np.inf),
             clear=clear,
             rgba=OFF_RGBA,
         )

@@ -57,9 +57,7 @@ def columns(
     sides = (corners[on_left], corners[~on_left])
     groups = []
     for which in (LEFT, RIGHT):
-        # A corner panel that extends beyond the middle limits the other side too.
-        wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
-        low, high = limits(corners[wide | (on_left == (which == LEFT))], height)
+        low, high = side_limits(corners, which, width, height)
         groups.append(_chunks((side == which).nonzero()[0], sizes, gap, high - low))
     widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
     left, right = (sum(group) for group in widths)
@@ -92,6 +90,54 @@ def columns(
             )
             edge += outward * column_width
     return centres
+
+
+def with_room(
+    sizes: Array,
+    share: Array,
+    side: Ints,
+    gap: float,
+    width: float,
+    height: float,
+    *,
+    kept_free: Array,
+    covered: Array,
+) -> Bools:
+    """Returns which panels one column on each edge of the picture has room for, (k,) bool.
+
+    Args:
+        sizes: width and height of every panel, (k, 2), pixels.
+        share: the panels with the largest are kept, (k,).
+        side: `LEFT` or `RIGHT`, (k,).
+        gap: minimum space between panels, pixels.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        kept_free: rectangles in the corners of the picture, (c, 4), pixels, as for `columns`.
+        covered: rectangles around parts of the robots (r, 4), pixels, which are left free.
+    """
+    kept = np.zeros(len(sizes), bool)
+    for which in (LEFT, RIGHT):
+        mine = (side == which).nonzero()[0]
+        if not len(mine):
+            continue
+        low, high = side_limits(kept_free, which, width, height)
+        column = float(sizes[mine, 0].max()) + gap
+        is_behind = covered[:, 0] < column if which == LEFT else covered[:, 2] > width - column
+        least = float(sizes[mine, 1].min()) + _LEAST_GAP * gap
+        rooms = _rooms_between(covered[is_behind][:, [1, 3]], low + gap, high - gap, least)
+        room = sum((top - bottom + _LEAST_GAP * gap) // least * least for bottom, top in rooms)
+        mine = mine[np.argsort(-share[mine], kind="stable")]
+        needed = np.cumsum(sizes[mine, 1] + _LEAST_GAP * gap)
+        kept[mine[needed <= room + 1e-9]] = True
+    return kept
+
+
+def side_limits(corners: Array, side: int, width: float, height: float) -> tuple[float, float]:
+    """Returns the vertical range that corners leave free on one side of the picture, pixels."""
+    on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
+    # A corner panel that extends beyond the middle limits the other side too.
+    wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
+    return limits(corners[wide | (on_left == (side == LEFT))], height)
 
 
 def limits(corners: Array, height: float) -> tuple[float, float]:
@@ -224,12 +270,11 @@ def _rooms_between(
     blocked: Array, low: float, high: float, least: float
 ) -> list[tuple[float, float]]:
     """Returns ranges from low to high, of a least size, that no blocked range covers, in order."""
-    rooms = []
-    for bottom, top in blocked[np.argsort(blocked[:, 0])].tolist():
-        if bottom > low:
-            rooms.append((low, min(bottom, high)))
-        low = max(low, top)
-    return [(bottom, top) for bottom, top in [*rooms, (low, high)] if top >= bottom + least]
+    bottoms, tops = blocked[np.argsort(blocked[:, 0])].T
+    starts = np.maximum.accumulate(np.append(low, tops))
+    ends = np.append(np.minimum(bottoms, high), high)
+    is_room = ends >= starts + least
+    return list(zip(starts[is_room].tolist(), ends[is_room].tolist(), strict=True))
 
 
 def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:

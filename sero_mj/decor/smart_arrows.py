@@ -201,6 +201,7 @@ class _VectorCards:
             owners=np.full(len(index), -1),
             side=(index + 1) % 2,
             rank=self._rank[index],
+            share=np.full(len(index), np.inf),
             clear=float((reach[index] / view.pixel_size(1.0) / depth).max()),
         )
 
