@@ -37,24 +37,24 @@ def text_boxes(view: PictureView, rows) -> list[tuple[np.ndarray, np.ndarray]]:
 def test_a_billboard_says_name_value_and_unit() -> None:
     rows = drawn(world_of(torques=TORQUES, show_billboards=True))
     assert labels(rows) == [
-        "A1  -12.3 Nm",
-        "A2    0.0 Nm",
-        "E1    0.0 Nm",  # a small negative is no -0.0
-        "A3  100.0 Nm",
-        "A4    5.0 Nm",
-        "A5  -38.0 Nm",
-        "A6    0.0 Nm",
+        "A1   -12.3 Nm",
+        "A2     0.0 Nm",
+        "E1     0.0 Nm",  # a small negative is no -0.0
+        "A3   100.0 Nm",
+        "A4     5.0 Nm",
+        "A5   -38.0 Nm",
+        "A6     0.0 Nm",
     ]
 
 
 def test_joints_without_data_say_so() -> None:
     rows = drawn(world_of(show_billboards=True, billboard_lines=["torques"]))
-    assert labels(rows)[3] == "A3 no data"
+    assert labels(rows)[3] == "A3  no data"
 
 
 def test_without_torques_billboards_show_the_joint_angles() -> None:
     rows = drawn(world_of(joint_angles=np.full(7, -0.5), show_billboards=True))
-    assert labels(rows)[0] == "A1   -0.500 rad"
+    assert labels(rows)[0] == "A1    -0.500 rad"
 
 
 def test_declared_lines_have_their_own_label_unit_scale_and_decimals() -> None:
@@ -69,12 +69,12 @@ def test_declared_lines_have_their_own_label_unit_scale_and_decimals() -> None:
         billboard_lines=lines,
     )
     rows = drawn(world)
-    assert labels(rows)[:2] == ["A1  pos    90 deg", "    T   31.26 C"]
+    assert labels(rows)[:2] == ["A1  pos     90 deg", "    T    31.26 C"]
     assert len(of_kind(rows, GEOM.mjGEOM_BOX)) == 7
 
 
 def test_a_prismatic_joint_shows_newton_and_metres() -> None:
-    for field, text in (("torques", "J1    3.0 N"), ("joint_angles", "J1    3.0000 m")):
+    for field, text in (("torques", "J1     3.0 N"), ("joint_angles", "J1     3.0000 m")):
         robot = SerialRobot(
             dh_convention="craig",
             joint_types=["prismatic"],
@@ -168,7 +168,7 @@ def test_toggles_choose_which_joints_have_billboards(billboard_world) -> None:
     toggles.billboards[:] = False
     toggles.billboards[5] = True
     pen = Decor(billboard_world).draw(billboard_world.make_data(), toggles, view_at())
-    assert labels(pen.rows[: pen.count]) == ["A5  -38.0 Nm"]
+    assert labels(pen.rows[: pen.count]) == ["A5   -38.0 Nm"]
 
 
 def test_lines_are_labelled_where_there_are_several() -> None:
@@ -179,9 +179,9 @@ def test_lines_are_labelled_where_there_are_several() -> None:
         billboard_lines=["torques", "commanded_torques", "torque_error"],
     )
     assert labels(drawn(world))[:3] == [
-        "A1  msr   10.0 Nm",
-        "    cmd   12.5 Nm",
-        "    err    2.50 Nm",
+        "A1  msr    10.0 Nm",
+        "    cmd    12.5 Nm",
+        "    err     2.50 Nm",
     ]
 
 
@@ -190,7 +190,7 @@ def test_huge_values_are_written_with_an_exponent() -> None:
     data = world.make_data()
     data.userdata[world.slots["lwr.torques"]][:2] = (-1.5e300, 123456.0)
     pen = Decor(world).draw(data, Toggles(world), view_at())
-    assert {"A1 -1.500e+300 Nm", "A2 123456.0 Nm"} < {*labels(pen.rows[: pen.count])}
+    assert {"A1  -1.500e+300 Nm", "A2  123456.0 Nm"} < {*labels(pen.rows[: pen.count])}
 
 
 def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width() -> None:
@@ -222,7 +222,7 @@ def test_with_several_robots_a_billboard_says_whose_joint_it_is() -> None:
         for name in ("left", "right")
     ]
     rows = drawn(World(Scene(robots=robots, floor=False)), view_at(distance=20))
-    assert sorted(labels(rows)) == ["left J1    2.0 Nm", "right J1    2.0 Nm"]
+    assert sorted(labels(rows)) == ["left J1     2.0 Nm", "right J1     2.0 Nm"]
 
 
 def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
@@ -236,7 +236,7 @@ def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
         for name in ("left_manipulator_arm", "right_manipulator_arm")
     ]
     rows = drawn(World(Scene(robots=robots, floor=False)), view_at(distance=20))
-    assert sorted(labels(rows)) == ["left_m..or_arm J1    2.0 Nm", "right_..or_arm J1    2.0 Nm"]
+    assert sorted(labels(rows)) == ["left_m..or_arm J1     2.0 Nm", "right_..or_arm J1     2.0 Nm"]
 
 
 @pytest.mark.parametrize(
@@ -295,10 +295,10 @@ def said(world: World, data=None) -> list[str]:
 def test_a_robots_own_input_is_on_its_billboards() -> None:
     world = warm_world()
     data = world.make_data()
-    assert said(world, data) == [f"{name}  T no data" for name in world.joints.names]
+    assert said(world, data) == [f"{name}  T  no data" for name in world.joints.names]
     world.set_input(data, "warm.temperatures", [31.4, 30.6, -5.0, 99.9, 100.0, 0.2, 45.0])
     numbers = ["31", "31", "-5", "100", "100", "0", "45"]
-    expected = [f"{n}  T {t:>5} C" for n, t in zip(world.joints.names, numbers, strict=True)]
+    expected = [f"{n}  T  {t:>5} C" for n, t in zip(world.joints.names, numbers, strict=True)]
     assert said(world, data) == expected
 
 
@@ -310,11 +310,11 @@ def test_nan_in_one_joint_says_no_data_there_and_the_others_go_on() -> None:
     world.set_input(data, "warm.temperatures", np.arange(20.0, 27.0))
     world.set_input(data, "warm.currents", np.arange(7) / 8)
     whole = said(world, data)
-    assert whole[3:6] == ["A2  msr    0.0 Nm", "    T    21 C", "    currents    0.12 A"]
+    assert whole[3:6] == ["A2  msr     0.0 Nm", "    T     21 C", "    currents     0.12 A"]
     for wrong in (np.nan, np.inf):
         data.userdata[world.slots["warm.temperatures"]][4] = wrong
         found = said(world, data)
-        assert found[13] == "    T no data"
+        assert found[13] == "    T  no data"
         assert found[:13] + found[14:] == whole[:13] + whole[14:]
 
 
@@ -326,10 +326,10 @@ def test_a_robot_without_the_input_stands_beside_one_that_has_it() -> None:
         data = world.make_data()
         world.set_input(data, "warm.temperatures", np.arange(20.0, 27.0))
         found = said(world, data)
-        assert "plain A1  -12.3 Nm" in found
-        assert "tiny J1    0.000 rad" in found
+        assert "plain A1   -12.3 Nm" in found
+        assert "tiny J1     0.000 rad" in found
         for k, name in enumerate(world.robots["warm"].robot.names):
-            assert f"warm {name}  T    {20 + k} C" in found
+            assert f"warm {name}  T     {20 + k} C" in found
         assert len(found) == 15
         world.set_input(data, "toggles.flange_checks", 1.0)  # the last flag of all
         assert np.isnan(joint_values(world, data)["temperatures"]).sum() == 8
@@ -344,9 +344,9 @@ def test_a_double_has_its_robots_own_inputs_with_values_of_its_own() -> None:
     data = world.make_data()
     Placer(world).place(data)
     world.set_input(data, "warm.temperatures", np.full(7, 40.0))
-    assert said(world, data)[6:8] == ["A6  T    40 C", "goal A1  T no data"]
+    assert said(world, data)[6:8] == ["A6  T     40 C", "goal A1  T  no data"]
     world.set_input(data, "goal.temperatures", np.full(7, 55.0))
-    assert said(world, data)[6:8] == ["A6  T    40 C", "goal A1  T    55 C"]
+    assert said(world, data)[6:8] == ["A6  T     40 C", "goal A1  T     55 C"]
 
 
 @pytest.mark.parametrize("joints", [7, 4, 2])

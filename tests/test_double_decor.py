@@ -151,9 +151,9 @@ def test_billboards_say_whose_joint_it_is_on_a_tinted_panel() -> None:
         (panel,) = belonging(pen, Kind.BILLBOARD, joint)
         name, torque = names[joint % 7], TORQUES[joint % 7]
         if joint < 7:
-            text, colour = f"{name} {2 * torque:6.1f} Nm", np.array(PANEL_RGBA)
+            text, colour = f"{name}  {2 * torque:6.1f} Nm", np.array(PANEL_RGBA)
         else:
-            text = f"goal {name} {torque:6.1f} Nm"
+            text = f"goal {name}  {torque:6.1f} Nm"
             tinted = 0.7 * np.array(PANEL_RGBA[:3]) + 0.3 * np.array(rgba[:3])
             colour = np.array([*tinted, PANEL_RGBA[3]])
         assert texts_in(view, rows, panel) == [text]
@@ -174,16 +174,16 @@ def test_what_its_billboards_say_may_be_its_own() -> None:
     q = np.deg2rad([10, 20, 30, 40, 50, 60, 70])
     own = goal(joint_angles=q, show_billboards=True, billboard_lines=lines)
     world = world_with(own, billboard_lines=["torques"])
-    assert said(world)[:7:6] == ["goal A1    10 deg", "goal A6    70 deg"]
+    assert said(world)[:7:6] == ["goal A1     10 deg", "goal A6     70 deg"]
     # Without lines of its own it says what its robot says, as far as it has values.
     double = goal(torques=TORQUES, show_billboards=True)
     world = world_with(double, billboard_lines=["joint_angles", "torques"])
-    assert said(world)[:2] == ["goal A1  pos   -0.400 rad", "         msr   30.0 Nm"]
+    assert said(world)[:2] == ["goal A1  pos    -0.400 rad", "         msr    30.0 Nm"]
     world = world_with(double, billboard_lines=["torques", "billboard_values"])
-    assert said(world)[:2] == ["goal A1   30.0 Nm", "goal A2  -60.0 Nm"]
+    assert said(world)[:2] == ["goal A1    30.0 Nm", "goal A2   -60.0 Nm"]
     double = goal(torques=TORQUES, commanded_torques=TORQUES + 2, show_billboards=True)
     world = world_with(double, billboard_lines=["torque_error"])
-    assert said(world)[:2] == ["goal A1    2.00 Nm", "goal A2    2.00 Nm"]
+    assert said(world)[:2] == ["goal A1     2.00 Nm", "goal A2     2.00 Nm"]
 
 
 def test_axes_stand_at_its_links_and_flange() -> None:

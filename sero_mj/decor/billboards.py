@@ -268,7 +268,7 @@ def _line(
         decimals = decimals if declared.decimals is None else declared.decimals
         scale = declared.scale
     words = [joint if k == 0 else " " * len(joint), label]
-    head = "  ".join(word for word in words if word) + " "
+    head = "".join(f"{word}  " for word in words if word)
     tail = (f" {unit}" if unit else "").replace("%", "%%")
     form = f"%{decimals + 5 if decimals else 5}.{decimals}f" + tail
     return Line(head, form, "%10.3e" + tail, scale, decimals, key, head + form % -888.8888)
