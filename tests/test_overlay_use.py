@@ -210,6 +210,14 @@ def test_model_and_data_must_be_of_mujoco_and_of_each_other() -> None:
             "arm has the joint angles of your data; set data.q",
         ),
         ("arm.flange_check", np.ones((4, 4)), ValueError, "arm.flange_check: last row is"),
+        ("arm.torques", None, ValueError, "arm.torques: found None; expected 4, one per joint"),
+        ("arm.torques", "12", ValueError, "arm.torques: found '12'; expected 4, one per joint"),
+        (
+            "arm.arrow_quantity",
+            "error",
+            ValueError,
+            "found 'error'; expected 1 number, or one",
+        ),
         ("arm.show_axes", [1, 0], ValueError, r"found shape \(2,\); expected 1 number"),
     ],
 )
@@ -270,3 +278,9 @@ def test_entities_of_composer_are_taken() -> None:
     over = sero_mj.overlay(hand)
     (joints,) = over.robots.values()
     assert joints == [joint.name for joint in hand.mjcf_model.find_all("joint")]
+
+
+def test_the_quantity_of_arrows_is_set_by_its_name(overlay: Any) -> None:
+    overlay.set("arm.arrow_quantity", "torque_error")
+    overlay.image(64, 48)
+    assert (overlay.toggles.arrow_quantity == 1).all()

@@ -58,7 +58,8 @@ from sero_mj.drive.wiring import wire
         ("lwr.torques", [0.5, 1], ""),
         ("lwr.torques", np.array([0.5, 1.0]), ""),
         ("lwr.torques", [0.5], "[0.5] has 1 value; lwr.torques takes 2, one per joint"),
-        ("lwr.show_arrows", "not udp.values0", "udp.values0 has 2 values; lwr.show_arrows takes 1"),
+        ("lwr.show_arrows", "not udp.values0",
+         "udp.values0 has 2 values; lwr.show_arrows takes 1 number"),
         ("lwr.torques", "not udp.values0", "'not' is for switches; "
          "lwr.torques takes 2, one per joint"),
         ("lwr.torques", "udp.values0-udp.values1", "no event 'values0-udp.values1' of udp; "

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..declaration import numbers
 from ..frames import Array, frame_from
-from .robot_parts import VALUE_INPUTS
+from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS
 from .scene import Scene, SceneToggles
 
 # Contents of a source's slot.
@@ -79,7 +79,9 @@ class Input:
         """Description of the values, for messages."""
         if self.kind in ("angles", "values"):
             return f"{self.count}, one per joint"
-        return {"vector": "3: x, y, z", "toggle": "1"}.get(self.kind, "a 4 x 4 frame")
+        if self.key == "arrow_quantity":
+            return f"1 number, or one of {', '.join(ARROW_QUANTITIES)}"
+        return {"vector": "3: x, y, z", "toggle": "1 number"}.get(self.kind, "a 4 x 4 frame")
 
 
 def list_inputs(scene: Scene) -> dict[str, Input]:
@@ -147,8 +149,15 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
     return slots, flags, start + len(flags)
 
 
-def to_array(values: Any) -> Array:
-    """Returns the values of an input as an array (k,) or more; empty where they are no numbers."""
+def to_array(item: Input, values: Any) -> Array:
+    """Returns the values of an input as an array (k,) or more; empty where they are no numbers.
+
+    The name of an arrow quantity is its index.
+    """
+    if isinstance(values, str) and item.key == "arrow_quantity" and values in ARROW_QUANTITIES:
+        values = ARROW_QUANTITIES.index(values)
+    if values is None or isinstance(values, str | bytes):  # numpy would read "12" and None
+        return np.empty(0)
     try:
         array = np.asarray(values, dtype=np.float64)
         return array if array.ndim else array[None]

@@ -141,12 +141,12 @@ class World(WorldView):
                 frame.
         """
         item = self.resolve_input(target)
-        array = to_array(values)
+        array = to_array(item, values)
         finite = np.isfinite(array)
         is_finite = finite.all()
         if array.shape != item.shape or not (is_finite or item.kind in BLANKABLE):
             found = array.tolist() if array.size else values
-            many = "1 finite number" if item.count == 1 else f"{item.count} finite numbers"
+            many = item.meaning if item.count == 1 else f"{item.count} finite numbers"
             raise ValueError(f"{target}: found {found}; expected {many}")
         if not is_finite:
             array = np.where(finite, array, np.nan)

@@ -305,12 +305,12 @@ class ModelWorld(WorldView):
         item = self.resolve_input(target)
         if isinstance(values, Mapping) and item.kind in ("angles", "values"):
             values = self._by_name(name, values)
-        array = to_array(values)
+        array = to_array(item, values)
         if item.kind == "values" and array.shape == (self.model.nv,):
             array = array[self._dofs(name)]
         if array.shape != item.shape:
             found = f"shape {array.shape}" if array.size else repr(values)
-            many = "1 number" if item.count == 1 else f"{item.meaning}: shape {item.shape}"
+            many = item.meaning if item.count == 1 else f"{item.meaning}: shape {item.shape}"
             if item.kind == "values" and item.shape != (self.model.nv,):
                 many += f", or one per degree of freedom of the model: shape ({self.model.nv},)"
             raise ValueError(f"{target}: found {found}; expected {many}")

@@ -193,7 +193,7 @@ class SceneMemory:
     def set(self, target: str, values: Any) -> None:
         """See `ViewerMemory`."""
         self._world.set_input(self.data, target, values)
-        self.arrays.write(self._index[target], to_array(values))
+        self.arrays.write(self._index[target], to_array(self._world.inputs[target], values))
 
     def sync(self) -> None:
         """See `ViewerMemory`."""
