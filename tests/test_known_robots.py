@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from newton_euler import inverse_dynamics
+from poses import chain, move, rot
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.robot_dynamics import robot_dynamics
@@ -17,24 +18,6 @@ from sero_mj.assemble.world import World
 HALF_PI = math.pi / 2
 NAMES = ["puma560", "panda", "scara", "stanford"]
 QN = np.array([0, math.pi / 4, -math.pi, 0, math.pi / 4, 0])  # the Puma's nominal pose
-
-
-def rot(axis: int, angle: float) -> np.ndarray:
-    turn = np.eye(4)
-    c, s = math.cos(angle), math.sin(angle)
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    turn[a, a], turn[a, b], turn[b, a], turn[b, b] = c, -s, s, c
-    return turn
-
-
-def move(x=0.0, y=0.0, z=0.0) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
-
-
-def chain(*steps: np.ndarray) -> np.ndarray:
-    return np.linalg.multi_dot([*steps, np.eye(4)])
 
 
 def puma(q):

@@ -18,7 +18,7 @@ Run ``python models/lwr/make_meshes.py``; the output is the same byte for byte o
 
 from __future__ import annotations
 
-import struct
+import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -26,20 +26,34 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from bodies import (
+    RING_INSET,
+    Y,
+    Z,
+    cap,
+    close,
+    fillet,
+    mix,
+    ramp,
+    revolve,
+    seam_ring,
+    solid,
+    strip,
+    write_links,
+)
+
 OUT = Path(__file__).resolve().parent / "meshes"
 
-X, Y, Z = np.eye(3)
 HALF_SIDES = 13  # facets of half a shell's circumference; odd, so a flat flank has two edges
 DRUM_STEPS = 12  # facets of the half turn round a pitch axis
 # Stations of a shoulder's bend, 0 to 1, close together where it curves most.
 BEND = np.array([0.02, 0.20, 0.32, 0.50, 0.66, 0.78, 0.89, 1.0])
 # Which outline points the drum keeps: its small inner edge needs only three of six.
 DRUM_POINTS = np.array([0, 1, 1, 4, 4, 6, 6, *range(7, HALF_SIDES + 1)])
-ROUND_SIDES = 24  # facets of the small bodies of revolution
 
 SEAM_GAP = 0.0015  # m, from a shell's rim to the middle of its roll seam
 DISC_GAP = 0.0020  # m, from a drum's face to the middle of its pitch disc
-RING_INSET = 0.0016  # m, dark seam rings lie this far below the shells beside them
 BEVEL = 0.0010  # m, at a shell's rim; MuJoCo gives a sharp rim one smeared normal without it
 DISC_EDGE = 0.0040  # m, edge radius of a drum at the pitch disc
 
@@ -57,102 +71,6 @@ class Shell:
     shoulder: tuple[float, float]  # w where the far side of the tube swells out
     lean: tuple[float, float]  # w where the near side leans back to the tube
     dome: float  # height of the domed shoulder over its edges
-
-
-def ramp(x: np.ndarray | float, start: float, stop: float) -> np.ndarray:
-    """Return a quintic step of ``x``, 0 before ``start`` and 1 after ``stop`` (same units)."""
-    t = np.clip((np.asarray(x, float) - start) / (stop - start), 0.0, 1.0)
-    return t**3 * (t * (6.0 * t - 15.0) + 10.0)
-
-
-def mix(a: float, b: float, t: float) -> float:
-    """Return ``a`` at t = 0 and ``b`` at t = 1 (any units)."""
-    return a + (b - a) * t
-
-
-def fillet(points: list[tuple], steps: int = 3) -> np.ndarray:
-    """Round the corners of an open (r, z) polyline in metres.
-
-    A point (r, z, f) with a third number is replaced by an arc of radius ``f`` (metres) in
-    ``steps`` chords; end points and points without ``f`` stay sharp.
-    """
-    out = []
-    for i, point in enumerate(points):
-        p = np.array(point[:2], float)
-        if len(point) == 2:
-            out.append(p)
-            continue
-        a = np.array(points[i - 1][:2]) - p
-        b = np.array(points[i + 1][:2]) - p
-        a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-        half = 0.5 * np.arccos(np.clip(a @ b, -1.0, 1.0))
-        bisector = (a + b) / np.linalg.norm(a + b)
-        centre = p + bisector * point[2] / np.sin(half)
-        start = p + a * point[2] / np.tan(half) - centre
-        stop = p + b * point[2] / np.tan(half) - centre
-        angle = np.pi - 2.0 * half
-        for t in np.linspace(0.0, 1.0, steps + 1):
-            s0, s1 = np.sin((1.0 - t) * angle), np.sin(t * angle)
-            out.append(centre + (s0 * start + s1 * stop) / np.sin(angle))
-    return np.array(out)
-
-
-def strip(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the triangles between two rows of vertex numbers of the same length."""
-    upper = np.column_stack([a[:-1], a[1:], b[1:]])
-    return np.vstack([upper, np.column_stack([a[:-1], b[1:], b[:-1]])])
-
-
-def close(ring: np.ndarray) -> np.ndarray:
-    """Return a row of vertex numbers with its first number repeated at the end."""
-    return np.append(ring, ring[0])
-
-
-def skin(rings: np.ndarray) -> trimesh.Trimesh:
-    """Join closed rings of points, shape (rings, points, 3) in metres, to one closed surface.
-
-    First and last ring are closed by a fan round their mean; repeated points collapse.
-    """
-    points = np.vstack([rings.reshape(-1, 3), rings[0].mean(axis=0), rings[-1].mean(axis=0)])
-    count, size = rings.shape[:2]
-    rows = np.arange(count * size).reshape(count, size)
-    rows = np.vstack([np.full(size, count * size), rows, np.full(size, count * size + 1)])
-    return solid(points, np.vstack([strip(close(a), close(b)) for a, b in pairwise(rows)]))
-
-
-def solid(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
-    """Weld points (metres, to 0.1 um), drop collapsed faces and turn all normals outwards."""
-    keys = np.round(vertices * 1e7).astype(np.int64)
-    _, first, label = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    faces = label.reshape(-1)[faces]
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    mesh = trimesh.Trimesh(vertices[first], faces, process=False)
-    if mesh.volume < 0.0:
-        mesh.invert()
-    if not mesh.is_watertight:
-        raise ValueError("part is not watertight")
-    return mesh
-
-
-def place(mesh: trimesh.Trimesh, axis: np.ndarray, origin=(0.0, 0.0, 0.0)) -> trimesh.Trimesh:
-    """Turn a part's z axis to ``axis`` (a unit vector) and move it to ``origin`` (metres)."""
-    side = X if abs(axis[0]) < 0.5 else Y
-    u = side - axis * (side @ axis)
-    u /= np.linalg.norm(u)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([u, np.cross(axis, u), axis])
-    pose[:3, 3] = origin
-    return mesh.copy().apply_transform(pose)
-
-
-def revolve(profile, axis=Z, origin=(0.0, 0.0, 0.0), sides: int = ROUND_SIDES) -> trimesh.Trimesh:
-    """Turn an open (r, z) profile in metres about ``axis`` through ``origin`` and close it."""
-    profile = np.asarray(profile, float)
-    angle = np.arange(sides) * 2.0 * np.pi / sides
-    r, z = profile[:, :1], profile[:, 1:]
-    rings = np.stack([r * np.cos(angle), r * np.sin(angle), z + 0.0 * angle], axis=-1)
-    return place(skin(rings), np.asarray(axis, float), origin)
 
 
 def shell_section(shell: Shell, w: float) -> np.ndarray:
@@ -211,22 +129,6 @@ def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trim
     faces += [strip(b, a) for a, b in pairwise([right, *rows, left])]
     axes = np.column_stack([np.cross(side, seam), side, seam])
     return solid(np.vstack(tube + drum) @ axes.T, np.vstack(faces))
-
-
-def seam_ring(radius: float, centre: float, axis=Z) -> trimesh.Trimesh:
-    """Return the dark disc that fills a seam at ``centre`` along ``axis``, all in metres.
-
-    It reaches into the shells on either side, so no angle opens a gap.
-    """
-    return revolve([(radius, centre - 0.004), (radius, centre + 0.004)], axis)
-
-
-def cap(radius: float, face: float, axis: np.ndarray) -> dict[str, list[trimesh.Trimesh]]:
-    """Return a domed joint cap in an orange ring on a drum face at ``face`` along ``axis`` (m)."""
-    r, low = radius, face - 0.003
-    dome = [(r, low), (r - 0.0008, face + 0.0028), (r - 0.004, face + 0.004), (0.0, face + 0.0052)]
-    ring = [(r + 0.0032, low), (r + 0.0024, face + 0.0015), (0.0, face + 0.0015)]
-    return {"grey": [revolve(dome, axis, sides=26)], "orange": [revolve(ring, axis, sides=26)]}
 
 
 # The shoulders begin where the other shell, turned by 120 degrees, just clears them.
@@ -317,32 +219,5 @@ def flange() -> dict[str, list[trimesh.Trimesh]]:
     return {"white": [revolve(fillet(rim, 2))], "steel": [revolve(plate, sides=24)], "grey": holes}
 
 
-def write_stl(path: Path, parts: list[trimesh.Trimesh]) -> int:
-    """Write parts (metres) to one binary STL file and return the number of triangles."""
-    # Rounded to 0.1 um, so that a sine that differs in its last bit leaves the bytes alone.
-    triangles = np.round(np.vstack([part.triangles for part in parts]), 7) + 0.0
-    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals = cross / np.linalg.norm(cross, axis=1, keepdims=True)
-    layout = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]
-    record = np.zeros(len(triangles), layout)
-    record["normal"] = np.round(normals, 4) + 0.0
-    record["corners"] = triangles
-    head = b"sero-mj LWR mesh".ljust(80) + struct.pack("<I", len(record))
-    path.write_bytes(head + record.tobytes())
-    return len(record)
-
-
-def main() -> None:
-    """Write all files and print their triangle counts."""
-    OUT.mkdir(parents=True, exist_ok=True)
-    total = 0
-    for name, colours in links().items():
-        for colour, parts in sorted(colours.items()):
-            count = write_stl(OUT / f"{name}_{colour}.stl", parts)
-            total += count
-            print(f"{name}_{colour}.stl {count}")
-    print("total", total)
-
-
 if __name__ == "__main__":
-    main()
+    write_links(OUT, links(), "sero-mj LWR mesh")
