@@ -244,11 +244,11 @@ def test_a_click_on_an_arrow_brings_up_its_precise_numbers() -> None:
     rows = decor.draw(data, toggles, view).rows[: decor.pen.count]
     labels = [row["label"].decode() for row in of_kind(rows, mujoco.mjtGeom.mjGEOM_LABEL)]
     assert labels == [
-        "E1  cmd   28.0 Nm",
-        "    msr   30.0 Nm",
-        "    err   -2.00 Nm",
-        "    limit  100.0 Nm",
-        "    share   30.0 %",
+        "E1  cmd    28.0 Nm",
+        "    msr    30.0 Nm",
+        "    err    -2.00 Nm",
+        "    limit   100.0 Nm",
+        "    share    30.0 %",
         "z",  # of the axis
     ]
 
@@ -261,8 +261,8 @@ def test_a_joint_without_limit_says_so_in_its_details() -> None:
     pen = Decor(world).draw(world.make_data(), toggles, view_at(distance=20))
     rows = of_kind(pen.rows[: pen.count], mujoco.mjtGeom.mjGEOM_LABEL)
     labels = [row["label"].decode() for row in rows]
-    assert labels[0] == "J1  cmd no data"
-    assert labels[3] == "    limit none"
+    assert labels[0] == "J1  cmd  no data"
+    assert labels[3] == "    limit  none"
 
 
 def test_a_click_on_axes_shows_their_name_and_another_hides_it(world) -> None:
