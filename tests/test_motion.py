@@ -121,6 +121,21 @@ def test_the_amplitude_scales_the_swing_and_no_more(robot: SerialRobot, t: float
         np.testing.assert_allclose(half[0] - still[0], (full[0] - still[0]) / 2, atol=1e-9)
 
 
+def test_a_robot_with_a_declared_pose_moves_about_it_within_its_limits() -> None:
+    home = np.array([1.0, -0.5, 0.3, 2.0, 0.0, 0.9, -0.4])  # the fourth is close to its limit
+    robot = SerialRobot.from_model("lwr", joint_angles=home)
+    assert robot.position_limits is not None
+    angles = np.array([SineMotion(robot).at(t)[0] for t in np.linspace(0, 600, 6000)])
+    low, high = angles.min(axis=0), angles.max(axis=0)
+    assert (low >= robot.position_limits[:, 0]).all() and (
+        high <= robot.position_limits[:, 1]
+    ).all()
+    middle = (low + high) / 2
+    assert np.delete(middle, 3) == pytest.approx(np.delete(home, 3), abs=0.01)
+    assert ((low < home) & (home < high)).all()
+    assert (high - low > 0.3).all()
+
+
 def test_a_robot_without_limits_moves_too() -> None:
     motion = SineMotion(SerialRobot(dh_convention="craig", dh_params=[[0, 0, 0, 0.3]]))
     positions = [motion.at(t)[0][0] for t in np.linspace(0, 60, 600)]

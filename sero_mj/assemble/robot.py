@@ -56,6 +56,7 @@ class SerialRobot(Declaration):
     Attributes:
         name: the robot's name in routes, e.g. `lwr` in `lwr.joint_angles`.
         description: one line about it, for `sero-mj list`.
+        note: about its data, shown with the legend, e.g. `approximate`.
         dh_convention: `craig` (modified) or `standard`; there is no default.
         dh_params: (n, 4), one row per joint.
         dh_params_deg: the same with alpha and theta in degrees; converted to dh_params.
@@ -111,6 +112,7 @@ class SerialRobot(Declaration):
 
     name: Name = "robot"
     description: str = ""
+    note: str = ""
     dh_convention: Literal["craig", "standard"]
     dh_columns: Columns = [*COLUMNS]
     length_unit: Literal["m", "mm"] = "m"

@@ -76,6 +76,7 @@ class Scene:
         view: the default view.
         toggles: initial toggles of the whole scene.
         description: one line about it, for `sero-mj list` and `check`.
+        note: about its data, shown with the legend.
         name: shown in titles and messages.
         file: the file it was read from.
         broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
@@ -100,6 +101,7 @@ class Scene:
         view: View | None = None,
         toggles: SceneToggles | None = None,
         description: str = "",
+        note: str = "",
         name: str = "scene",
         file: Path | None = None,
         broken: Collection[str] = (),
@@ -133,6 +135,7 @@ class Scene:
         self.view = view or View()
         self.toggles = toggles or SceneToggles()
         self.description = description
+        self.note = note
         self.name = name
         self.file = file
         self.broken = frozenset(broken)

@@ -74,6 +74,7 @@ class _Reader:
             "floor": lambda: self._typed("floor", bool, "true or false"),
             "name": lambda: self._typed("name", str, "a text"),
             "description": lambda: self._typed("description", str, "a text"),
+            "note": lambda: self._typed("note", str, "a text"),
         }
         for key in self.tables:
             if key not in sections:

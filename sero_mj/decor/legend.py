@@ -27,6 +27,7 @@ _WORDS = {
     "singularity": ("towards the singularity", "at it"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
+_MOST_NAMES = 3  # of robots before a note
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
@@ -37,7 +38,10 @@ _BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
 
 
 class Legend(Feature):
-    """Panels for all quantities that arrows show, in the lower left corner."""
+    """Panels for all quantities that arrows show, in the lower left corner.
+
+    Below them is what scene and robots note about their data.
+    """
 
     order = 40
 
@@ -45,15 +49,17 @@ class Legend(Feature):
         super().__init__(world)
         self._key: object = None
         self._panels: Panels | None = None
+        self._notes = _notes(world)
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the legend if it is switched on and an arrow is."""
+        """Adds the legend if it is switched on, and an arrow is or there are notes."""
         panels = self._shown(frame.toggles, frame.view, frame.arrow_limit)
         if panels is not None:
             frame.corners.append(panels)
 
     def _shown(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
-        if not toggles.legend or not (toggles.arrows.any() or toggles.vectors.any()):
+        is_needed = toggles.arrows.any() or toggles.vectors.any() or self._notes
+        if not toggles.legend or not is_needed:
             return None
         key = (
             toggles.arrows.tobytes(),
@@ -71,7 +77,7 @@ class Legend(Feature):
     def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
         margin = _MARGIN * view.font.height
         scales = self._scales(toggles)
-        texts: list[list[bytes]] = [scales] if scales else []
+        texts = [lines for lines in (self._notes, scales) if lines]
         for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist())):
             shown = toggles.arrows & (toggles.arrow_quantity == code)
             what, width = _WORDS[ARROW_QUANTITIES[code]]
@@ -119,6 +125,21 @@ class Legend(Feature):
             f"{', '.join(names)}: {scale}".encode("ascii", "replace")[:99]
             for scale, names in lines.items()
         ]
+
+
+def _notes(world: WorldView) -> list[bytes]:
+    """Returns the notes of the scene and its robots; those of some robots only with their names."""
+    robots = world.scene.robots
+    lines = [world.scene.note]
+    for note in dict.fromkeys(robot.note for robot in robots.values()):
+        names = [name for name, robot in robots.items() if robot.note == note]
+        if len(names) == len(robots):
+            lines.append(note)
+        elif note:
+            whose = ", ".join(names) if len(names) <= _MOST_NAMES else f"{len(names)} robots"
+            lines.append(f"{whose}: {note}")
+    unique = dict.fromkeys(line for line in lines if line)
+    return [line.encode("ascii", "replace")[:99] for line in unique]
 
 
 def _bars(panels: Panels, view: PictureView) -> Array:

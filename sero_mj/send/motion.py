@@ -18,6 +18,7 @@ from ..receive.fri import ALL_DRIVES
 
 LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
 _AMPLITUDE = 0.4  # of half the joint's range
+_AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
 _BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
 _DEFAULT_RANGE = (-1.0, 1.0)  # rad or m, for joints without limits
 _LONGEST_SWING = 1.1  # rad
@@ -32,6 +33,8 @@ _JOINT_IMPEDANCE = 3
 class SineMotion:
     """Every joint swings with its own period; velocities stay below the limits.
 
+    A robot whose `joint_angles` are declared swings about these, else about a bent pose.
+
     Args:
         robot: whose limits to keep.
         amplitude: scales the swing; 0 stands still.
@@ -42,8 +45,12 @@ class SineMotion:
         low, high = (limits if limits is not None else np.tile(_DEFAULT_RANGE, (robot.n, 1))).T
         half = (high - low) / 2
         sign = np.where(np.arange(robot.n) % 2 == 0, 1.0, -1.0)
+        share = _AMPLITUDE if robot.joint_angles is None else _AMPLITUDE_ABOUT_POSE
+        swing = np.minimum(share * half, _LONGEST_SWING)
         self._centre = (low + high) / 2 + sign * _BEND * half
-        swing = np.minimum(_AMPLITUDE * half, _LONGEST_SWING) * min(max(amplitude, 0.0), 1.0)
+        if robot.joint_angles is not None:
+            self._centre = np.clip(robot.joint_angles, low + swing, high - swing)
+        swing *= min(max(amplitude, 0.0), 1.0)
         self._omega = 2 * np.pi / np.resize(_PERIODS, robot.n)
         self._phase = 0.7 * np.arange(robot.n)
         if robot.velocity_limits is not None:

@@ -1,0 +1,50 @@
+"""The robots of section 4 of the paper, as scenes that ship."""
+
+from __future__ import annotations
+
+import socket
+import struct
+
+import numpy as np
+import pytest
+from decor_tools import view_at
+
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.toggles import Toggles
+from sero_mj.drive.mirror import Mirror
+from sero_mj.load import load_scene
+from sero_mj.paths import find_scene
+
+# Of the haptic device's user, half axes of an ellipsoid, m.
+CHEST, CHEST_SIZE = np.array([0.0, 0.0, 1.02]), np.array([0.12, 0.19, 0.27])
+LINK = 0.07  # radius of an LWR's links, m
+
+
+def test_hands_reach_the_haptic_device_and_its_arms_leave_the_user_free() -> None:
+    world = World(load_scene(find_scene("haptic_device")))
+    data = world.make_data()
+    for name, side in (("left", 1.0), ("right", -1.0)):
+        hand = world.frame(data, f"{name}/flange")[:3, 3] - CHEST
+        assert hand == pytest.approx([0.35, side * 0.22, -0.05], abs=0.005)
+        robot = world.robots[name].robot
+        joints = robot.dh.frames(robot.home, robot.base_frame)[1:, :3, 3] - CHEST
+        assert (np.linalg.norm(joints / (CHEST_SIZE + LINK), axis=1) > 1).all()
+
+
+@pytest.mark.parametrize("mode", [0, 1])
+def test_a_number_of_the_packet_switches_the_haptic_device_between_its_modes(mode: int) -> None:
+    scene = load_scene(find_scene("haptic_device"))
+    scene.sources["udp"]["port"] = 0
+    numbers = [*np.full(14, 0.3), *np.full(14, 0.5), *np.full(14, 20.0), mode]
+    with Mirror(scene) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        port = mirror.sources["udp"].port
+        sender.sendto(struct.pack("<43d", *numbers), ("127.0.0.1", port))
+        assert mirror.wait(5.0) == []
+        mirror.advance()
+        toggles = Toggles(mirror.world)
+        decor = Decor(mirror.world)
+        decor.draw(mirror.data, toggles, view_at())
+    assert (toggles.arrows[:14] == mode).all() and (toggles.doubles != mode).all()
+    notes = [text for panels in decor.panels for lines in panels.texts for text in lines]
+    assert b"places of the robots: approximate, not DLR data" in notes
