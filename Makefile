@@ -4,11 +4,12 @@
 # make lint   style and types
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
+# make gallery   docs/gallery.md and its pictures
 # make wheel  dist/*.whl, with models and scenes inside
 
 BIN := .venv/bin
 
-.PHONY: demo test quick lint docs bench wheel clean
+.PHONY: demo test quick lint docs bench gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -38,6 +39,9 @@ bench: .venv/.test
 	$(BIN)/python benchmarks/simulate.py
 	$(BIN)/python benchmarks/many.py
 	$(BIN)/python benchmarks/web.py
+
+gallery: .venv/.run
+	$(BIN)/python docs/gallery.py $(SHOTS)
 
 wheel: .venv/.test
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .

@@ -36,6 +36,10 @@ def head(q):
     return chain(move(z=0.065), rot(2, q[0]), rot(1, q[1]), move(0.13, 0, 0.105), camera)
 
 
+def space_torso(q):
+    return chain(move(z=0.85), rot(2, q[0]), move(z=0.46))
+
+
 def wheel(q):
     return chain(move(z=0.10), rot(2, q[0]), rot(1, q[1]), rot(0, -HALF_PI))
 
@@ -60,6 +64,7 @@ FOOT = move(z=-0.02)
 BY_HAND = {
     "justin_torso": torso,
     "justin_head": head,
+    "space_justin_torso": space_torso,
     "justin_wheel": wheel,
     "hit_finger": hit_finger,
     "dlr_hand2_finger": dlr_hand2_finger,
@@ -197,10 +202,8 @@ def test_the_left_palm_is_the_right_one_in_a_mirror(model):
 @pytest.mark.skipif(importlib.util.find_spec("trimesh") is None, reason="needs trimesh")
 @pytest.mark.parametrize("name", ["lwr", *BY_HAND])
 def test_mesh_script_reproduces_the_committed_files_byte_for_byte(name, tmp_path):
-    folder = tmp_path / name
-    folder.mkdir()
-    shutil.copy(MODELS / "bodies.py", tmp_path)
-    shutil.copy(MODELS / name / "make_meshes.py", folder)
+    shutil.copytree(MODELS, tmp_path / "models", ignore=shutil.ignore_patterns("*.stl"))
+    folder = tmp_path / "models" / name
     done = subprocess.run(
         [sys.executable, "make_meshes.py"], cwd=folder, capture_output=True, text=True, check=True
     )

@@ -1,0 +1,297 @@
+"""Makes a picture of every system and of every visual feature, and the page that shows them.
+
+`make gallery` writes `docs/pictures/gallery/*.png` and `docs/gallery.md` from the list `SHOTS`, and
+`make gallery SHOTS="justin lwr"` only these pictures. A new robot, scene or feature gets an entry.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sero_mj.show.headless.backend import choose_backend
+
+choose_backend()
+
+import mujoco
+
+from sero_mj import render_picture
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.load import load_scene
+
+DOCS = Path(__file__).resolve().parent
+PAGE = DOCS / "gallery.md"
+PICTURES = DOCS / "pictures" / "gallery"
+SIZE = (600, 440)  # pixels
+
+SYSTEMS, FEATURES = "Robots", "What is drawn"
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture of the gallery.
+
+    Attributes:
+        name: of the file.
+        caption: one line under the picture.
+        scene: a shipped scene, scenario or robot by name, or the text of a scene file.
+        overrides: `robot.field` to its value, over what the scene says.
+        at: time of a simulation, s.
+        camera: as `sero-mj render --camera` takes it; the scene's view when None.
+        holds_itself: whether arrows show what holds the robots against gravity.
+        played_by: a script beside the scene that sends its packets; without one a scene with a
+            source would say that no data has come.
+        group: the part of the page where it is shown.
+    """
+
+    name: str
+    caption: str
+    scene: str
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    at: float = 0.0
+    camera: str | None = None
+    holds_itself: bool = False
+    played_by: str | None = None
+    group: str = SYSTEMS
+
+
+PARALLEL = "parallel_sender.py"
+LWR = """
+[robots.lwr]
+model = "lwr"
+joint_angles = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
+"""
+
+# Arms and head of both Justins; the shoulders' height is put in.
+UPPER_BODY = """
+[robots.head]
+model = "justin_head"
+base_frame = {{ xyz = [-0.008, 0.0, {head}] }}
+joint_angles = [0.25, 0.2]
+
+[robots.left_arm]
+model = "lwr"
+base_frame = {{ xyz = [0.0, 0.19, {shoulders}], rpy_deg = [-60, 0, 0] }}
+joint_angles = [-1.05, 1.05, 0.0, -1.4, 0.0, 0.7, 0.0]
+show_arrows = true
+
+[robots.right_arm]
+model = "lwr"
+base_frame = {{ xyz = [0.0, -0.19, {shoulders}], rpy_deg = [60, 0, 0] }}
+joint_angles = [1.05, 1.05, 0.0, -1.4, 0.0, 0.7, 0.0]
+show_arrows = true
+
+[view]
+azimuth_deg = 210
+elevation_deg = -10
+distance = 2.9
+look_at = [0.0, 0.0, 0.92]
+
+[toggles]
+legend = false
+"""
+SPACE_JUSTIN = """
+[robots.torso]
+model = "space_justin_torso"
+""" + UPPER_BODY.format(shoulders=1.31, head=1.425)
+JUSTIN = """
+[robots.torso]
+model = "justin_torso"
+show_arrows = true
+""" + UPPER_BODY.format(shoulders=1.41, head=1.525) + "".join(
+    f"""
+[robots.{name}_wheel]
+model = "justin_wheel"
+base_frame = {{ xyz = [{x}, {y}, 0.0], rpy_deg = [0, 0, {turn}] }}
+"""
+    for name, x, y, turn in [
+        ("front_left", 0.36, 0.31, 40.7), ("front_right", 0.36, -0.31, -40.7),
+        ("rear_left", -0.36, 0.31, 139.3), ("rear_right", -0.36, -0.31, -139.3),
+    ]
+)  # fmt: skip
+
+
+def hand(model: str, bases: Mapping[str, str], bend: Sequence[float], distance: float) -> str:
+    """Returns the text of a scene with a right hand that stands on its wrist.
+
+    Args:
+        model: of its fingers.
+        bases: the text of each finger's base frame, by name.
+        bend: joint angles of every finger, rad.
+        distance: of the camera, m.
+    """
+    palm = f'[objects.palm]\ndirectory = "{DOCS.parent}/models/{model}"\nmjcf = "palm.xml"\n'
+    view = f"[view]\nazimuth_deg = 165\nelevation_deg = -12\ndistance = {distance}\n"
+    fingers = (
+        f'[robots.{name}]\nmodel = "{model}"\nbase_frame = {{ {base} }}\n'
+        f"joint_angles = {list(bend)}\n"
+        for name, base in bases.items()
+    )
+    return palm + view + f"look_at = [0.0, 0.0, {0.18 * distance}]\n" + "".join(fingers)
+
+
+SHOTS = (
+    Shot("justin", "Rollin' Justin: approximate, not DLR data", JUSTIN, holds_itself=True),
+    Shot("space_justin", "SpaceJustin: approximate, not DLR data", SPACE_JUSTIN, holds_itself=True),
+    Shot("lwr", "DLR/KUKA LWR, holding itself", "lwr", {
+        "lwr.joint_angles": [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0], "lwr.show_arrows": True,
+    }, holds_itself=True),
+    Shot("hit_hand", "DLR/HIT Hand II: meshes are approximate, not DLR data", hand("hit_finger", {
+        "thumb": "xyz = [0.062569, 0.044545, 0.080045], rpy = [0.41136, -1.08366, 0.225804]",
+        "index": "xyz = [-0.00253, 0.0368, 0.108744], rpy = [3.05433, -1.570796, 0]",
+        "middle": "xyz = [-0.0037, 0.01, 0.119044], rpy = [3.14159, -1.570796, 0]",
+        "ring": "xyz = [-0.00253, -0.0168, 0.114044], rpy = [-3.05433, -1.570796, 0]",
+        "little": "xyz = [0.000972, -0.043396, 0.095044], rpy = [-2.96706, -1.570796, 0]",
+    }, [0.0, 0.45, 0.45, 0.45], 0.42)),
+    Shot("dlr_hand2", "DLR Hand II: approximate, not DLR data", hand("dlr_hand2_finger", {
+        "thumb": "xyz = [0.068, 0.066, 0.108], rpy_deg = [25, -60, 15]",
+        "index": "xyz = [-0.003, 0.045, 0.142], rpy_deg = [174, -90, 0]",
+        "middle": "xyz = [-0.003, 0.0, 0.150], rpy_deg = [180, -90, 0]",
+        "ring": "xyz = [-0.003, -0.045, 0.142], rpy_deg = [186, -90, 0]",
+    }, [0.0, 0.4, 0.5], 0.56)),
+    Shot("biped", "Legs of the DLR Biped: approximate, not DLR data", """
+[robots.left]
+model = "biped_leg"
+base_frame = { xyz = [0.0, 0.1, 0.8415] }
+[robots.right]
+model = "biped_leg"
+base_frame = { xyz = [0.0, -0.1, 0.8415] }
+[view]
+azimuth_deg = 205
+elevation_deg = -10
+distance = 1.8
+look_at = [0.0, 0.0, 0.46]
+"""),
+    Shot("puma560", "Unimation Puma 560: a standard table, published dynamics", "puma560",
+         {"puma560.show_arrows": True}, holds_itself=True),
+    Shot("panda", "Franka Emika Panda: a modified table", "panda",
+         {"panda.show_arrows": True}, holds_itself=True),
+    Shot("scara", "Adept Cobra 600, a SCARA", "scara",
+         {"scara.show_arrows": True}, holds_itself=True),
+    Shot("stanford", "Stanford arm: a prismatic joint", "stanford",
+         {"stanford.show_arrows": True}, holds_itself=True),
+    Shot("five_bar", "A five-bar of two serial legs", "five_bar", played_by=PARALLEL),
+    Shot("stewart", "A Stewart platform of six serial legs: do they close?", "stewart",
+         played_by=PARALLEL),
+    Shot("torques", "Round arrows: a push, and the joints that feel it", "impedance_push",
+         at=3.2, group=FEATURES),
+    Shot("torque_error", "Torque error: commanded less measured", LWR, {
+        "lwr.show_arrows": True, "lwr.arrow_quantity": "torque_error",
+        "lwr.torques": [0, 40, 5, -20, 2, -4, 0],
+        "lwr.commanded_torques": [20, -10, 15, 10, -12, 6, 5],
+    }, group=FEATURES),
+    Shot("singularity", "Nearness to a singularity: the arm is almost stretched",
+         "singularity_pass", at=3.0, group=FEATURES),
+    Shot("billboards", "Billboards: angles and torques at every joint", LWR, {
+        "lwr.show_billboards": True, "lwr.torques": [2.1, 38.6, 4.2, -17.9, 0.6, -3.2, 0.1],
+        "lwr.billboard_lines": [
+            {"value": "joint_angles", "unit": "deg", "scale": 57.29578, "decimals": 1}, "torques",
+        ],
+    }, group=FEATURES),
+    Shot("path", "Transparent doubles: the way to a target", LWR + """
+[doubles.plan]
+of = "lwr"
+path = [[0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0], [1.6, 0.9, 0.0, -0.9, 0.0, 0.9, 0.0]]
+""", group=FEATURES),
+    Shot("smart_arrows", "Smart arrows: force and moment at the flange", LWR + """
+[arrows.force]
+kind = "force"
+at = "lwr/flange"
+expressed_in = "world"
+vector = [12.0, -18.0, -30.0]
+[arrows.moment]
+kind = "torque"
+at = "lwr/flange"
+vector = [0.0, 3.0, 5.0]
+""", group=FEATURES),
+    Shot("axes", "Axes of base, joints and flange", LWR, {"lwr.show_axes": True}, group=FEATURES),
+    Shot("flange_check", "Flange check: two legs that should meet, and do not", """
+[robots.left]
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.30], [0, 0.24, 0, 0]]
+flange_frame = { xyz = [0.30, 0.0, 0.0] }
+base_frame = { xyz = [-0.15, 0.0, 0.0] }
+joint_angles = [1.712, -1.292]
+[robots.right]
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.30], [0, 0.24, 0, 0], [0, 0.30, 0, 0]]
+base_frame = { xyz = [0.15, 0.0, 0.0] }
+joint_angles = [0.828, 1.721, -2.029]
+[routes]
+"right.flange_check" = "left/flange"
+""", camera="60,-40,1.4", group=FEATURES),
+    Shot("position_mode", "Position mode: doubles at commanded poses", "haptic_position",
+         at=2.5, group=FEATURES),
+    Shot("dark", "Dark, for slides", LWR + '[view]\nlook = "dark"\n', {
+        "lwr.show_arrows": True, "lwr.show_billboards": True,
+    }, holds_itself=True, group=FEATURES),
+)  # fmt: skip
+
+
+def scene_of(shot: Shot) -> Scene:
+    """Returns the scene of a picture, its robots held against gravity where that is wanted."""
+    if "\n" not in shot.scene:
+        return _held(load_scene(shot.scene, shot.overrides), shot, shot.scene)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"{shot.name}.toml"
+        file.write_text(shot.scene, "utf-8")
+        return _held(load_scene(file, shot.overrides), shot, str(file))
+
+
+def _held(scene: Scene, shot: Shot, name: str) -> Scene:
+    if not shot.holds_itself:
+        return scene
+    torques = {}
+    for robot in scene.robots.values():
+        world = World(Scene(robots=[robot], floor=False), dynamic=True)
+        data = world.make_data()
+        mujoco.mj_forward(world.model, data)  # at rest, so that the bias is gravity's
+        torques[f"{robot.name}.torques"] = data.qfrc_bias[: robot.n].tolist()
+    return load_scene(name, {**shot.overrides, **torques})
+
+
+def make_page(shots: Sequence[Shot] = SHOTS) -> str:
+    """Returns the text of the page."""
+    about = "`make gallery` makes these pictures; `docs/gallery.py` lists them."
+    lines = ["# Gallery", "", about, ""]
+    for group in (SYSTEMS, FEATURES):
+        lines += [f"## {group}", ""]
+        for shot in shots:
+            if shot.group == group:
+                lines += [f"![{shot.caption}](pictures/gallery/{shot.name}.png)", shot.caption, ""]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+@contextmanager
+def _sender(shot: Shot) -> Iterator[None]:
+    """Sends the packets of a live scene, as long as its picture takes."""
+    if shot.played_by is None:
+        yield
+        return
+    script = DOCS.parent / "scenes" / shot.played_by
+    with subprocess.Popen([sys.executable, str(script), shot.scene]) as process:
+        yield
+        process.terminate()
+
+
+def main(names: Sequence[str]) -> None:
+    """Makes all pictures, or those named, and the page."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for shot in SHOTS:
+        if not names or shot.name in names:
+            file = PICTURES / f"{shot.name}.png"
+            with _sender(shot):
+                render_picture(scene_of(shot), file, size=SIZE, camera=shot.camera, at=shot.at)
+            print(file)
+    PAGE.write_text(make_page(), "utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

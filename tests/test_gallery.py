@@ -1,0 +1,47 @@
+"""The gallery: its page is what its list says, and nothing that is shipped is missing."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from types import ModuleType
+
+import pytest
+from conftest import ROOT
+
+from sero_mj import paths
+from sero_mj.show.headless.render import render_picture
+
+
+@pytest.fixture(scope="module")
+def gallery() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("gallery", ROOT / "docs" / "gallery.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["gallery"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_page_and_pictures_are_those_of_the_list(gallery):
+    names = [shot.name for shot in gallery.SHOTS]
+    assert len(set(names)) == len(names)
+    assert {path.stem for path in gallery.PICTURES.glob("*.png")} == {*names}
+    assert gallery.PAGE.read_text("utf-8") == gallery.make_page(), "run make gallery"
+
+
+def test_every_shot_can_be_made_and_every_shipped_robot_is_shown(gallery):
+    shown = set()
+    for shot in gallery.SHOTS:
+        scene = gallery.scene_of(shot)
+        shown |= {robot._model.parent.name for robot in scene.robots.values() if robot._model}
+        if shot.holds_itself:
+            assert any(abs(robot.torques).max() > 0.1 for robot in scene.robots.values())
+    assert shown == {*paths.list_models()}
+
+
+@pytest.mark.gl
+def test_a_shot_makes_its_picture(gallery, tmp_path):
+    (shot,) = [shot for shot in gallery.SHOTS if shot.name == "flange_check"]
+    file = tmp_path / "flange_check.png"
+    render_picture(gallery.scene_of(shot), file, size=(300, 220), camera=shot.camera)
+    assert file.stat().st_size > 5000
