@@ -23,6 +23,10 @@ _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 _TYPED_ROTATION_TOLERANCE = 1e-3
 
 
+# At the xz plane, a frame T becomes MIRROR @ T @ MIRROR.
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
 def rotation_about(axis: int, angle: float | Array) -> Array:
     """Rotation matrices about one coordinate axis.
 

@@ -5,12 +5,17 @@ Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint i turns a
 
 Sources: Craig, Introduction to Robotics, eq. 3.6 (modified); Denavit and Hartenberg 1955 as in
 Spong et al., Robot Modeling and Control, eq. 3.10 (standard). Frame 0 is the base; the joint
-angle q_i is added to theta_i (revolute) or to d_i (prismatic).
+joint angle q_i is added to theta_i (revolute) or to d_i (prismatic).
+
+Mirrored at the xz plane, a frame T becomes S T S with S = diag(1, -1, 1, 1). S turns the signs of
+alpha and theta (S Rx(alpha) S = Rx(-alpha), S Rz(theta) S = Rz(-theta)), and leaves Tx and Tz as
+they are: the mirror image of a table is one with these two negated, whose revolute joints turn the
+other way.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -34,6 +39,8 @@ class DhTable:
         theta: joint offsets, (n,), rad.
         d: link offsets, (n,), m.
         revolute: True for revolute joints, False for prismatic ones, (n,) bool.
+        sign: -1 for joints that turn against their z axis, those of a mirrored robot, else 1, (n,);
+            None for 1 throughout.
     """
 
     convention: Convention
@@ -42,6 +49,7 @@ class DhTable:
     theta: Array
     d: Array
     revolute: Bools
+    sign: Array | None = None
 
     @classmethod
     def from_rows(
@@ -68,6 +76,19 @@ class DhTable:
     def __len__(self) -> int:
         return len(self.alpha)
 
+    def mirrored(self) -> DhTable:
+        """Returns the table of the mirror image at the base's xz plane.
+
+        At equal joint values its frames are S T S of those of this one, S = diag(1, -1, 1, 1).
+        """
+        sign = np.where(self.revolute, -1.0, 1.0) * self.signs
+        return replace(self, alpha=-self.alpha, theta=-self.theta, sign=sign)
+
+    @property
+    def signs(self) -> Array:
+        """`sign`, (n,)."""
+        return np.ones(len(self)) if self.sign is None else self.sign
+
     def link_transforms(self, joint_angles: ArrayLike) -> Array:
         """Returns the transform of every row at the given joint angles.
 
@@ -85,6 +106,7 @@ class DhTable:
             raise ValueError(
                 f"joint_angles: found {q.shape}; expected {len(self)} in the last axis"
             )
+        q = q if self.sign is None else q * self.sign
         theta = self.theta + np.where(self.revolute, q, 0.0)
         d = self.d + np.where(self.revolute, 0.0, q)
         ca, sa = np.cos(self.alpha), np.sin(self.alpha)
@@ -121,6 +143,8 @@ class DhTable:
     def joint_axes(self, frames: Array) -> tuple[Array, Array]:
         """Returns every joint axis as a direction and a point, in the coordinates of `frames`.
 
+        Joint values grow about, or along, the direction.
+
         Args:
             frames: what `frames()` returned, (..., n + 1, 4, 4).
 
@@ -128,7 +152,7 @@ class DhTable:
             directions (..., n, 3) of unit length and points (..., n, 3) in m.
         """
         carrying = frames[..., 1:, :, :] if self.convention == "craig" else frames[..., :-1, :, :]
-        return carrying[..., :3, 2], carrying[..., :3, 3]
+        return carrying[..., :3, 2] * self.signs[:, None], carrying[..., :3, 3]
 
     def jacobian(
         self,

@@ -187,12 +187,12 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
         # Site of arrows and billboards; its z is the joint's axis in both conventions.
         body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(_joint_centre(robot, i)))
-    flange = body.add_body(name="flange", **pose(robot.flange_frame))
+    flange = body.add_body(name="flange", **pose(robot.T_n_flange))
     flange.add_site(name="flange_frame", group=SITE_GROUP)
     wrong_children: list[Problem] = []
-    for k, child in enumerate(robot.children):
+    for k, (child, T) in enumerate(zip(robot.children, robot.child_frames, strict=True)):
         with collect(wrong_children, f"children.{k}"):
-            _add_object(root, flange, child, child.frame)
+            _add_object(root, flange, child, T, mirrored=robot.mirrored)
     if wrong_children or problems:
         raise DeclarationError(wrong_children + problems)
     return root
@@ -200,9 +200,12 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
 
 def _joint_axis_frame(robot: SerialRobot, i: int) -> Array:
     """Returns the frame (4, 4) in body i + 1 whose z is the axis of joint i."""
-    if robot.dh_convention == "craig":
-        return np.eye(4)
-    return frames.inverse(robot.dh.link_transforms(np.zeros(robot.n))[i])
+    table = robot.dh
+    T = np.eye(4)
+    if robot.dh_convention == "standard":
+        T = frames.inverse(table.link_transforms(np.zeros(robot.n))[i])
+    # The joints of a mirrored robot turn against z of their frames.
+    return T if table.signs[i] > 0 else T @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def _joint_centre(robot: SerialRobot, i: int) -> Array:
@@ -215,14 +218,14 @@ def _link_geoms(
 ) -> list[list[dict[str, Any]]]:
     """Returns the visible geoms of the base and every link: mesh files, or generated shapes."""
     if not robot.filenames:
-        shapes = generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
+        shapes = generate_shapes(robot.dh, robot.T_n_flange, robot.strokes)
         return [[{"rgba": shape.rgba, **shape_geom(shape)} for shape in link] for link in shapes]
     links: list[list[dict[str, Any]]] = [[] for _ in robot.filenames]
     for i, meshes in enumerate(robot.filenames):
         for k, mesh in enumerate(meshes):
             with collect(problems, f"filenames.{i}"):
                 path = Path(robot.directory) / mesh.file
-                asset = mesh_asset(root, f"link{i}_{k}", path, robot.mesh_scale)
+                asset = mesh_asset(root, f"link{i}_{k}", path, robot.mesh_scales)
                 rgba = SHELL if mesh.color is None else robot.colors[mesh.color]
                 links[i].append({"type": MESH, "meshname": asset, "rgba": rgba})
     return links
@@ -350,7 +353,9 @@ def _look_axes(forward: Array) -> Array:
     return np.concatenate([right, np.cross(right, forward)])
 
 
-def _add_object(root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Array) -> None:
+def _add_object(
+    root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Array, *, mirrored: bool = False
+) -> None:
     if item.mjcf is not None:
         _attach(root, body, as_spec(item.mjcf, Path(item.directory)), item.name, T)
         return
@@ -361,7 +366,8 @@ def _add_object(root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Arra
     if item.mesh is not None:
         path = Path(item.directory) / item.mesh
         try:
-            asset = mesh_asset(root, f"object_{item.name}", path, item.mesh_scale)
+            scale = item.mesh_scale * (frames.MIRROR.diagonal()[:3] if mirrored else 1.0)
+            asset = mesh_asset(root, f"object_{item.name}", path, scale)
         except DeclarationError as error:
             raise DeclarationError([p.inside("mesh") for p in error.problems]) from error
         kind = {"type": MESH, "meshname": asset}
@@ -395,7 +401,7 @@ def _add_double(
     near plane, far plane and shadows for a scene of a kilometre.
     """
     rows = body_names(double, robot)
-    shapes = [] if robot.filenames else generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
+    shapes = [] if robot.filenames else generate_shapes(robot.dh, robot.T_n_flange, robot.strokes)
     at_zero = robot.dh.frames(np.zeros(robot.n), T_world_base)
     for names, share in zip(rows, path_fade(len(rows)), strict=True):
         look = {"rgba": double.rgba * [1, 1, 1, share], "group": DOUBLE_GROUP}
@@ -414,7 +420,7 @@ def _add_double(
         body.add_site(name=centre, group=SITE_GROUP, **pose(_joint_centre(robot, i)))
         if i == robot.n - 1:
             flange = f"double-{double.name}-flange"
-            body.add_site(name=flange, group=SITE_GROUP, **pose(robot.flange_frame))
+            body.add_site(name=flange, group=SITE_GROUP, **pose(robot.T_n_flange))
 
 
 def _meshes(root: mujoco.MjSpec, robot: SerialRobot, i: int) -> list[dict[str, Any]]:
@@ -424,6 +430,6 @@ def _meshes(root: mujoco.MjSpec, robot: SerialRobot, i: int) -> list[dict[str, A
         name = f"double-{robot.name}-link{i}-{k}"
         if root.mesh(name) is None:
             path = Path(robot.directory) / mesh.file
-            mesh_asset(root, name, path, _SHRINK * robot.mesh_scale)
+            mesh_asset(root, name, path, _SHRINK * robot.mesh_scales)
         geoms.append({"type": MESH, "meshname": name})
     return geoms

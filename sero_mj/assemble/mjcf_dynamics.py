@@ -153,7 +153,7 @@ def _add_hulls(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | Non
 
 def _links_near_base(robot: SerialRobot) -> Bools:
     """Returns which links are so close to the base that they may overlap its mount, (n + 1,)."""
-    near = 2.5 * housing_radii(robot.dh, robot.flange_frame)[0]
+    near = 2.5 * housing_radii(robot.dh, robot.T_n_flange)[0]
     along = np.concatenate([[0.0], np.cumsum(np.abs(robot.dh.a) + np.abs(robot.dh.d))])
     return np.asarray((along < near) | (np.arange(robot.n + 1) < 2))
 
@@ -161,7 +161,7 @@ def _links_near_base(robot: SerialRobot) -> Bools:
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     """Excludes collisions between links of one housing, in a scene with the robot attached."""
     bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
-    near = _ONE_HOUSING * housing_radii(robot.dh, robot.flange_frame)[0]
+    near = _ONE_HOUSING * housing_radii(robot.dh, robot.T_n_flange)[0]
     steps = np.abs(robot.dh.a) + np.abs(robot.dh.d)
     ends_before = robot.dh_convention == "standard"
     for i, k in combinations(range(robot.n + 1), 2):

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import DeclarationError, Problem
 from ..frames import Array
@@ -133,8 +134,14 @@ def pose(T: Array) -> dict[str, Array]:
     return {"pos": T[:3, 3], "quat": quat}
 
 
-def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: float) -> str:
-    """Adds a mesh file to the assets and returns the mesh's name; `scale` is m per unit.
+def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike) -> str:
+    """Adds a mesh file to the assets and returns the mesh's name.
+
+    Args:
+        spec: gets it.
+        name: of the mesh.
+        path: of the file.
+        scale: m per unit, one number or along x, y and z; negative ones mirror it.
 
     Raises:
         DeclarationError: the file cannot be read.
@@ -145,7 +152,7 @@ def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: float) -> str:
         raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
     # Inertia by the convex hull, so that a mesh with holes has a mass; drawing is not affected.
     file = add_file(spec, path, contents)
-    spec.add_mesh(name=name, file=file, scale=[scale] * 3, inertia=_CONVEX)
+    spec.add_mesh(name=name, file=file, scale=np.broadcast_to(scale, 3), inertia=_CONVEX)
     return name
 
 

@@ -86,9 +86,10 @@ def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
         return frames[..., 0, :, :]
     if label.startswith("link") and label[4:].isdigit():
         return frames[..., int(label[4:]), :, :]
-    flange = frames[..., -1, :, :] @ robot.flange_frame
-    children = {child.name: child.frame for child in robot.children}
-    return flange if label == "flange" else flange @ children[label]
+    flange = frames[..., -1, :, :] @ robot.T_n_flange
+    names = [child.name for child in robot.children]
+    T = flange if label == "flange" else flange @ robot.child_frames[names.index(label)]
+    return np.asarray(T)
 
 
 def base_frames(

@@ -19,7 +19,7 @@ from pydantic import (
 from .. import paths
 from ..declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
 from ..errors import DeclarationError
-from ..frames import Array
+from ..frames import MIRROR, Array
 from ..toml_file import key_lines, located, read_toml
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, is_overridden, merge_tables
@@ -81,6 +81,10 @@ class SerialRobot(Declaration):
         mount: the frame of another robot that carries its base, e.g. `arm/flange`; None for one
             that stands in the world.
         base_frame: T_world_base, or T_mount_base of a mounted robot.
+        mirrored: whether it is the mirror image at the xz plane of its base of the robot that all
+            other fields describe, a left arm of a right one. Equal joint values are mirrored poses,
+            and equal torques hold them. With S = diag(1, -1, 1, 1) every frame T becomes S T S, so
+            z of its joint frames points against the sense in which joints turn.
         flange_frame: T_n_flange, from the last joint's frame.
         joint_angles: (n,), initial pose, used until something is received.
         children: objects fixed to the flange.
@@ -133,6 +137,7 @@ class SerialRobot(Declaration):
     filenames: list[Annotated[list[LinkMesh], BeforeValidator(as_link_meshes)]] = []
     mesh_scale: float = Field(1.0, gt=0)
     mount: str | None = None
+    mirrored: bool = False
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
     joint_angles: Vector | None = None
@@ -219,6 +224,14 @@ class SerialRobot(Declaration):
         check_line_values(lines, info.data.get("inputs", []))
         return lines
 
+    @model_validator(mode="after")
+    def _can_be_mirrored(self) -> SerialRobot:
+        pieces = [child.name for child in self.children if child.mjcf is not None]
+        if self.mirrored and pieces:
+            message = f"the child '{pieces[0]}' is MJCF, which cannot be mirrored"
+            raise ValueError(f"mirrored: {message}; expected shapes and meshes")
+        return self
+
     @field_validator("filenames")
     @classmethod
     def _one_per_link(cls, links: list[list[LinkMesh]], info: ValidationInfo) -> Any:
@@ -251,9 +264,26 @@ class SerialRobot(Declaration):
     def dh(self) -> DhTable:
         """Its Denavit-Hartenberg table."""
         revolute = [kind == "revolute" for kind in self.types]
-        return DhTable.from_rows(
+        table = DhTable.from_rows(
             self.dh_params, self.dh_convention, tuple(self.dh_columns), revolute
         )
+        return table.mirrored() if self.mirrored else table
+
+    @property
+    def T_n_flange(self) -> Array:
+        """Frame of the flange in that of the last joint, (4, 4), m: `flange_frame`, or mirrored."""
+        return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
+
+    @property
+    def child_frames(self) -> list[Array]:
+        """T_flange_child (4, 4) of every child, m: as declared, or mirrored."""
+        frames = [child.frame for child in self.children]
+        return [MIRROR @ frame @ MIRROR for frame in frames] if self.mirrored else frames
+
+    @property
+    def mesh_scales(self) -> Array:
+        """M per unit of the mesh files, (3,), along x, y and z; negative where it is mirrored."""
+        return self.mesh_scale * (MIRROR.diagonal()[:3] if self.mirrored else np.ones(3))
 
     @property
     def n(self) -> int:
@@ -275,7 +305,7 @@ class SerialRobot(Declaration):
         """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes."""
         if self.filenames or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
-        return _CLEAR_OF_HOUSING * housing_radii(self.dh, self.flange_frame)
+        return _CLEAR_OF_HOUSING * housing_radii(self.dh, self.T_n_flange)
 
     @property
     def arrow_width_scales(self) -> Array:
@@ -295,7 +325,7 @@ class SerialRobot(Declaration):
         """Length of the axes, m: as declared, else in proportion to generated shapes."""
         if self.filenames or "axes_size" in self.model_fields_set:
             return self.axes_size
-        return 4.0 * float(housing_radii(self.dh, self.flange_frame)[0])
+        return 4.0 * float(housing_radii(self.dh, self.T_n_flange)[0])
 
     @property
     def strokes(self) -> Array:
@@ -320,13 +350,16 @@ class SerialRobot(Declaration):
         """`offsets_to_center_of_joints` (n, 3): as declared, else at the generated housings.
 
         These are at the origins of Craig's frames. A standard frame is at the other end of the
-        row's d, often a whole pedestal away from the joint.
+        row's d, often a whole pedestal away from the joint. Of a mirrored robot they are in the
+        frames whose z is the axis about which its joints turn.
         """
-        if self.offsets_to_center_of_joints is not None:
-            return self.offsets_to_center_of_joints
         offsets = np.zeros((self.n, 3))
-        if self.dh_convention == "standard" and not self.filenames:
+        if self.offsets_to_center_of_joints is not None:
+            offsets = self.offsets_to_center_of_joints
+        elif self.dh_convention == "standard" and not self.filenames:
             offsets[:, 2] = np.where(self.dh.revolute, self.dh.d, 0.0)
+        if self.mirrored:
+            offsets = offsets * np.where(self.dh.revolute[:, None], [1, 1, -1], [1, -1, 1])
         return offsets
 
     @property
@@ -341,7 +374,7 @@ class SerialRobot(Declaration):
             joint_angles: (..., n), rad or m; the declared ones when None.
         """
         q = self.home if joint_angles is None else joint_angles
-        return np.asarray(self.dh.frames(q)[..., -1, :, :] @ self.flange_frame)
+        return np.asarray(self.dh.frames(q)[..., -1, :, :] @ self.T_n_flange)
 
 
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:

@@ -6,7 +6,7 @@ MuJoCo computes volumes, centres of mass and tensors; the density is declared or
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import frames
 from ..errors import DeclarationError, Problem, collect
-from ..frames import Array
+from ..frames import MIRROR, Array
 from .dynamics import rotate_tensors
 from .mjcf_elements import MESH, hull_asset, mesh_asset, shape_geom
 from .robot import SerialRobot
@@ -82,6 +82,8 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
         DeclarationError: a mesh file cannot be read, or joints are elastic without an inertia.
         ValueError: MuJoCo cannot compile a mesh.
     """
+    if robot.mirrored:
+        return _mirrored(robot_dynamics(robot.model_copy(update={"mirrored": False})))
     declared = robot.dynamics
     hulls = _link_hulls(robot)
     estimated = []
@@ -112,6 +114,17 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
     damping = given("joint_damping", 2 * _DAMPING_RATIO * np.sqrt(stiffness * motor))
     return RobotDynamics(
         *links, motor, viscous, coulomb, stiffness, damping, tuple(estimated), hulls
+    )
+
+
+def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
+    """Returns the parameters of the mirror image of a robot."""
+    S = MIRROR[:3, :3]
+    return replace(
+        dynamics,
+        centers=dynamics.centers @ S,
+        tensors=S @ dynamics.tensors @ S,
+        hulls=[None if hull is None else hull @ S for hull in dynamics.hulls],
     )
 
 
