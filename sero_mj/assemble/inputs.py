@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from ..declaration import numbers
 from ..frames import Array, frame_from
+from .couplings import CoupledJoints
+from .robot import SerialRobot
 from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS
 from .scene import Scene, SceneToggles
 
@@ -57,12 +59,14 @@ class Input:
         kind: `angles` move a robot or double, `values` are shown at joints, a `pose` moves a
             base, an object or a camera, a `frame` is stored, a `vector` is shown by an arrow, a
             `toggle` turns a feature on or off.
+        coupled: which joints follow which, where some do; values of the others suffice then.
     """
 
     name: str
     key: str
     shape: tuple[int, ...]
     kind: InputKind
+    coupled: CoupledJoints | None = field(default=None, compare=False)
 
     @property
     def target(self) -> str:
@@ -78,7 +82,10 @@ class Input:
     def meaning(self) -> str:
         """Description of the values, for messages."""
         if self.kind in ("angles", "values"):
-            return f"{self.count}, one per joint"
+            per_joint = f"{self.count}, one per joint"
+            if self.coupled is None:
+                return per_joint
+            return f"{per_joint}, or {self.coupled.k} without the coupled ones"
         if self.key == "arrow_quantity":
             return f"1 number, or one of {', '.join(ARROW_QUANTITIES)}"
         return {"vector": "3: x, y, z", "toggle": "1 number"}.get(self.kind, "a 4 x 4 frame")
@@ -91,18 +98,21 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
     def add(name: str, shape: tuple[int, ...], kind: InputKind, *keys: str) -> None:
         inputs.extend(Input(name, key, shape, kind) for key in keys)
 
+    def add_per_joint(name: str, robot: SerialRobot) -> None:
+        coupled = robot.coupled if robot.couplings else None
+        keys = [*VALUE_INPUTS, *robot.inputs]
+        inputs.append(Input(name, "joint_angles", (robot.n,), "angles", coupled))
+        inputs.extend(Input(name, key, (robot.n,), "values", coupled) for key in keys)
+
     for name, robot in scene.robots.items():
-        add(name, (robot.n,), "angles", "joint_angles")
-        add(name, (robot.n,), "values", *VALUE_INPUTS, *robot.inputs)
+        add_per_joint(name, robot)
         if robot.mount is None:  # else what carries it moves it
             add(name, (4, 4), "pose", "base_frame")
         add(name, (4, 4), "frame", "flange_check")
         add(name, (1,), "toggle", *OWNER_TOGGLES)
     for name, double in scene.doubles.items():
         if double.of in scene.robots and double.path is None:
-            robot = scene.robots[double.of]
-            add(name, (robot.n,), "angles", "joint_angles")
-            add(name, (robot.n,), "values", *VALUE_INPUTS, *robot.inputs)
+            add_per_joint(name, scene.robots[double.of])
             add(name, (1,), "toggle", *OWNER_TOGGLES)
         add(name, (1,), "toggle", "visible")
     for name in scene.arrows:
@@ -152,7 +162,7 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
 def to_array(item: Input, values: Any) -> Array:
     """Returns the values of an input as an array (k,) or more; empty where they are no numbers.
 
-    The name of an arrow quantity is its index.
+    The name of an arrow quantity is its index, and coupled joints that are missing are added.
     """
     if isinstance(values, str) and item.key == "arrow_quantity" and values in ARROW_QUANTITIES:
         values = ARROW_QUANTITIES.index(values)
@@ -160,9 +170,12 @@ def to_array(item: Input, values: Any) -> Array:
         return np.empty(0)
     try:
         array = np.asarray(values, dtype=np.float64)
-        return array if array.ndim else array[None]
+        array = array if array.ndim else array[None]
     except (TypeError, ValueError):
         return np.empty(0)
+    if item.coupled is None or array.shape != (item.coupled.k,):
+        return array
+    return item.coupled.full(item.key, array)
 
 
 def to_frame(target: str, values: Array) -> Array:

@@ -36,6 +36,9 @@ _RUBBER = [1.0, 0.005, 1e-4]
 # a sliding probe chatters: its force alternates between 0 and twice the mean every few steps.
 _SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
 _TIME_CONSTANT = [0.03, 1.0]
+COUPLING = "-coupling"  # behind a joint's name: the constraint that couples it
+# Gears and tendons that couple joints give way by 1e-4 rad at most.
+_GEAR = {"solref": [0.004, 1.0], "solimp": [0.99, 0.9999, 1e-4, 0.5, 2.0]}
 # Joint limits are soft, as rubber end stops are.
 _STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
@@ -75,6 +78,14 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
             setattr(joint, key, value)
         if robot.elastic_joints:
             _add_deflection(piece, body, joint, robot, dynamics, i)
+    coupled = robot.coupled
+    for i, source in enumerate(coupled.independent[coupled.source].tolist()):
+        if i != source:
+            coupling = piece.add_equality(
+                name=f"{robot.names[i]}{COUPLING}", type=mujoco.mjtEq.mjEQ_JOINT,
+                name1=robot.names[i], name2=robot.names[source], **_GEAR,
+            )  # fmt: skip
+            coupling.data[:2] = coupled.offset[i], coupled.ratio[i]
     _add_hulls(piece, robot, dynamics.hulls)
     # Only a fixed body may be massless; this one is fixed to the last link.
     piece.body("flange").add_body(name=PAYLOAD)

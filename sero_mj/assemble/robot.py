@@ -21,6 +21,7 @@ from ..declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
 from ..errors import DeclarationError
 from ..frames import MIRROR, Array
 from ..toml_file import key_lines, located, read_toml
+from .couplings import CoupledJoints, Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, is_overridden, merge_tables
 from .robot_parts import (
@@ -44,6 +45,7 @@ from .robot_parts import (
 from .shapes import housing_radii
 from .surroundings import set_directory
 
+_COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
 _CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
 
 
@@ -65,6 +67,8 @@ class SerialRobot(Declaration):
             nothing else.
         joint_types: n times `revolute` or `prismatic`.
         joint_names: n names; J1, J2, ... by default.
+        couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
+            Inputs and `joint_angles` then take values of the independent joints alone as well.
         position_limits: (n, 2), lower and upper, rad or m.
         position_limits_deg: the same in degrees; converted to position_limits.
         velocity_limits: (n,), rad/s or m/s.
@@ -124,6 +128,7 @@ class SerialRobot(Declaration):
     dh_params: Annotated[Array, of_shape(None, 4)] = np.zeros((1, 4))
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
     joint_names: JointNames | None = None
+    couplings: dict[str, Coupling] = {}
     position_limits: Ranges = None
     position_limits_deg: Ranges = None
     velocity_limits: Limits = None
@@ -180,11 +185,24 @@ class SerialRobot(Declaration):
     @classmethod
     def _one_per_joint(cls, value: Any, info: ValidationInfo) -> Any:
         rows = info.data.get("dh_params")  # missing when dh_params itself is invalid
+        if info.field_name == "joint_angles" and value is not None and rows is not None:
+            value = _with_coupled(value, info)
         if value is not None and rows is not None and len(value) != len(rows):
             raise ValueError(
                 f"found {len(value)} entries; expected {len(rows)}, one per row of dh_params"
             )
         return value
+
+    @field_validator("couplings")
+    @classmethod
+    def _joints_to_couple_exist(
+        cls, couplings: dict[str, Coupling], info: ValidationInfo
+    ) -> dict[str, Coupling]:
+        if "dh_params" in info.data and "joint_names" in info.data:
+            problems = coupling_problems(_joint_names(info.data), couplings)
+            if problems:
+                raise DeclarationError(problems)
+        return couplings
 
     @field_validator("dynamics")
     @classmethod
@@ -364,8 +382,15 @@ class SerialRobot(Declaration):
 
     @property
     def home(self) -> Array:
-        """Initial joint angles (n,), rad or m: as declared, else zeros."""
-        return np.zeros(self.n) if self.joint_angles is None else self.joint_angles
+        """Initial joint angles (n,), rad or m: as declared, else zeros where joints are free."""
+        if self.joint_angles is not None:
+            return self.joint_angles
+        return self.coupled.positions(np.zeros(self.coupled.k))
+
+    @property
+    def coupled(self) -> CoupledJoints:
+        """Which joints follow which."""
+        return coupled_joints(self.names, self.couplings)
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
         """Returns T_base_flange by `dh`, (..., 4, 4), translation in m.
@@ -375,6 +400,35 @@ class SerialRobot(Declaration):
         """
         q = self.home if joint_angles is None else joint_angles
         return np.asarray(self.dh.frames(q)[..., -1, :, :] @ self.T_n_flange)
+
+
+def _joint_names(fields: Mapping[str, Any]) -> list[str]:
+    names: list[str] | None = fields["joint_names"]
+    return names or [f"J{i + 1}" for i in range(len(fields["dh_params"]))]
+
+
+def _with_coupled(joint_angles: Array, info: ValidationInfo) -> Array:
+    """Returns the angles of all joints, given these or those of the independent ones.
+
+    Raises:
+        ValueError: a coupled joint is given, and elsewhere than its coupling has it.
+    """
+    if not info.data.get("couplings") or "joint_names" not in info.data:
+        return joint_angles
+    names = _joint_names(info.data)
+    coupled = coupled_joints(names, info.data["couplings"])
+    if len(joint_angles) == coupled.k:
+        return coupled.positions(joint_angles)
+    if len(joint_angles) == coupled.n:
+        right = coupled.positions(joint_angles[coupled.independent])
+        for name, found, expected in zip(names, joint_angles, right, strict=True):
+            if abs(found - expected) > _COUPLED_WITHIN:
+                raise ValueError(
+                    f"found {found:g} for {name}; its coupling has it at {expected:g}: leave it out"
+                )
+        return joint_angles
+    count = f"{coupled.n}, one per row of dh_params, or {coupled.k} without the coupled joints"
+    raise ValueError(f"found {len(joint_angles)} entries; expected {count}")
 
 
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:

@@ -252,11 +252,13 @@ class Scene:
                 near = did_you_mean(double.of, self.declared("robots"))
                 problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
             elif double.of in self.robots:
-                n = self.robots[double.of].n
+                coupled = self.robots[double.of].coupled
                 for key in ("joint_angles", "path", *VALUE_INPUTS):
                     value = getattr(double, key)
-                    if value is not None and value.shape[-1] != n:
-                        message = f"found {value.shape[-1]} joints; {double.of} has {n}"
+                    if value is not None and value.shape[-1] not in (coupled.n, coupled.k):
+                        message = f"found {value.shape[-1]} joints; {double.of} has {coupled.n}"
+                        if coupled.is_coupled:
+                            message += f", {coupled.k} without the coupled ones"
                         problems.append(Problem(f"doubles.{name}.{key}", message))
             lines = double.billboard_lines
             if lines is not None and double.of in self.robots:

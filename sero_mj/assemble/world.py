@@ -248,7 +248,9 @@ class World(WorldView):
                 mocap=self.model.body_mocapid[bodies].astype(np.intp),
                 bodies=bodies,
                 frames=self.model.body_mocapid[frames].astype(np.intp),
-                path=None if double.path is None else double.poses(),
+                path=None
+                if double.path is None
+                else robot.robot.coupled.full("joint_angles", double.poses()),
                 joints=slice(start, start + len(frames)),
             )
             start += len(frames)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from ..assemble.couplings import CoupledJoints
 from ..assemble.robot import SerialRobot
 from ..declaration import Declaration, Frame, Vector, of_shape
 from ..errors import DeclarationError, Problem
@@ -65,6 +66,17 @@ class CartesianMotion:
     accelerations: Array
 
 
+def _coupled(motion: Motion, coupled: CoupledJoints) -> Motion:
+    """The motion with coupled joints where the others have them."""
+    free = coupled.independent
+    return Motion(
+        motion.times,
+        coupled.positions(motion.angles[:, free]),
+        coupled.rates(motion.velocities[:, free]),
+        coupled.rates(motion.accelerations[:, free]),
+    )
+
+
 class Law(Declaration, ABC):
     """Base of the declarations of target motions."""
 
@@ -98,6 +110,8 @@ class JointLaw(Law):
             DeclarationError: it does not fit the robot, or leaves its limits: by joint and time.
         """
         motion = self.motion(np.asarray(times, float), robot, np.asarray(start, float))
+        if robot.couplings:
+            motion = _coupled(motion, robot.coupled)
         problems = beyond_limits(motion, robot)
         ramp = getattr(self, "ramp", None)
         if problems and ramp and not beyond_limits(motion.since(ramp), robot):

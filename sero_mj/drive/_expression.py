@@ -24,7 +24,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
-from math import isfinite
+from math import isfinite, isnan
 from operator import add
 from typing import Any, NoReturn
 
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from ..assemble.scene import NOT, Token, tokens_of
 from ..errors import RouteError
+from ..frames import Array, Ints
 from ._units import LENGTH, NONE, Dimension, describe
 from .route import Affine, Origin, Term, make_affine
 
@@ -255,6 +256,29 @@ class Value:
     def is_constant(self) -> bool:
         """Whether nothing received is in it."""
         return not any(entry.terms for entry in self.entries.flat)
+
+    def gather(self, take: Ints, factors: Array, constants: Array) -> Value:
+        """Returns the numbers (m,): those at `take`, times factors, plus constants.
+
+        A constant of NaN makes it no data, whatever is received.
+
+        Args:
+            take: (m,), which numbers, row by row.
+            factors: (m,); where these are other than 1 a number loses its unit.
+            constants: (m,).
+        """
+        flat = self.entries.ravel()
+        entries = np.empty(len(take), dtype=object)
+        for i, (index, factor, constant) in enumerate(
+            zip(take.tolist(), factors.tolist(), constants.tolist(), strict=True)
+        ):
+            entry: _Number = flat[index]
+            if factor != 1.0 or constant != 0.0:
+                known = () if isnan(constant) else entry.terms
+                entry = _Number(entry.offset, NONE, known).times(_Number(factor))
+                entry = _Number(entry.offset + constant, NONE, entry.terms)
+            entries[i] = entry
+        return Value(entries, sizes=self.sizes)
 
     def compile(self, count: int) -> Affine:
         """Returns what runs with every packet; a constant number is repeated `count` times."""

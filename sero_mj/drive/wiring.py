@@ -18,6 +18,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Self
 
 from ..assemble.cartesian import WORLD
+from ..assemble.couplings import CoupledJoints
 from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
 from ..assemble.mounts import carriers, mount_circles
 from ..assemble.scene import NOT, Scene, names_in
@@ -209,6 +210,8 @@ class _RouteChecker:
             value = evaluate(expression, known)
         except RouteError as error:
             raise DeclarationError([Problem("", str(error))]) from None
+        if item.coupled is not None and value.shape and value.entries.size == item.coupled.k:
+            value = _with_coupled(value, item, item.coupled)
         message = _wrong_shape(value, item) or _wrong_unit(value, item, units_of(self._scene, item))
         if message:
             raise DeclarationError([Problem("", f"{text} {message}")])
@@ -329,6 +332,12 @@ class _RouteChecker:
             if near is not None:
                 return f"unit '{owner}'; did you mean '{near}'?"
         return f"source '{owner}'{did_you_mean(owner, sources)}"
+
+
+def _with_coupled(value: Value, item: Input, coupled: CoupledJoints) -> Value:
+    """Values of all joints, from those of the independent ones."""
+    factors, constants = coupled.factors(item.key), coupled.constants(item.key)
+    return value.gather(coupled.source, factors, constants)
 
 
 def _wrong_shape(value: Value, item: Input) -> str:

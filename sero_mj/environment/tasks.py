@@ -93,6 +93,7 @@ class AgentRobot:
         torques = np.full(robot.n, np.inf) if robot.torque_limits is None else robot.torque_limits
         for _ in range(_MAX_TRIES):
             angles = rng.uniform(low + gap, high - gap)
+            angles = robot.coupled.positions(angles[robot.coupled.independent])
             data.qpos[part.qpos] = angles
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)

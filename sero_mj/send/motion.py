@@ -56,16 +56,20 @@ class SineMotion:
         if robot.velocity_limits is not None:
             swing = np.minimum(swing, 0.8 * robot.velocity_limits / self._omega)
         self._swing = swing
+        self._coupled = robot.coupled if robot.couplings else None
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
         """Joint positions, velocities and accelerations (n,) at time t (s)."""
         angle = self._omega * t + self._phase
         sin, cos = np.sin(angle), np.cos(angle)
-        return (
-            self._centre + self._swing * sin,
-            self._swing * self._omega * cos,
-            -self._swing * self._omega**2 * sin,
-        )
+        position = self._centre + self._swing * sin
+        velocity = self._swing * self._omega * cos
+        acceleration = -self._swing * self._omega**2 * sin
+        if self._coupled is not None:
+            free, rates = self._coupled.independent, self._coupled.rates
+            position = self._coupled.positions(position[free])
+            velocity, acceleration = rates(velocity[free]), rates(acceleration[free])
+        return position, velocity, acceleration
 
 
 class InverseDynamics:

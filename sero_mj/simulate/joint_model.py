@@ -11,7 +11,8 @@ Elastic: motor and link have an angle each, and the sensor reads the spring and 
 
 Both are what acted during the last step, to rounding: accelerations are differences of velocity,
 viscous friction and spring act as MuJoCo's integrator took them (velocities at the step's end,
-angles at its start), and Coulomb friction is what its solver found, also where it holds.
+angles at its start), and Coulomb friction is what its solver found, also where it holds. The gear
+or tendon of coupled joints is on the motors' side: what it carries goes through the sensors.
 
 With the LWR's assumed springs, motors that are shaken by 8 Nm, and steps of 1 ms, angles are within
 2e-5 rad and torques within 0.1 Nm of those with steps of 10 us.
@@ -28,7 +29,7 @@ import mujoco
 import numpy as np
 from mujoco import mj_step, mj_step1, mj_step2
 
-from ..assemble.mjcf_dynamics import deflection_joint, spring_damping
+from ..assemble.mjcf_dynamics import COUPLING, deflection_joint, spring_damping
 from ..assemble.world import World
 from ..frames import Array, Ints
 
@@ -118,7 +119,25 @@ class JointModel:
         self.given: Array = np.zeros(self.n)
         self._rubbing = np.zeros(0, np.intp)
         self._friction: Array = np.zeros(0)
+        self._find_couplings()
         self.refresh()
+
+    def _find_couplings(self) -> None:
+        """Finds the constraints of coupled joints: their rows, and what a row's force does."""
+        model = self._model
+        couplings: list[int] = []
+        self._coupled_dofs: list[tuple[int, int, float]] = []  # which follows which, by what ratio
+        for name, part in self._world.robots.items():
+            coupled = part.robot.coupled
+            for i, source in enumerate(coupled.independent[coupled.source].tolist()):
+                if i != source:
+                    couplings.append(model.equality(f"{name}/{part.robot.names[i]}{COUPLING}").id)
+                    ratio = float(coupled.ratio[i])
+                    self._coupled_dofs.append((int(part.dofs[i]), int(part.dofs[source]), ratio))
+        # Equality constraints stand first and in their order; all are active from the start on.
+        ids = self._data.efc_id[: self._data.ne].tolist()
+        self._coupling_rows = np.array([ids.index(each) for each in couplings], np.intp)
+        self._coupling: Array = np.zeros(len(couplings))
 
     def _watch(self, array: Array, index: Index) -> Array:
         watched = array[index]
@@ -145,14 +164,18 @@ class JointModel:
         self._friction[:] = friction[self._rubbing]
 
     def _arrange(self) -> None:
-        """Lays out what the sensors feel: [q, dq before; torques; q, dq after; friction]."""
+        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction]."""
         model, n = self._model, self.n
-        sizes = np.array([model.nq, model.nv, n, model.nq, model.nv, len(self._rubbing)])
+        kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
+        sizes = np.array([*kinds, len(self._rubbing)])
         ends = np.cumsum(sizes)
         self._terms: Array = np.zeros(ends[-1])
-        q_before, dq_before, given, q_after, dq_after, friction = np.split(self._terms, ends[:-1])
+        q_before, dq_before, given, q_after, dq_after, coupling, friction = np.split(
+            self._terms, ends[:-1]
+        )
         given[:] = self.given
-        self.given, self._friction = given, friction
+        coupling[:] = self._coupling
+        self.given, self._coupling, self._friction = given, coupling, friction
         self._after = slice(ends[2], ends[4])
         self._readings_of: Array = np.zeros((3 * n, len(self._terms)))
         self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
@@ -160,7 +183,7 @@ class JointModel:
 
     def _fill(self, readings: Array, first: Sequence[int]) -> None:
         """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""
-        q_before, dq_before, given, q_after, dq_after, friction = first
+        q_before, dq_before, given, q_after, dq_after, coupling, friction = first
         model, dofs, springs = self._model, self.sensor_dofs, self._elastic_rows
         angles, velocities, torques = readings
         rows = np.arange(self.n)
@@ -174,6 +197,11 @@ class JointModel:
         torques[springs, q_before + self._spring_q] = -self._spring_stiffness
         torques[rows, dq_before + dofs] = inertia
         torques[rows, dq_after + dofs] = -(inertia + model.dof_damping[dofs])
+        # A row's constraint is q - ratio * q_source - offset = 0: its force acts by that slope.
+        slopes = self._couples_at = np.zeros((self.n, len(self._coupled_dofs)))
+        for row, (follows, source, ratio) in enumerate(self._coupled_dofs):
+            slopes[:, row] = (dofs == follows) - ratio * (dofs == source)
+        torques[:, coupling:friction] = slopes
         torques[:, friction:] = self._rubs_at = dofs[:, None] == self._rubbing
 
     def load_springs(self) -> None:
@@ -204,6 +232,8 @@ class JointModel:
         if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
             return False
         q_after[...], dq_after[...] = self._qpos, self._qvel
+        if len(self._coupling):
+            self._coupling[...] = data.efc_force[self._coupling_rows]
         if rubs := len(friction):
             # Coulomb friction is there until the next `mj_step1`; its rows stand behind those of
             # equality constraints, and before all others.
@@ -227,7 +257,8 @@ class JointModel:
             pushes: what acted by pushes, (nv,).
         """
         outer = pushes + self._data.qfrc_constraint
-        return np.asarray(outer[self.sensor_dofs] - self._rubs_at @ self._friction)
+        inner = self._rubs_at @ self._friction + self._couples_at @ self._coupling
+        return np.asarray(outer[self.sensor_dofs] - inner)
 
     def read(self, readings: Array) -> None:
         """Writes what sensors feel of the links: angles, velocities, torques, (3n,)."""
