@@ -8,11 +8,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..toml_file import key_lines, located
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
+from .groups import Group, group_problems, membership
 from .mounts import carrier, mount_problems
 from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
@@ -21,6 +24,7 @@ from .surroundings import Camera, Light, Object, View
 # Maximum number of entries, so that a scene compiles within seconds.
 MOST_ENTRIES = {
     "robots": 200,
+    "groups": 200,
     "doubles": 500,
     "arrows": 1000,
     "frames": 1000,
@@ -63,10 +67,12 @@ class Scene:
 
     Args:
         robots: by name.
+        groups: ordered groups of robots, which routes and switches serve together.
         sources: by name; a table with `kind` and its fields, or a source object.
         routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
             (`udp.values0[0:7] * deg`), or numbers; stored as text.
-        doubles: transparent doubles of the robots.
+        doubles: transparent doubles of the robots; one of a group becomes one of each of its
+            robots, `DOUBLE_ROBOT`.
         arrows: Cartesian vectors, shown by smart arrows.
         frames: received frames.
         objects: fixed objects.
@@ -89,6 +95,7 @@ class Scene:
         self,
         *,
         robots: list[SerialRobot] | None = None,
+        groups: list[Group] | None = None,
         sources: Mapping[str, Any] | None = None,
         routes: Mapping[str, Any] | None = None,
         doubles: list[Double] | None = None,
@@ -110,6 +117,7 @@ class Scene:
             robots = [robots]
         problems = [
             *_not_of_type(SerialRobot, robots=robots),
+            *_not_of_type(Group, groups=groups),
             *_not_of_type(Double, doubles=doubles),
             *_not_of_type(SmartArrow, arrows=arrows),
             *_not_of_type(ReceivedFrame, frames=frames),
@@ -123,7 +131,9 @@ class Scene:
         if problems:
             raise DeclarationError(problems)
         self.robots: dict[str, SerialRobot] = {}
-        self.doubles = {double.name: double for double in doubles or []}
+        self.groups = {group.name: group for group in groups or []}
+        self.membership = membership({name: group.robots for name, group in self.groups.items()})
+        self._group_problems: list[Problem] = []
         self.arrows = {arrow.name: arrow for arrow in arrows or []}
         self.frames = {frame.name: frame for frame in frames or []}
         self.sources = dict(sources or {})
@@ -141,6 +151,10 @@ class Scene:
         self.broken = frozenset(broken)
         for robot in robots or []:
             self.add(robot)
+        self.doubles: dict[str, Double] = {}
+        self.double_groups: dict[str, list[str]] = {}  # names of the doubles of a group's robots
+        for double in doubles or []:
+            self._add_double(double)
         problems = self.problems()
         if problems and file is None:
             raise DeclarationError(problems)
@@ -154,8 +168,62 @@ class Scene:
         if robot.name in self.robots:
             message = f"two robots have the name '{robot.name}'; expected different names"
             raise DeclarationError([Problem(f"robots.{robot.name}", message)])
-        self.robots[robot.name] = robot
+        self.robots[robot.name] = self._with_defaults(robot)
         return robot
+
+    def _with_defaults(self, robot: SerialRobot) -> SerialRobot:
+        """Returns the robot with the defaults of its groups for what it does not set itself."""
+        own = set(robot.model_fields_set)
+        for name in self.membership.around.get(robot.name, []):  # inner ones first
+            for key, value in self.groups[name].defaults.items():
+                if key not in own:
+                    with collect(self._group_problems, f"groups.{name}"):
+                        changed = robot.model_copy()
+                        setattr(changed, key, value)
+                        robot = changed
+                    own.add(key)
+        return robot
+
+    def _add_double(self, double: Double) -> None:
+        """Adds a double, or those of all robots of a group."""
+        robots = self.membership.members.get(double.of)
+        if robots is None:
+            self.doubles[double.name] = double
+            return
+        known = [self.robots[name] for name in robots if name in self.robots]
+        counts = [np.array([(robot.n, robot.coupled.k) for robot in known]).reshape(-1, 2)]
+        shares: dict[str, list[Any]] = {}
+        for key in ("joint_angles", "path", *VALUE_INPUTS):
+            value = getattr(double, key)
+            if value is None or len(known) < len(robots):
+                continue
+            sizes = next((c for c in counts[0].T if c.sum() == value.shape[-1]), None)
+            if sizes is None:
+                self._group_problems.append(
+                    Problem(f"doubles.{double.name}.{key}", _not_their_sum(value.shape[-1], known))
+                )
+                continue
+            shares[key] = np.split(value, np.cumsum(sizes)[:-1], axis=-1)
+        names = [f"{double.name}_{robot.name}" for robot in known]
+        for i, (name, robot) in enumerate(zip(names, known, strict=True)):
+            share: dict[str, Any] = {key: values[i] for key, values in shares.items()}
+            self.doubles[name] = double.model_copy(update={"name": name, "of": robot.name, **share})
+        self.double_groups[double.name] = names
+
+    def members(self, name: str) -> list[str] | None:
+        """Returns the robots of a group, or the doubles of one of its doubles; None if it is none.
+
+        Members that are declared wrongly, or missing, are among them.
+        """
+        return self.membership.members.get(name, self.double_groups.get(name))
+
+    def routed(self, target: str) -> str | None:
+        """Returns the origin of the route to an input, or to that of its group; None for none."""
+        name, _, key = target.partition(".")
+        doubled = [group for group, names in self.double_groups.items() if name in names]
+        names = [name, *self.membership.around.get(name, []), *doubled]
+        routes = (self.routes.get(f"{each}.{key}") for each in names)
+        return next((origin for origin in routes if origin is not None), None)
 
     def sources_of(self, *targets: str) -> set[str]:
         """Returns the names of the sources that these targets depend on; by default all targets.
@@ -167,13 +235,15 @@ class Scene:
         todo = list(targets or self.routes)
         seen = set(todo)
         while todo:
-            for name in names_in(self.routes[todo.pop()]):
-                source, dot, _ = name.partition(".")
+            for name in names_in(self.routed(todo.pop()) or ""):
+                source, dot, key = name.partition(".")
                 if dot and source in self.sources:
                     found.add(source)
-                elif name in self.routes and name not in seen:
-                    seen.add(name)
-                    todo.append(name)
+                    continue
+                outputs = [name, *(f"{each}.{key}" for each in self.members(source) or [])]
+                new = [each for each in outputs if self.routed(each) and each not in seen]
+                seen.update(new)
+                todo += new
         return found
 
     def named_frames(self) -> dict[str, NamedFrame]:
@@ -195,6 +265,10 @@ class Scene:
         return [
             *self._name_problems(),
             *mount_problems(self.robots, broken),
+            *group_problems(
+                self.groups, self.membership, [*self.declared("robots"), *self.declared("groups")]
+            ),
+            *self._group_problems,
             *self._double_problems(),
             *self._frame_problems(),
         ]
@@ -203,7 +277,13 @@ class Scene:
         """Returns names that are ambiguous in routes."""
         problems = []
         taken = dict.fromkeys(self.robots, "a robot")
-        sections = (("doubles", self.doubles), ("arrows", self.arrows), ("frames", self.frames))
+        doubles = dict.fromkeys([*self.doubles, *self.double_groups])
+        sections: tuple[tuple[str, Collection[str]], ...] = (
+            ("groups", self.groups),
+            ("doubles", doubles),
+            ("arrows", self.arrows),
+            ("frames", self.frames),
+        )
         for section, entries in sections:
             for name in entries:
                 if name in taken:
@@ -248,8 +328,9 @@ class Scene:
         """Returns doubles of robots that do not exist or have another number of joints."""
         problems: list[Problem] = []
         for name, double in self.doubles.items():
-            if not self.declares("robots", double.of):
-                near = did_you_mean(double.of, self.declared("robots"))
+            if not (self.declares("robots", double.of) or self.declares("groups", double.of)):
+                known = [*self.declared("robots"), *self.declared("groups")]
+                near = did_you_mean(double.of, known)
                 problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
             elif double.of in self.robots:
                 coupled = self.robots[double.of].coupled
@@ -270,12 +351,12 @@ class Scene:
 
     def declares(self, section: str, name: str) -> bool:
         """Whether there is such an entry, valid or not; an invalid one is reported elsewhere."""
-        entries = self.robots if section == "robots" else self.sources
+        entries: Mapping[str, Any] = getattr(self, section)
         return name in entries or bool({section, f"{section}.{name}"} & self.broken)
 
     def declared(self, section: str) -> list[str]:
-        """Returns the names in a section (`robots` or `sources`), including invalid entries."""
-        entries = self.robots if section == "robots" else self.sources
+        """Returns the names in a section (`robots`, `sources`, ...), including invalid entries."""
+        entries: Mapping[str, Any] = getattr(self, section)
         broken = [key.partition(".")[2] for key in self.broken if key.startswith(f"{section}.")]
         return [*entries, *broken]
 
@@ -300,6 +381,14 @@ class Scene:
         if f"{section}.{name}.{key.partition('.')[0]}" in lines:
             return problem
         return located(Problem(key, problem.message), model, key_lines(model))
+
+
+def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
+    """Returns what is wrong with so many values for robots together."""
+    total, free = sum(robot.n for robot in robots), sum(robot.coupled.k for robot in robots)
+    each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
+    fewer = f", or {free} without the coupled joints" if free < total else ""
+    return f"found {found} joints; expected {total}: {each}{fewer}"
 
 
 def _not_of_type(

@@ -13,6 +13,7 @@ from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, neare
 from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
+from .groups import Group, membership
 from .robot import SerialRobot, build_robot
 from .scene import Scene, SceneToggles, origin_text
 from .surroundings import Camera, Light, Object, View, set_directory
@@ -61,6 +62,7 @@ class _Reader:
     def scene(self) -> Scene:
         sections: dict[str, Callable[[], Any]] = {
             "robots": lambda: list(self._each("robots", self._robot).values()),
+            "groups": lambda: list(self._each("groups", _named(Group)).values()),
             "sources": lambda: self._each("sources", self._source),
             "routes": self._routes,
             "doubles": lambda: list(self._each("doubles", _named(Double)).values()),
@@ -107,7 +109,12 @@ class _Reader:
             table = self.tables.get(section)
             entries |= table if isinstance(table, dict) else {}
         routes = self.tables.get("routes")
-        if name not in entries:
+        if field and name in (members := self._members()):
+            for robot in members[name]:
+                self.override(f"{robot}.{field}", value)
+            if isinstance(routes, dict):
+                routes.pop(target, None)
+        elif name not in entries:
             near = did_you_mean(name, [known for known in entries if known != "toggles"])
             self.wrong(target, f"no robot '{name}' to set this for{near}")
         elif not field:
@@ -116,6 +123,18 @@ class _Reader:
             entries[name][field] = value
             if isinstance(routes, dict):
                 routes.pop(target, None)
+
+    def _members(self) -> dict[str, list[str]]:
+        """Returns the robots of every group whose table is right in that."""
+        tables = self.tables.get("groups")
+        lists = {
+            group: table["robots"]
+            for group, table in (tables.items() if isinstance(tables, dict) else ())
+            if isinstance(table, dict) and isinstance(table.get("robots"), list)
+        }
+        texts = {group: [each for each in names if isinstance(each, str)]
+                 for group, names in lists.items()}  # fmt: skip
+        return membership(texts).members
 
     def wrong(self, key: str, message: str) -> None:
         self.problems.append(Problem(key, message))

@@ -213,7 +213,8 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
     def comes(key: str) -> bool:
         if key == "torque_error":  # computed from the two
             return comes("commanded_torques") and comes("torques")
-        return f"{declared.name}.{key}" in scene.routes or getattr(declared, key, None) is not None
+        routed = scene.routed(f"{declared.name}.{key}") is not None
+        return routed or getattr(declared, key, None) is not None
 
     if declared.billboard_lines is not None:
         return declared.billboard_lines

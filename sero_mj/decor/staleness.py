@@ -52,7 +52,7 @@ class Staleness:
             targets = [
                 item.target
                 for item in world.inputs.values()
-                if item.name == name and item.kind != "toggle" and item.target in scene.routes
+                if item.name == name and item.kind != "toggle" and scene.routed(item.target)
             ]
             sources = scene.sources_of(*targets) if targets else set()
             if not sources:  # items without routes are as declared and never stale

@@ -280,6 +280,11 @@ class Value:
             entries[i] = entry
         return Value(entries, sizes=self.sizes)
 
+    def split(self, counts: Sequence[int]) -> list[Value]:
+        """Returns its numbers in parts of so many, row by row."""
+        parts = np.split(self.entries.ravel(), np.cumsum(counts)[:-1])
+        return [Value(part, sizes=self.sizes) for part in parts]
+
     def compile(self, count: int) -> Affine:
         """Returns what runs with every packet; a constant number is repeated `count` times."""
         entries = np.broadcast_to(self.entries.ravel(), count)
@@ -316,6 +321,13 @@ def numbers_of(
     ]
     entries = np.array(numbers, dtype=object).reshape(shape)
     return Value(entries, len(shape) == 3, {origin: count})
+
+
+def joined(values: Sequence[Value]) -> Value:
+    """Returns the numbers of values one after the other."""
+    entries = np.concatenate([value.entries.ravel() for value in values])
+    sizes = {origin: size for value in values for origin, size in value.sizes.items()}
+    return Value(entries, sizes=sizes)
 
 
 def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:

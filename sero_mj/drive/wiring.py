@@ -1,7 +1,8 @@
 """Routes: what of which source, robot or frame goes to which input.
 
 route  = target "=" origin
-target = name "." input          lwr.joint_angles, contact.vector, toggles.legend
+target = name "." input          lwr.joint_angles, contact.vector, toggles.legend; of a group each
+                                 robot gets its share of the values, in their order
 origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
                                  `not` negates a toggle
        | frame                   lwr/flange: its pose in the world
@@ -24,7 +25,7 @@ from ..assemble.mounts import carriers, mount_circles
 from ..assemble.scene import NOT, Scene, names_in
 from ..errors import DeclarationError, Problem, RouteError, collect, did_you_mean, nearest
 from ..receive.source import SIGNALS, Source, make_source
-from ._expression import Value, constant, evaluate, numbers_of, parse
+from ._expression import Value, constant, evaluate, joined, numbers_of, parse
 from ._units import UNITS, Dimension, describe, units_of
 from .route import FrameRoute, Origin, Route
 
@@ -72,13 +73,17 @@ def wire(scene: Scene) -> Wiring:
             wiring.sources[name] = make_source(name, declared)
     wiring.problems += _shared_places(wiring.sources)
     checker = _RouteChecker(scene, wiring.sources)
+    led_by: dict[str, str] = {}  # which entry leads to an input, by itself or as a group's
     for target, origin in scene.routes.items():
         with collect(wiring.problems, f"routes.{target}"):
-            route = checker.check(target, origin)
-            if isinstance(route, Route):
-                wiring.routes.append(route)
-            elif route is not None:
-                wiring.frame_routes.append(route)
+            for route in checker.check(target, origin):
+                if (first := led_by.setdefault(route.to.target, target)) != target:
+                    message = f"{route.to.target} has a route already, {first}; remove one of them"
+                    raise DeclarationError([Problem("", message)])
+                if isinstance(route, Route):
+                    wiring.routes.append(route)
+                else:
+                    wiring.frame_routes.append(route)
     _allow_blanks(wiring)
     try:
         wiring.later = _routes_in_order(wiring.routes)
@@ -177,14 +182,49 @@ class _RouteChecker:
         self._owners = {item.name for item in self._outputs.values()}
         self._events: dict[Origin, Value] = {}  # made once: an event may have 65,000 numbers
 
-    def check(self, target: str, origin: str) -> Route | FrameRoute | None:
-        """Returns a checked route, or None where what is wrong with it is reported elsewhere.
+    def check(self, target: str, origin: str) -> list[Route | FrameRoute]:
+        """Returns checked routes: one, or one for each member of a group.
+
+        There is none where what is wrong is reported elsewhere.
 
         Raises:
             DeclarationError: what is wrong with the target, the origin, or both.
         """
-        item = self._input(target)
-        problems = [item] if isinstance(item, Problem) else []
+        name, _, key = target.partition(".")
+        members = self._scene.members(name)
+        if members is None:
+            return self._check([self._input(target)], origin, target)
+        if any(self._scene.is_broken(each) for each in members if each not in self._scene.robots):
+            return []
+        return self._check(self._group_inputs(name, key, members), origin, target)
+
+    def _group_inputs(
+        self, group: str, key: str, members: Sequence[str]
+    ) -> list[Input | Problem | None]:
+        """The inputs of a group's members that a route leads to, or what is wrong with it."""
+        found = {name: self._inputs.get(f"{name}.{key}") for name in members}
+        having = [name for name, item in found.items() if item is not None]
+        if not having:
+            keys = {item.key for item in self._inputs.values() if item.name in members}
+            return [Problem("", f"no input '{key}' of {group}{did_you_mean(key, keys)}")]
+        first = found[having[0]]
+        if first is not None and first.shape == (4, 4):
+            if len(having) > 1:
+                message = f"there is one frame, and {key} of {', '.join(having)}; route to one"
+                return [Problem("", message)]
+            return [first]
+        if len(having) < len(members):
+            lacking = ", ".join(name for name in members if name not in having)
+            message = f"'{key}' is an input of {', '.join(having)}, but not of {lacking}"
+            return [Problem("", f"{message}; expected it in all of {group}")]
+        return list(found.values())
+
+    def _check(
+        self, items: Sequence[Input | Problem | None], origin: str, target: str
+    ) -> list[Route | FrameRoute]:
+        problems = [item for item in items if isinstance(item, Problem)]
+        inputs = [item for item in items if isinstance(item, Input)]
+        item = items[0]
         try:
             expression = parse(origin)
         except RouteError as error:
@@ -196,26 +236,34 @@ class _RouteChecker:
             route = self._frame_route(problems, item, frame)
             if problems:
                 raise DeclarationError(problems)
-            return route
+            return [] if route is None else [route]
         found = {name: self._find(name) for name in names_in(origin)}
         problems += [value for value in found.values() if isinstance(value, Problem)]
         if problems:
             raise DeclarationError(problems)
         known = {name: value for name, value in found.items() if isinstance(value, Value)}
-        if len(known) < len(found) or not isinstance(item, Input):
-            return None
+        if len(known) < len(found) or len(inputs) < len(items):
+            return []
         text = expression.text.strip()
         text = text.removeprefix(NOT).lstrip() if expression.negated else text
         try:
             value = evaluate(expression, known)
         except RouteError as error:
             raise DeclarationError([Problem("", str(error))]) from None
-        if item.coupled is not None and value.shape and value.entries.size == item.coupled.k:
-            value = _with_coupled(value, item, item.coupled)
-        message = _wrong_shape(value, item) or _wrong_unit(value, item, units_of(self._scene, item))
-        if message:
-            raise DeclarationError([Problem("", f"{text} {message}")])
-        return Route(item, text, value.compile(item.count), expression.negated)
+        shares = [value] * len(inputs)
+        if len(inputs) > 1 and inputs[0].kind in ("angles", "values"):
+            shares = _shares(value, inputs, text, target)
+        routes: list[Route | FrameRoute] = []
+        for item, share in zip(inputs, shares, strict=True):
+            full = share
+            if item.coupled is not None and share.shape and share.entries.size == item.coupled.k:
+                full = _with_coupled(share, item, item.coupled)
+            units = units_of(self._scene, item)
+            message = _wrong_shape(full, item) or _wrong_unit(full, item, units)
+            if message:
+                raise DeclarationError([Problem("", f"{text} {message}")])
+            routes.append(Route(item, text, full.compile(item.count), expression.negated))
+        return routes
 
     def _input(self, target: str) -> Input | Problem | None:
         """The input that a route leads to, what is wrong with it, or None where that is known."""
@@ -242,6 +290,7 @@ class _RouteChecker:
         if double is not None:
             return None
         names = [item.name for item in self._inputs.values() if item.name != SCENE]
+        names += [*scene.declared("groups"), *scene.double_groups]
         near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
         return Problem("", f"no robot '{name}'{near}")
 
@@ -284,16 +333,24 @@ class _RouteChecker:
         """What a name stands for, what is wrong with it, or None where that is known."""
         if name in UNITS:
             return constant(*UNITS[name])
-        if self._is_frame(name):
-            message = f"{name} is a 4 x 4 frame, which cannot be indexed or combined"
-            is_known = name in self._frames or self._is_fwd_kin(name)
-            return Problem("", message) if is_known else self._no_frame(name)
+        return self._no_number(name) if self._is_frame(name) else self._numbers(name)
+
+    def _no_number(self, name: str) -> Problem | None:
+        """Says that a name is a frame's; None where its robot is declared wrongly."""
+        message = f"{name} is a 4 x 4 frame, which cannot be indexed or combined"
+        is_known = name in self._frames or self._is_fwd_kin(name)
+        return Problem("", message) if is_known else self._no_frame(name)
+
+    def _numbers(self, name: str) -> Value | Problem | None:
         owner, _, key = name.partition(".")
         if self._scene.declares("sources", owner):
             return self._event(owner, key)
+        members = self._scene.members(owner)
+        if members is not None:
+            return self._group_output(members, key)
         if owner in self._owners or owner in self._scene.robots:
             return self._output(owner, key)
-        if self._scene.is_broken(owner, ("robots", "doubles", "arrows")):
+        if self._scene.is_broken(owner, ("robots", "doubles", "arrows", "groups")):
             return None
         return Problem("", f"no {self._unknown(owner, is_bare=not key)}")
 
@@ -321,6 +378,18 @@ class _RouteChecker:
                 hint += f"; its frames are {name}/flange and so on"
         return Problem("", f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}")
 
+    def _group_output(self, members: Sequence[str], key: str) -> Value | Problem | None:
+        """The values of a group's members one after the other."""
+        found = []
+        for name in members:
+            if name not in self._owners:
+                return None  # declared wrongly, or missing, which is reported elsewhere
+            value = self._output(name, key)
+            if isinstance(value, Problem):
+                return value
+            found.append(value)
+        return joined(found)
+
     def _unknown(self, owner: str, *, is_bare: bool) -> str:
         """A message about an unknown name, with the nearest known one."""
         sources = self._scene.declared("sources")
@@ -332,6 +401,27 @@ class _RouteChecker:
             if near is not None:
                 return f"unit '{owner}'; did you mean '{near}'?"
         return f"source '{owner}'{did_you_mean(owner, sources)}"
+
+
+def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> list[Value]:
+    """The values of a group's members, in order: of all joints, or of the independent ones.
+
+    Raises:
+        DeclarationError: there are as many values of neither.
+    """
+    if value.is_constant and not value.shape:
+        return [value] * len(items)  # one number for all
+    full = [item.count for item in items]
+    free = [item.count if item.coupled is None else item.coupled.k for item in items]
+    found = value.entries.size
+    counts = free if found == sum(free) else full
+    if found != sum(counts) or value.is_frames:
+        many = "1 value" if found == 1 else f"{found} values"
+        each = ", ".join(f"{item.name} {item.count}" for item in items)
+        fewer = f", or {sum(free)} without the coupled joints" if free != full else ""
+        message = f"{text} has {many}; {target} takes {sum(full)}: {each}{fewer}"
+        raise DeclarationError([Problem("", message)])
+    return value.split(counts)
 
 
 def _with_coupled(value: Value, item: Input, coupled: CoupledJoints) -> Value:

@@ -60,7 +60,8 @@ def with_routes(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
     for each in scene.objects:
         if (event := event_of(each.name, "frame")) in layout.columns:
             routes[f"{each.name}.frame"] = f"{SOURCE}.{event}"
-    scene.routes = {**routes, **scene.routes}
+    own = {target: origin for target, origin in routes.items() if scene.routed(target) is None}
+    scene.routes = {**own, **scene.routes}
     return scene
 
 

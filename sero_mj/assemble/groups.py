@@ -1,0 +1,171 @@
+"""`Group`: robots that are moved, switched and shown as one.
+
+A group lists robots and other groups in order. A route to one of its inputs gives each robot its
+share of the values, in that order; a route to one of its switches sets those of all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field
+
+from ..declaration import Declaration, Name
+from ..errors import Problem, did_you_mean
+from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
+
+
+class Group(Declaration):
+    """An ordered group of robots, and defaults for these.
+
+    What is declared of a robot itself, in its model or in its table, counts more than the default
+    of its group, and a group's more than that of the group around it. None is no default.
+
+    Attributes:
+        name: in routes, e.g. `justin` in `justin.joint_angles`.
+        description: one line about it.
+        robots: names of robots and groups, in the order of the values in packets.
+        enable_touch_sensor: this and the following are defaults of the fields of `SerialRobot`.
+        stale_after: s.
+        show_axes: whether coordinate axes are shown.
+        axes_size: m.
+        axes_transparency: 0 opaque to 1 invisible.
+        show_arrows: whether round arrows are shown.
+        arrow_quantity: quantity of the arrows.
+        arrow_dead_band: fraction of the limit.
+        arrow_radius: m.
+        arrow_width_scale: m per Nm.
+        show_billboards: whether billboards are shown.
+        billboard_scale: text height, in units of 0.7 times the picture height.
+        billboard_lines: lines of the billboards.
+        elastic_joints: whether simulated joints are elastic.
+    """
+
+    name: Name
+    description: str = ""
+    robots: list[Name] = Field(min_length=1)
+    enable_touch_sensor: bool | None = None
+    stale_after: float | None = Field(None, gt=0)
+    show_axes: bool | None = None
+    axes_size: float | None = Field(None, gt=0)
+    axes_transparency: float | None = Field(None, ge=0, le=1)
+    show_arrows: bool | None = None
+    arrow_quantity: ArrowQuantity | None = None
+    arrow_dead_band: float | None = Field(None, ge=0, lt=1)
+    arrow_radius: float | None = Field(None, gt=0)
+    arrow_width_scale: float | None = Field(None, gt=0)
+    show_billboards: bool | None = None
+    billboard_scale: float | None = Field(None, gt=0, le=0.5)
+    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(as_billboard_lines)] = (
+        None
+    )
+    elastic_joints: bool | None = None
+
+    @property
+    def defaults(self) -> dict[str, object]:
+        """The defaults that it has, by the robots' field."""
+        fields = [key for key in type(self).model_fields if key not in _OWN]
+        return {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
+
+
+_OWN = ("name", "description", "robots")  # fields that are no defaults
+
+
+@dataclass(frozen=True)
+class Membership:
+    """Which robots are in which groups.
+
+    Attributes:
+        members: names of the robots of every group in their order, those of groups in it included,
+            each once.
+        around: names of the groups around every robot and group, inner ones first.
+        circles: names of groups that are in each other.
+        twice: groups with a robot that is in them twice, and its name.
+    """
+
+    members: dict[str, list[str]]
+    around: dict[str, list[str]]
+    circles: list[list[str]]
+    twice: dict[str, str]
+
+
+def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
+    """Resolves groups of groups.
+
+    Args:
+        groups: names of robots and groups, by the name of their group.
+    """
+    found = Membership({}, {}, [], {})
+
+    def visit(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            found.circles.append(way[way.index(name) :])
+            return []
+        if name in found.members or name not in groups:
+            return found.members.get(name, [name])
+        every = [each for inner in groups[name] for each in visit(inner, [*way, name])]
+        found.members[name] = once = list(dict.fromkeys(every))
+        if len(once) < len(every) and not found.twice.keys() & set(groups[name]):
+            found.twice[name] = next(each for each in once if every.count(each) > 1)
+        return once
+
+    for group in groups:
+        visit(group, [])
+    for name in dict.fromkeys([*groups, *(each for names in groups.values() for each in names)]):
+        around, todo = [], [name]
+        while todo:
+            inner = todo.pop(0)
+            outer = [group for group, names in groups.items() if inner in names]
+            todo += (new := [group for group in outer if group not in around])
+            around += new
+        found.around[name] = around
+    return found
+
+
+def group_problems(
+    groups: Mapping[str, Group], found: Membership, declared: Collection[str]
+) -> list[Problem]:
+    """Returns members that do not exist or come twice, circles, and defaults that contradict.
+
+    Args:
+        groups: by name.
+        found: what `membership` returned.
+        declared: names of all robots and groups, valid or not.
+    """
+    problems = []
+    for name, group in groups.items():
+        for each in dict.fromkeys(group.robots):
+            if each not in declared:
+                near = did_you_mean(each, [known for known in declared if known != name])
+                message = f"no robot or group '{each}'{near}"
+                problems.append(Problem(f"groups.{name}.robots", message))
+    for circle in found.circles:
+        way = " in ".join([*circle, circle[0]][::-1])
+        message = f"groups are in each other in a circle: {way}"
+        problems.append(Problem(f"groups.{circle[0]}.robots", message))
+    for name, each in found.twice.items():
+        message = f"'{each}' is in it twice, so its share of the values is ambiguous"
+        problems.append(Problem(f"groups.{name}.robots", message))
+    for name, around in found.around.items():
+        if name not in groups:
+            problems += _contradictions(groups, found, name, around)
+    return problems
+
+
+def _contradictions(
+    groups: Mapping[str, Group], found: Membership, robot: str, around: list[str]
+) -> list[Problem]:
+    """Returns defaults of a robot on which groups that are not in each other do not agree."""
+    problems = []
+    for one, other in combinations(around, 2):
+        first, second = groups[one].defaults, groups[other].defaults
+        if other in found.around[one] or one in found.around[other]:
+            continue
+        for key in sorted(first.keys() & second.keys()):
+            if first[key] != second[key]:
+                message = f"'{robot}' is in {one} as well, which has another {key}"
+                problems.append(Problem(f"groups.{other}.{key}", message))
+    return problems
