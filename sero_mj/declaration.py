@@ -214,10 +214,17 @@ def _literal(detail: ErrorDetails, kind: type[Declaration]) -> str:
     return f"found {found!r}; expected {expected}" + (near if "did you mean" in near else "")
 
 
+def _too_short(detail: ErrorDetails, kind: type[Declaration]) -> str:
+    least = detail["ctx"]["min_length"]
+    many = "1 entry" if least == 1 else f"{least} entries"
+    return f"found {reprlib.repr(detail['input'])}; expected {many} or more"
+
+
 _MESSAGES: dict[str, Callable[[ErrorDetails, type[Declaration]], str]] = {
     "extra_forbidden": _unknown_key,
     "missing": _missing,
     "literal_error": _literal,
+    "too_short": _too_short,
 }
 
 

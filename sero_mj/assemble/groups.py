@@ -108,7 +108,7 @@ def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
             return found.members.get(name, [name])
         every = [each for inner in groups[name] for each in visit(inner, [*way, name])]
         found.members[name] = once = list(dict.fromkeys(every))
-        if len(once) < len(every) and not found.twice.keys() & set(groups[name]):
+        if len(once) < len(every):
             found.twice[name] = next(each for each in once if every.count(each) > 1)
         return once
 
@@ -139,7 +139,7 @@ def group_problems(
     for name, group in groups.items():
         for each in dict.fromkeys(group.robots):
             if each not in declared:
-                near = did_you_mean(each, [known for known in declared if known != name])
+                near = did_you_mean(each, {known for known in declared if known != name})
                 message = f"no robot or group '{each}'{near}"
                 problems.append(Problem(f"groups.{name}.robots", message))
     for circle in found.circles:

@@ -103,6 +103,8 @@ class DoublePart:
             links; empty for a path.
         path: joint angles of every row, (rows, n); None for a single double.
         joints: its rows in the world's `JointTable`; empty for a path.
+        below: the double of the robot that carries its robot, on which it stands while that has a
+            pose; None where both are not doubles of one group.
     """
 
     double: Double
@@ -112,6 +114,7 @@ class DoublePart:
     frames: Ints
     path: Array | None
     joints: slice
+    below: str | None = None
 
     @property
     def is_compiled(self) -> bool:

@@ -24,6 +24,7 @@ from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults
+from .mounts import carrier
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
@@ -252,9 +253,17 @@ class World(WorldView):
                 if double.path is None
                 else robot.robot.coupled.full("joint_angles", double.poses()),
                 joints=slice(start, start + len(frames)),
+                below=self._double_below(name),
             )
             start += len(frames)
         return parts
+
+    def _double_below(self, name: str) -> str | None:
+        """Returns the double that a double stands on: of the same group, of the robot below."""
+        doubles = self.scene.doubles
+        below = carrier(self.scene.robots[doubles[name].of])
+        beside = next((g for g in self.scene.double_groups.values() if name in g), [])
+        return next((other for other in beside if doubles[other].of == below), None)
 
 
 def _warn_of_lengths(scene: Scene) -> None:

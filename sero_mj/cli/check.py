@@ -58,6 +58,11 @@ def run(options: argparse.Namespace) -> int:
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_TIED, " "))
         print(_unused(name, source, taken), end="")
+    for name in scene.groups:
+        robots = [scene.robots[each] for each in scene.members(name) or []]
+        joints = sum(robot.n for robot in robots)
+        each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
+        print(fill(f"  group   {name}: {joints} joints: {each}", 100, subsequent_indent=" " * 10))
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():

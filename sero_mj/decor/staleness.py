@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mujoco
@@ -41,6 +42,9 @@ class _Routed:
     geoms: NDArray[np.bool_] | None
 
 
+_Labelled = tuple[int, list[str]]  # the body at whose origin a group's label is, and its robots
+
+
 class Staleness:
     """Finds items without fresh data, makes them grey and labels them."""
 
@@ -59,6 +63,7 @@ class Staleness:
                 continue
             slots = [world.slots[f"sources.{source}"].start + _AGE for source in sorted(sources)]
             self._routed.append(_routed_item(world, name, np.array(slots, np.intp)))
+        self._groups = _groups_with_data(world, {item.name for item in self._routed})
         self._owner, self._owners = world.joints.owner, list(world.owners)
         self._soonest = min((item.stale_after for item in self._routed), default=np.inf)
         self._all = np.array(sorted({int(i) for item in self._routed for i in item.ages}), np.intp)
@@ -117,11 +122,20 @@ class Staleness:
         """
         pen.grey = None
         texts: dict[int, list[bytes]] = {}  # labels of a robot and its doubles below each other
+        labels = [(item.name, item.base) for item in self._routed if item.geoms is not None]
+        said = dict(stale)
+        for group, (base, names) in self._groups.items():
+            if names[0] in stale and len({stale.get(name) for name in names}) == 1:
+                labels = [label for label in labels if label[0] not in names]
+                labels.append((group, base))  # one label says it of all
+                said[group] = stale[names[0]]
         for item in self._routed:
             if item.name in stale and item.geoms is not None:
                 pen.grey = item.geoms if pen.grey is None else pen.grey | item.geoms
-                text = f"{item.name}: {stale[item.name]}".encode("ascii", "replace")[:99]
-                texts.setdefault(item.base, []).append(text)
+        for name, base in labels:
+            if name in said:
+                text = f"{name}: {said[name]}".encode("ascii", "replace")[:99]
+                texts.setdefault(base, []).append(text)
         if not texts:
             return []
         anchors, depth = view.project(data.xpos[list(texts)])
@@ -139,6 +153,21 @@ def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
     if not stale:
         return np.zeros(len(names), bool)
     return np.array([name in stale for name in names], bool)
+
+
+def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _Labelled]:
+    """Returns groups that are in no other, with the body for their label and their routed robots.
+
+    The label stands at a robot that no other one carries, if there is one.
+    """
+    found: dict[str, _Labelled] = {}
+    for group, robots in world.scene.membership.members.items():
+        names = [name for name in robots if name in world.robots]
+        moved = [name for name in names if name in routed]
+        if len(moved) > 1 and not world.scene.membership.around.get(group):
+            at = next((name for name in names if world.robots[name].mocap >= 0), names[0])
+            found[group] = int(world.robots[at].bodies[0]), moved
+    return found
 
 
 def _routed_item(world: WorldView, name: str, ages: NDArray[np.intp]) -> _Routed:

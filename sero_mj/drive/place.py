@@ -10,6 +10,7 @@ import numpy as np
 from ..assemble.cartesian import WORLD
 from ..assemble.double import OUT_OF_SIGHT, fade_in
 from ..assemble.inputs import BLANKABLE
+from ..assemble.mounts import mount_pose
 from ..assemble.parts import DoublePart, RobotPart
 from ..assemble.world_view import WorldView
 from ..frames import Array, Ints, frame, inverse, rotation_from_quat
@@ -111,23 +112,51 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
     """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
     if any(part.of.mocap < 0 for part in world.doubles.values()):
         mujoco.mj_kinematics(world.model, data)  # their bases hang on other robots
+    targets: dict[str, Array | None] = {}  # of those that have been asked for
     for name, part in world.doubles.items():
-        robot = part.of
-        base = _base(world, data, robot)
-        dh = robot.dh
-        if part.path is not None:
-            targets = dh.frames(part.path, base)
-        elif data.userdata[world.flags[f"{name}.joint_angles"]] > 0:
-            targets = dh.frames(data.userdata[world.slots[f"{name}.joint_angles"]], base)[None]
-            _set_poses(data, part.frames, targets[0, 1:])
-        else:
+        frames = _targets(world, data, name, targets)
+        if frames is None:
             data.mocap_pos[part.mocap] = data.mocap_pos[part.frames] = OUT_OF_SIGHT
             continue
-        _place(data, part, targets, dh.frames(data.qpos[robot.qpos], base))
+        if part.path is None:
+            _set_poses(data, part.frames, frames[0, 1:])
+        robot = part.of
+        _place(data, part, frames, robot.dh.frames(data.qpos[robot.qpos], _base(data, robot)))
 
 
-def _base(world: WorldView, data: mujoco.MjData, robot: RobotPart) -> Array:
-    """Returns T_world_base (4, 4) of a robot, (4, 4): as received, or where its carrier has it."""
+def _targets(
+    world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
+) -> Array | None:
+    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None where it has no pose.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        name: of the double.
+        known: those of doubles that others stand on are found and kept there.
+    """
+    if name in known:
+        return known[name]
+    part = world.doubles[name]
+    q = part.path
+    if q is None and data.userdata[world.flags[f"{name}.joint_angles"]] > 0:
+        q = data.userdata[world.slots[f"{name}.joint_angles"]][None]
+    if q is None:
+        known[name] = None
+        return None
+    base = _base(data, part.of)
+    if part.below is not None:
+        below = _targets(world, data, part.below, known)
+        if below is not None:
+            label = (part.robot.mount or "").partition("/")[2]
+            base = mount_pose(world.doubles[part.below].robot, label, below)
+            base = base @ part.robot.base_frame
+    known[name] = frames = part.dh.frames(q, base)
+    return frames
+
+
+def _base(data: mujoco.MjData, robot: RobotPart) -> Array:
+    """Returns T_world_base (4, 4) of a robot: as received, or where its carrier has it."""
     if robot.mocap >= 0:
         return frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
     body = robot.bodies[0]

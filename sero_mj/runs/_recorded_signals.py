@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..assemble.double import Double
+from ..assemble.groups import Group
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene, names_in, origin_text
 from ..drive.route import Affine, Origin
@@ -112,6 +113,7 @@ def follow_routes(
     robots: Mapping[str, SerialRobot],
     routes: Mapping[str, Any],
     doubles: Mapping[str, Any],
+    groups: Mapping[str, Any],
 ) -> tuple[dict[str, Array], Array]:
     """Computes the inputs of robots over a recording.
 
@@ -124,6 +126,7 @@ def follow_routes(
         robots: by name.
         routes: input to origin, as a scene has them; those from elsewhere are left out.
         doubles: double to its table; the first double that is moved is its robot's target.
+        groups: group to its table.
 
     Returns:
         signals by event, (T, n), and their times (T,), s since the first row.
@@ -134,10 +137,15 @@ def follow_routes(
     of = {name: str(table["of"]) for name, table in doubles.items()
           if isinstance(table, Mapping) and table.get("of") in robots}  # fmt: skip
     wanted = {name: origin_text(origin) for name, origin in routes.items()}
-    wanted = _possible(wanted, set(robots) | set(of), sources)
+    lists = {name: [each for each in table["robots"] if each in {*robots, *groups}]
+             for name, table in groups.items()
+             if isinstance(table, Mapping) and isinstance(table.get("robots"), list)}  # fmt: skip
+    grouped = [Group(name=name, robots=names) for name, names in lists.items() if names]
+    wanted = _possible(wanted, {*robots, *of, *(group.name for group in grouped)}, sources)
     receivers = {name: receiver_of(recording, name) for name in sources}
     scene = Scene(
         robots=list(robots.values()),
+        groups=grouped,
         doubles=[Double(name=name, of=robot) for name, robot in of.items()],
         sources=receivers,
         routes=wanted,

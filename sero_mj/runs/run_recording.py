@@ -65,7 +65,10 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
             if scene is None
             else {name: {"of": double.of} for name, double in scene.doubles.items()}
         )
-        signals, times = follow_routes(recording, names, robots, routes, doubles)
+        groups = _tables_in(recording, "groups")
+        if scene is not None:
+            groups = {name: {"robots": group.robots} for name, group in scene.groups.items()}
+        signals, times = follow_routes(recording, names, robots, routes, doubles, groups)
         known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
         return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 
-from ...assemble.parts import Owner
 from ...assemble.robot_parts import ARROW_QUANTITIES
 from ...assemble.world_view import WorldView
 from ...decor.quantities import QUANTITY_NAMES
@@ -38,6 +38,26 @@ _ROOM_FOR_TWO = 240.0  # pixels, minimum height with a plot of the error
 _LEAST = 0.5  # Nm or N, minimum half range of a plot
 
 
+def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
+    """Returns the tree in which robots and doubles are listed.
+
+    Each is listed once, in the first of its groups.
+
+    Returns:
+        groups with their members, and what is in no group: groups, robots, doubles.
+    """
+    scene = world.scene
+    declared = {name: group.robots for name, group in scene.groups.items()} | scene.double_groups
+    members: dict[str, list[str]] = {}
+    taken: set[str] = set()
+    for name, names in declared.items():
+        known = [each for each in names if each in declared or each in world.owners]
+        members[name] = [each for each in known if each not in taken]
+        taken.update(members[name])
+    members = {name: names for name, names in members.items() if names}
+    return members, [name for name in (*members, *world.owners) if name not in taken]
+
+
 class RobotPanel:
     """The panel with toggles and size sliders of every robot and double.
 
@@ -51,6 +71,7 @@ class RobotPanel:
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
         self._world, self._toggles = world, toggles
         joints, frames = world.joints, world.frames
+        self._members, self._tops = tree_of_owners(world)
         # Name, array, rows of an owner, and declared values of the sizes that sliders scale.
         self._scaled: list[tuple[str, Array, str, Array]] = [
             ("arrow radius", joints.arrow_radius, "joints", joints.arrow_radius.copy()),
@@ -62,12 +83,11 @@ class RobotPanel:
     def build(self) -> None:
         """Builds the part of the panel with robots, doubles and the scene."""
         world, toggles = self._world, self._toggles
-        for index, (name, owner) in enumerate(world.owners.items()):
+        for index, name in enumerate(self._tops):
             imgui.PushID(name)
-            if imgui.CollapsingHeader(
-                name, _OPEN if index < _MOST_OPEN and name in world.robots else 0
-            ):
-                self._owner(index, owner)
+            is_open = index < _MOST_OPEN and name not in world.doubles
+            if imgui.CollapsingHeader(name, _OPEN if is_open else 0):
+                self._entry(name)
             imgui.PopID()
         self._doubles()
         if imgui.CollapsingHeader("Scene", _OPEN):
@@ -82,9 +102,35 @@ class RobotPanel:
                 self._reset()
             imgui.SetItemTooltip("resets toggles and sizes to those that the scene declares")
 
-    def _owner(self, index: int, owner: Owner) -> None:
-        toggles, joints = self._toggles, owner.joints
-        frames = (self._world.frames.owner == index).nonzero()[0]
+    def _entry(self, name: str) -> None:
+        """Builds the toggles of a robot or double, or of a group with the tree of its members."""
+        owners = self._owners_in(name)
+        self._switches(owners)
+        if name in self._world.owners and imgui.TreeNode("joints"):
+            self._joints(self._world.owners[name].joints)
+            imgui.TreePop()
+        self._sizes(owners)
+        for member in self._members.get(name, []):
+            if imgui.TreeNode(member):
+                self._entry(member)
+                imgui.TreePop()
+
+    def _owners_in(self, name: str) -> list[str]:
+        """Returns the robots and doubles in a group, or the one of that name."""
+        if name not in self._members:
+            return [name]
+        return [owner for each in self._members[name] for owner in self._owners_in(each)]
+
+    def _rows(self, owners: Sequence[str]) -> tuple[Ints, Ints]:
+        """Returns the rows of all joints and of all frames of robots and doubles."""
+        indices = [list(self._world.owners).index(name) for name in owners]
+        joints, frames = self._world.joints.owner, self._world.frames.owner
+        return np.isin(joints, indices).nonzero()[0], np.isin(frames, indices).nonzero()[0]
+
+    def _switches(self, owners: Sequence[str]) -> None:
+        """Builds the toggles of robots and doubles together."""
+        toggles = self._toggles
+        joints, frames = self._rows(owners)
         shown = set(toggles.arrow_quantity[joints].tolist())
         names = [QUANTITY_NAMES[quantity] for quantity in ARROW_QUANTITIES]
         now = shown.pop() if len(shown) == 1 else -1
@@ -101,11 +147,11 @@ class RobotPanel:
             imgui.SameLine(_SLIDER)
             self._check("axes", toggles.axes, frames)
             self._check("names of axes", toggles.frame_names, frames)
-        if imgui.TreeNode("joints"):
-            self._joints(joints)
-            imgui.TreePop()
+
+    def _sizes(self, owners: Sequence[str]) -> None:
+        """Builds the sliders of sizes of robots and doubles together."""
         if imgui.TreeNode("sizes"):
-            rows = {"joints": np.arange(joints.start, joints.stop), "frames": frames}
+            rows = dict(zip(("joints", "frames"), self._rows(owners), strict=True))
             for words, array, which, declared in self._scaled:
                 if len(rows[which]):
                     self._scale(words, array, rows[which], declared)
@@ -130,8 +176,11 @@ class RobotPanel:
         doubles = self._world.doubles
         if not doubles or not imgui.CollapsingHeader("Transparent doubles", _OPEN):
             return
-        for i, name in enumerate(doubles):
-            self._check(f"{name}##double", self._toggles.doubles, slice(i, i + 1))
+        rows = {name: np.array([i]) for i, name in enumerate(doubles)}
+        for group, names in self._world.scene.double_groups.items():
+            rows[group] = np.concatenate([rows.pop(name) for name in names])
+        for name, indices in rows.items():
+            self._check(f"{name}##double", self._toggles.doubles, indices)
 
     @staticmethod
     def _check(words: str, array: Bools, rows: slice | Ints) -> None:

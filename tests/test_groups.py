@@ -1,0 +1,356 @@
+"""Groups of robots: routes that are shared out, switches, defaults and doubles of all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sero_mj import DeclarationError, Double, Mirror, Scene, SerialRobot, World, load_scene
+from sero_mj.assemble.groups import Group
+from sero_mj.decor.billboards import declared_lines
+from sero_mj.decor.toggles import Toggles
+from sero_mj.drive.place import Placer, Router
+from sero_mj.drive.wiring import wire
+from sero_mj.send.play import MotionPackets
+
+COUNTS = {"torso": 2, "left": 3, "right": 3, "head": 1}
+
+
+def robot(name: str, **fields: Any) -> SerialRobot:
+    rows = [[0.0, 0.0, 0.0, 0.3], *[[1.5, 0.1, 0.0, 0.0]] * (COUNTS[name] - 1)]
+    return SerialRobot(name=name, dh_convention="craig", dh_params=rows, **fields)
+
+
+def justin(routes: dict[str, Any] | None = None, structure: str = "9F9F", **fields: Any) -> Scene:
+    """Arms with a coupled joint on a torso, in a group of their own that comes last."""
+    on = {"mount": "torso/flange", "couplings": {"J3": {"to": "J2", "ratio": 2.0}}}
+    return Scene(
+        robots=[
+            robot("left", **on), robot("right", **on),
+            robot("head", mount="torso/link1"), robot("torso"),
+        ],
+        groups=[
+            Group(name="justin", robots=["torso", "head", "arms"], show_arrows=True),
+            Group(name="arms", robots=["left", "right"], billboard_scale=0.07),
+        ],
+        sources={"udp": {"kind": "udp", "port": 0, "structure": structure}},
+        routes=routes or {}, floor=False, **fields,
+    )  # fmt: skip
+
+
+def received(scene: Scene, **values: Any) -> tuple[World, Any]:
+    wiring = wire(scene).check(scene)
+    world = World(scene)
+    data = world.make_data()
+    arrays = {key: np.array(numbers, float) for key, numbers in values.items()}
+    Router(world, wiring.routes).apply(data, {"udp": arrays})
+    Placer(world, wiring).place(data, {"udp": arrays})
+    return world, data
+
+
+def angles(world: World, data: Any) -> dict[str, list[float]]:
+    return {name: data.qpos[part.qpos].tolist() for name, part in world.robots.items()}
+
+
+def told(scene: Scene) -> list[str]:
+    return [str(problem) for problem in wire(scene).problems]
+
+
+def test_a_route_to_a_group_gives_every_robot_its_share_in_order() -> None:
+    scene = justin({"justin.joint_angles": "udp.values0", "justin.torques": "-2 * udp.values1"})
+    world, data = received(scene, values0=np.arange(9.0), values1=np.arange(9.0))
+    assert angles(world, data) == {
+        "torso": [0.0, 1.0], "head": [2.0], "left": [3.0, 4.0, 5.0], "right": [6.0, 7.0, 8.0],
+    }  # fmt: skip
+    assert data.userdata[world.slots["head.torques"]].tolist() == [-4.0]
+    assert data.userdata[world.slots["right.torques"]].tolist() == [-12.0, -14.0, -16.0]
+
+
+def test_coupled_joints_may_be_left_out_of_the_whole_packet() -> None:
+    scene = justin(
+        {"justin.joint_angles": "udp.values0 * deg", "arms.torques": "udp.values1"}, "7F4F"
+    )
+    world, data = received(scene, values0=[0, 1, 2, 3, 4, 5, 6], values1=[1, 2, 3, 4])
+    right = np.rad2deg(data.qpos[world.robots["right"].qpos])
+    np.testing.assert_allclose(right, [5, 6, 12])
+    torques = data.userdata[world.slots["right.torques"]]
+    np.testing.assert_array_equal(torques, [3, 4, np.nan])
+
+
+def test_a_wrong_size_is_told_with_the_count_of_every_robot() -> None:
+    scene = justin({"justin.joint_angles": "udp.values0[0:8]", "justin.torques": "udp.values1"})
+    assert told(scene) == [
+        "routes.justin.joint_angles: udp.values0[0:8] has 8 values; justin.joint_angles takes 9: "
+        "torso 2, head 1, left 3, right 3, or 7 without the coupled joints"
+    ]
+
+
+def test_mistyped_inputs_and_groups_are_told_by_the_users_own_key() -> None:
+    scene = justin({"justin.torqes": "udp.values0", "justn.torques": "udp.values0"})
+    assert told(scene) == [
+        "routes.justin.torqes: no input 'torqes' of justin; did you mean 'torques'?",
+        "routes.justn.torques: no robot 'justn'; did you mean 'justin'?",
+    ]
+
+
+def test_two_routes_to_one_input_are_told() -> None:
+    scene = justin({"justin.torques": "udp.values0", "left.torques": "udp.values1[0:3]"})
+    assert told(scene) == [
+        "routes.left.torques: left.torques has a route already, justin.torques; remove one of them"
+    ]
+
+
+def test_an_input_that_not_all_have_is_told() -> None:
+    robots = [robot("left", inputs=["currents"]), robot("right")]
+    scene = Scene(
+        robots=robots, groups=[Group(name="arms", robots=["left", "right"])],
+        sources={"udp": {"kind": "udp", "port": 0, "structure": "6F"}},
+        routes={"arms.currents": "udp.values0"},
+    )  # fmt: skip
+    assert told(scene) == [
+        "routes.arms.currents: 'currents' is an input of left, but not of right; expected it in "
+        "all of arms"
+    ]
+
+
+def test_the_base_of_a_group_is_that_of_the_robot_that_stands_in_the_world() -> None:
+    scene = justin({"justin.base_frame": "udp.matrices0"}, "1M")
+    T = np.eye(4)
+    T[:3, 3] = 1.0, 2.0, 3.0
+    world, data = received(scene, matrices0=T[None])
+    np.testing.assert_allclose(world.frame(data, "torso/base"), T)
+    np.testing.assert_allclose(world.frame(data, "head/base")[:3, 3], [1.0, 2.0, 3.3])
+
+
+def test_a_switch_of_a_group_is_that_of_all() -> None:
+    scene = justin(
+        {"justin.show_arrows": "not udp.values0", "arms.show_axes": "udp.values1"}, "1F1F"
+    )
+    world, data = received(scene, values0=[1.0], values1=[1.0])
+    toggles = Toggles(world)
+    assert toggles.arrows.all()  # as the group declares
+    toggles.apply_inputs(data)
+    assert not toggles.arrows.any()
+    owners = list(world.owners)
+    shown = {owners[i] for i in world.frames.owner[toggles.axes]}
+    assert shown == {"left", "right"}
+
+
+def test_outputs_of_a_group_can_be_read() -> None:
+    routes = {"left.billboard_values": "arms.joint_angles[3:6]"}
+    routes["right.joint_angles"] = "udp.values0"
+    world, data = received(justin(routes, "3F"), values0=[1.0, 2.0, 3.0])
+    assert data.userdata[world.slots["left.billboard_values"]].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_defaults_count_less_than_what_a_robot_sets_itself() -> None:
+    groups = [
+        Group(name="all", robots=["pair", "head"], show_axes=True, billboard_scale=0.09),
+        Group(name="pair", robots=["left", "right"], billboard_scale=0.07),
+    ]
+    mine = robot("left", show_axes=False)
+    scene = Scene(robots=[mine, robot("right"), robot("head"), robot("torso")], groups=groups)
+    found = {name: (each.show_axes, each.billboard_scale) for name, each in scene.robots.items()}
+    assert found == {
+        "left": (False, 0.07), "right": (True, 0.07), "head": (True, 0.09), "torso": (False, 0.05),
+    }  # fmt: skip
+    assert mine.billboard_scale == 0.05  # what was handed in is left as it is
+
+
+def test_robots_are_stale_and_have_lines_by_the_routes_of_their_group() -> None:
+    scene = justin({"justin.joint_angles": "udp.values0", "arms.torques": "udp.values1"},
+                   "9F6F")  # fmt: skip
+    world = World(scene)
+    assert scene.sources_of("head.joint_angles") == {"udp"}
+    assert scene.sources_of("head.torques") == set()
+    lines = [line.value for line in declared_lines(world.owners["left"], scene)]
+    assert lines == ["torques"]
+    assert [line.value for line in declared_lines(world.owners["head"], scene)] == ["joint_angles"]
+
+
+def test_a_double_of_a_group_is_one_of_every_robot_and_stands_on_itself() -> None:
+    at = np.array([0.4, 0.3, 0.5, 0.1, 0.2, 0.4, 0.3, 0.1, 0.2])
+    double = Double(name="goal", of="justin", joint_angles=at, rgba=[1, 0, 0, 0.5])
+    scene = justin({"goal.visible": "udp.values0"}, "1F", doubles=[double])
+    assert list(scene.doubles) == ["goal_torso", "goal_head", "goal_left", "goal_right"]
+    mirror = Mirror(scene)
+    mirror.advance(0.0)
+    world, data = mirror.world, mirror.data
+    # By hand: the goal's arm stands on the goal's torso, not on the robot's.
+    torso, left = scene.robots["torso"], scene.robots["left"]
+    base = torso.base_frame @ torso.fwd_kin_base_to_flange(at[:2]) @ left.base_frame
+    np.testing.assert_allclose(
+        world.frame(data, "goal_left/flange"), base @ left.fwd_kin_base_to_flange(at[3:6]),
+        atol=1e-12,
+    )  # fmt: skip
+    first = data.xpos[world.doubles["goal_left"].bodies[0, 0]]
+    np.testing.assert_allclose(first, base[:3, 3], atol=1e-12)
+
+
+def test_a_double_without_a_pose_leaves_the_others_on_the_robots() -> None:
+    doubles = [Double(name="goal", of="justin")]
+    scene = justin({"goal_left.joint_angles": "udp.values0"}, "3F", doubles=doubles)
+    world, data = received(scene, values0=[0.1, 0.2, 0.3])
+    torso, left = scene.robots["torso"], scene.robots["left"]
+    base = torso.base_frame @ torso.fwd_kin_base_to_flange(torso.home) @ left.base_frame
+    expected = base @ left.fwd_kin_base_to_flange([0.1, 0.2, 0.3])
+    np.testing.assert_allclose(world.frame(data, "goal_left/flange"), expected, atol=1e-12)
+
+
+def test_a_packet_that_is_played_moves_all_of_a_group() -> None:
+    scene = justin({"justin.joint_angles": "udp.values0", "justin.torques": "udp.values1"})
+    packets = MotionPackets(scene)
+    values = np.frombuffer(packets.at(0.4), "<f8")
+    world, data = received(scene, values0=values[:9], values1=values[9:])
+    found = angles(world, data)
+    assert all(np.abs(values).max() > 0.01 for values in found.values())
+    assert found["left"][2] == pytest.approx(2.0 * found["left"][1])
+    assert np.abs(values[9:]).max() > 0.1  # torques that hold it
+
+
+WRONG = """\
+[robots.a]
+model = "lwr"
+
+[robots.b]
+model = "lwr"
+
+[groups.one]
+robots = ["a", "bb"]
+show_arrows = 3
+
+[groups.two]
+robots = ["a", "three", "cc"]
+
+[groups.three]
+robots = ["b", "four"]
+
+[groups.four]
+robots = ["three"]
+
+[groups.five]
+robots = ["a", "b", "a"]
+show_axes = true
+
+[groups.six]
+robots = ["b"]
+show_axes = false
+
+[groups.c]
+robots = ["b"]
+
+[groups.seven]
+robots = []
+
+[robots.c]
+model = "lwr"
+"""
+
+
+def test_wrong_groups_are_all_told_at_once_with_their_lines(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(WRONG)
+    with pytest.raises(DeclarationError) as caught:
+        load_scene(path)
+    found = [f"{p.line}: {p.key}: {p.message}" for p in caught.value.problems]
+    assert found == [
+        "9: groups.one.show_arrows: found 3; expected true or false",
+        "32: groups.seven.robots: found []; expected 1 entry or more",
+        "28: groups.c: a robot has this name; expected another one",
+        "12: groups.two.robots: no robot or group 'cc'; did you mean 'c'?",
+        "15: groups.three.robots: groups are in each other in a circle: three in four in three",
+        "21: groups.five.robots: 'a' is in it twice, so its share of the values is ambiguous",
+        "26: groups.six.show_axes: 'b' is in five as well, which has another show_axes",
+    ]
+
+
+def test_values_can_be_set_for_a_group_on_the_command_line(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        '[robots.a]\nmodel = "lwr"\nshow_arrows = false\n[robots.b]\nmodel = "lwr"\n'
+        '[groups.pair]\nrobots = ["a", "b"]\n[groups.all]\nrobots = ["pair"]\n'
+        '[sources.udp]\nkind = "udp"\nport = 32000\nstructure = "1F"\n'
+        '[routes]\n"all.show_arrows" = "udp.values0"\n'
+    )
+    scene = load_scene(path, {"all.show_arrows": True})
+    assert [each.show_arrows for each in scene.robots.values()] == [True, True]
+    assert scene.routes == {}
+
+
+def test_deeply_nested_groups_are_resolved_in_no_time() -> None:
+    groups = [Group(name="g0", robots=["head"])]
+    groups += [Group(name=f"g{i}", robots=[f"g{i - 1}"] * 2) for i in range(1, 100)]
+    with pytest.raises(DeclarationError) as caught:
+        Scene(robots=[robot("head")], groups=groups)
+    assert len(caught.value.problems) == 99
+
+
+class Page:
+    """Stands for Dear ImGui: notes what is built, and clicks one checkbox below one entry."""
+
+    def __init__(self, entry: str = "", box: str = "") -> None:
+        self.entry, self.box = entry, box
+        self.way: list[str] = []
+        self.tree: list[str] = []
+
+    def CollapsingHeader(self, name: str, flags: int) -> bool:
+        self.way = [name]
+        self.tree.append(name)
+        return True
+
+    def TreeNode(self, name: str) -> bool:
+        self.way.append(name)
+        if name not in ("joints", "sizes"):
+            self.tree.append("/".join(self.way))
+        return True
+
+    def TreePop(self) -> None:
+        self.way.pop()
+
+    def Checkbox(self, name: str, on: bool) -> tuple[bool, bool]:
+        return ("/".join(self.way), name) == (self.entry, self.box), not on
+
+    def Combo(self, name: str, now: int, names: list[str]) -> tuple[bool, int]:
+        return False, now
+
+    def SliderFloat(self, name: str, now: float, *args: Any) -> tuple[bool, float]:
+        return False, now
+
+    def BeginTable(self, name: str, columns: int) -> bool:
+        return False
+
+    def Button(self, name: str) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *args: None
+
+
+def test_the_page_shows_a_group_as_a_tree_whose_switches_are_those_of_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    panels = pytest.importorskip("sero_mj.show.web._panels")
+    doubles = [Double(name="goal", of="arms", joint_angles=np.zeros(6))]
+    world = World(justin(doubles=doubles))
+    toggles = Toggles(world)
+    panel = panels.RobotPanel(world, toggles)
+    page = Page("justin/arms", "billboards")
+    monkeypatch.setattr(panels, "imgui", page)
+    panel.build()
+    assert page.tree == [
+        "justin", "justin/torso", "justin/head", "justin/arms", "justin/arms/left",
+        "justin/arms/right", "goal", "goal/goal_left", "goal/goal_right", "Transparent doubles",
+        "Scene",
+    ]  # fmt: skip
+    shown = {list(world.owners)[i] for i in world.joints.owner[toggles.billboards]}
+    assert shown == {"left", "right"}
+    page.entry, page.box = "justin", "arrows"
+    panel.build()
+    robots = world.joints.owner < len(world.robots)
+    assert not toggles.arrows[robots].any()
+    page.entry, page.box = "Transparent doubles", "goal##double"
+    panel.build()
+    assert not toggles.doubles.any()
