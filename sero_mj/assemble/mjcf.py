@@ -109,7 +109,11 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
     if dynamics is not None:
         add_dynamics(piece, robot, dynamics)
     if robot.mount is None:
-        _attach(root, root.worldbody, piece, robot.name, robot.base_frame).mocap = True
+        base = _attach(root, root.worldbody, piece, robot.name, robot.base_frame)
+        base.mocap = dynamics is None or not robot.free_base
+        if dynamics is not None and robot.free_base:
+            base.add_freejoint(name=f"{robot.name}/free_base")
+            set_inertia(base, dynamics, 0)
     else:
         at = root.site(_mount_site(robot.mount))
         T_body_mount = frames.frame(frames.rotation_from_quat(at.quat), at.pos)

@@ -163,7 +163,12 @@ def _add_hulls(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | Non
 
 
 def _links_near_base(robot: SerialRobot) -> Bools:
-    """Returns which links are so close to the base that they may overlap its mount, (n + 1,)."""
+    """Returns which links are so close to a base in the world that they may overlap its mount.
+
+    (n + 1,). What moves with its base rests on the floor with all links.
+    """
+    if robot.free_base or robot.mount is not None:
+        return np.zeros(robot.n + 1, bool)
     near = 2.5 * housing_radii(robot.dh, robot.T_n_flange)[0]
     along = np.concatenate([[0.0], np.cumsum(np.abs(robot.dh.a) + np.abs(robot.dh.d))])
     return np.asarray((along < near) | (np.arange(robot.n + 1) < 2))

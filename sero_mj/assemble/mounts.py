@@ -93,20 +93,23 @@ def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
 
 
 def base_frames(
-    robots: Mapping[str, SerialRobot], joint_angles: Mapping[str, ArrayLike] | None = None
+    robots: Mapping[str, SerialRobot],
+    joint_angles: Mapping[str, ArrayLike] | None = None,
+    placed: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
     """Returns T_world_base (..., 4, 4) of every robot, by the DH tables of what carries it.
 
     Args:
         robots: by name.
         joint_angles: (..., n) by name, rad or m; the declared ones where missing.
+        placed: T_world_base (..., 4, 4) of robots that are elsewhere than declared.
     """
     bases: dict[str, Array] = {}
     for name in mount_order(robots):
         robot, given = robots[name], joint_angles or {}
         below = carrier(robot)
         if robot.mount is None or below not in bases:
-            bases[name] = robot.base_frame
+            bases[name] = (placed or {}).get(name, robot.base_frame)
             continue
         parent = robots[below]
         frames = parent.dh.frames(given.get(below, parent.home), bases[below])
@@ -116,9 +119,11 @@ def base_frames(
 
 def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
     """Returns the same robot, standing in the world for itself."""
-    if robot.mount is None and np.array_equal(T_world_base, robot.base_frame):
+    is_fixed = robot.mount is None and not robot.free_base
+    if is_fixed and np.array_equal(T_world_base, robot.base_frame):
         return robot
-    return robot.model_copy(update={"mount": None, "base_frame": T_world_base})
+    alone = {"mount": None, "free_base": False, "base_frame": T_world_base}
+    return robot.model_copy(update=alone)
 
 
 def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]) -> list[Problem]:

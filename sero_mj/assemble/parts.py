@@ -32,10 +32,12 @@ class RobotPart:
         dh: its Denavit-Hartenberg table.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
-        mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 where another robot carries it.
+        mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 where another robot carries it,
+            and where it is free.
         bodies: ids of the base and every link, (n + 1,).
         flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
+        free: index in `qpos` of position and quaternion of a base that is free, (7,); else empty.
     """
 
     robot: SerialRobot
@@ -46,6 +48,7 @@ class RobotPart:
     bodies: Ints
     flange_body: int
     joints: slice
+    free: Ints
 
     @property
     def declared(self) -> SerialRobot:

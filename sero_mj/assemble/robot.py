@@ -85,6 +85,8 @@ class SerialRobot(Declaration):
         mount: the frame of another robot that carries its base, e.g. `arm/flange`; None for one
             that stands in the world.
         base_frame: T_world_base, or T_mount_base of a mounted robot.
+        free_base: whether its base is free in simulation, where it starts at `base_frame`; an
+            input places it in mirroring, as the others.
         mirrored: whether it is the mirror image at the xz plane of its base of the robot that all
             other fields describe, a left arm of a right one. Equal joint values are mirrored poses,
             and equal torques hold them. With S = diag(1, -1, 1, 1) every frame T becomes S T S, so
@@ -143,6 +145,7 @@ class SerialRobot(Declaration):
     mesh_scale: float = Field(1.0, gt=0)
     mount: str | None = None
     mirrored: bool = False
+    free_base: bool = False
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
     joint_angles: Vector | None = None
@@ -241,6 +244,14 @@ class SerialRobot(Declaration):
     def _lines_have_values(cls, lines: Any, info: ValidationInfo) -> Any:
         check_line_values(lines, info.data.get("inputs", []))
         return lines
+
+    @model_validator(mode="after")
+    def _base_is_free_or_mounted(self) -> SerialRobot:
+        if self.free_base and self.mount is not None:
+            raise ValueError(
+                f"free_base: found true with mount = '{self.mount}'; expected one of the two"
+            )
+        return self
 
     @model_validator(mode="after")
     def _can_be_mirrored(self) -> SerialRobot:

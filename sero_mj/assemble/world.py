@@ -215,9 +215,17 @@ class World(WorldView):
                 bodies=np.array(bodies),
                 flange_body=int(flange),
                 joints=slice(start, start + robot.n),
+                free=self._free(bodies[0]),
             )
             start += robot.n
         return parts
+
+    def _free(self, base: int) -> Ints:
+        """Returns the indices in `qpos` of the free joint of a base; empty where it has none."""
+        joint = self.model.body_jntadr[base]
+        if joint < 0:
+            return np.zeros(0, np.intp)
+        return np.arange(7, dtype=np.intp) + int(self.model.jnt_qposadr[joint])
 
     def _measure_without_doubles(self) -> None:
         """Sets the model's extent, which scales near plane, far plane and shadows.

@@ -194,6 +194,7 @@ def found_part(
         qpos=model.jnt_qposadr[tree.joints].astype(np.intp),
         dofs=model.jnt_dofadr[tree.joints].astype(np.intp),
         mocap=-1,
+        free=np.zeros(0, np.intp),
         bodies=bodies,
         flange_body=tree.last,
         joints=slice(start, start + robot.n),

@@ -29,7 +29,9 @@ def _flange(log: RunLog, robot: str, angles: Array) -> Array:
     """T_world_flange, (T, 4, 4); what carries the robot is where it was."""
     declared = log.robots[robot]
     below = {name: _actual(log, name, "angles") for name in carriers(log.robots, robot)}
-    base = base_frames(log.robots, below)[robot]
+    logged = {name: event_of(name, "base_frame") for name in (robot, *below)}
+    placed = {name: log.signals[e] for name, e in logged.items() if e in log.signals}
+    base = base_frames(log.robots, below, placed)[robot]
     return np.asarray(base @ declared.fwd_kin_base_to_flange(angles))
 
 

@@ -215,7 +215,10 @@ def _robot(
     recording: Recording, name: str, table: dict[str, Any], models: Mapping[str, str]
 ) -> SerialRobot:
     model = table.pop("model", None)
-    table.pop("children", None)  # what is fixed to the flange may be in files that are not there
+    # What is fixed to the flange may be in files that are not there; frames for mounts are not.
+    children = table.pop("children", None)
+    if isinstance(children, list):
+        table["children"] = [c for c in children if isinstance(c, Mapping) and c.get("shape")]
     fields = {**table, "name": name}
     if model is None:
         return _built(recording, name, _without_meshes(fields), None)

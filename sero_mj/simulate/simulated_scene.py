@@ -17,7 +17,7 @@ from .simulation import Simulation
 
 SOURCE = "simulation"
 # Inputs that robots get of the log, unless the scene routes something else there.
-_SHOWN = ("joint_angles", "torques", "commanded_torques")
+_SHOWN = ("joint_angles", "torques", "commanded_torques", "base_frame")
 
 
 def simulated_scene(simulation: Simulation) -> Scene:
