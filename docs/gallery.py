@@ -69,25 +69,71 @@ model = "lwr"
 joint_angles = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
 """
 
-# Arms and head of both Justins; the shoulders' height is put in.
-UPPER_BODY = """
+# Where fingers stand in the palm of a right hand, as their robot files have it: position, m, and
+# roll, pitch and yaw by the name of their unit.
+HIT_HAND = {
+    "thumb": ([0.062569, 0.044545, 0.080045], "rpy", [0.41136, -1.08366, 0.225804]),
+    "index": ([-0.00253, 0.0368, 0.108744], "rpy", [3.05433, -1.570796, 0.0]),
+    "middle": ([-0.0037, 0.01, 0.119044], "rpy", [3.14159, -1.570796, 0.0]),
+    "ring": ([-0.00253, -0.0168, 0.114044], "rpy", [-3.05433, -1.570796, 0.0]),
+    "little": ([0.000972, -0.043396, 0.095044], "rpy", [-2.96706, -1.570796, 0.0]),
+}
+DLR_HAND2 = {
+    "thumb": ([0.068, 0.066, 0.108], "rpy_deg", [25, -60, 15]),
+    "index": ([-0.003, 0.045, 0.142], "rpy_deg", [174, -90, 0]),
+    "middle": ([-0.003, 0.0, 0.150], "rpy_deg", [180, -90, 0]),
+    "ring": ([-0.003, -0.045, 0.142], "rpy_deg", [186, -90, 0]),
+}
+Bases = Mapping[str, tuple[Sequence[float], str, Sequence[float]]]
+
+
+def hand(model: str, bases: Bases, bend: Sequence[float], arm: str = "", left: bool = False) -> str:
+    """Returns the text of a hand, on the flange of an arm or standing on its wrist.
+
+    Args:
+        model: of its fingers.
+        bases: where these stand in a right hand.
+        bend: joint angles of every finger, rad.
+        arm: name of the robot that carries it; none when empty.
+        left: whether it is a left hand, the right one in a mirror.
+    """
+    table = f"[[robots.{arm}.children]]" if arm else "[objects.palm]"
+    name = 'name = "palm"\n' if arm else ""
+    palm = "palm_left.xml" if left else "palm.xml"
+    text = f'{table}\n{name}directory = "{DOCS.parent}/models/{model}"\nmjcf = "{palm}"\n'
+    sign = -1 if left else 1
+    for finger, ((x, y, z), unit, (roll, pitch, yaw)) in bases.items():
+        text += (
+            f'[robots.{arm}{finger}]\nmodel = "{model}"\njoint_angles = {list(bend)}\n'
+            f"base_frame = {{ xyz = [{x}, {sign * y}, {z}], "
+            f"{unit} = [{sign * roll}, {pitch}, {sign * yaw}] }}\n"
+        )
+        text += f'mount = "{arm}/flange"\n' if arm else ""
+        text += "mirrored = true\n" if left else ""
+    return text
+
+
+def upper_body(model: str, bases: Bases, bend: Sequence[float]) -> str:
+    """Returns the text of the head, the arms and the hands on a torso, with a view of it all."""
+    arms = "".join(
+        f"""
+[robots.{side}]
+model = "lwr"
+mount = "torso/flange"
+base_frame = {{ xyz = [0.0, {0.19 * sign}, 0.0], rpy_deg = [{-60 * sign}, 0, 0] }}
+joint_angles = [{-1.05 * sign}, 1.05, {0.3 * sign}, -1.5, {-0.6 * sign}, 0.5, {-0.4 * sign}]
+show_arrows = true
+"""
+        + hand(model, bases, bend, side, left=sign > 0)
+        for side, sign in (("left", 1), ("right", -1))
+    )
+    return f"""
 [robots.head]
 model = "justin_head"
-base_frame = {{ xyz = [-0.008, 0.0, {head}] }}
+mount = "torso/flange"
+base_frame = {{ xyz = [-0.008, 0.0, 0.115] }}
 joint_angles = [0.25, 0.2]
-
-[robots.left_arm]
-model = "lwr"
-base_frame = {{ xyz = [0.0, 0.19, {shoulders}], rpy_deg = [-60, 0, 0] }}
-joint_angles = [-1.05, 1.05, 0.0, -1.4, 0.0, 0.7, 0.0]
-show_arrows = true
-
-[robots.right_arm]
-model = "lwr"
-base_frame = {{ xyz = [0.0, -0.19, {shoulders}], rpy_deg = [60, 0, 0] }}
-joint_angles = [1.05, 1.05, 0.0, -1.4, 0.0, 0.7, 0.0]
-show_arrows = true
-
+{arms}
 [view]
 azimuth_deg = 210
 elevation_deg = -10
@@ -97,18 +143,13 @@ look_at = [0.0, 0.0, 0.92]
 [toggles]
 legend = false
 """
-SPACE_JUSTIN = """
-[robots.torso]
-model = "space_justin_torso"
-""" + UPPER_BODY.format(shoulders=1.31, head=1.425)
-JUSTIN = """
-[robots.torso]
-model = "justin_torso"
-show_arrows = true
-""" + UPPER_BODY.format(shoulders=1.41, head=1.525) + "".join(
+
+
+WHEELS = "".join(
     f"""
 [robots.{name}_wheel]
 model = "justin_wheel"
+mount = "torso/base"
 base_frame = {{ xyz = [{x}, {y}, 0.0], rpy_deg = [0, 0, {turn}] }}
 """
     for name, x, y, turn in [
@@ -116,46 +157,40 @@ base_frame = {{ xyz = [{x}, {y}, 0.0], rpy_deg = [0, 0, {turn}] }}
         ("rear_left", -0.36, 0.31, 139.3), ("rear_right", -0.36, -0.31, -139.3),
     ]
 )  # fmt: skip
-
-
-def hand(model: str, bases: Mapping[str, str], bend: Sequence[float], distance: float) -> str:
-    """Returns the text of a scene with a right hand that stands on its wrist.
-
-    Args:
-        model: of its fingers.
-        bases: the text of each finger's base frame, by name.
-        bend: joint angles of every finger, rad.
-        distance: of the camera, m.
-    """
-    palm = f'[objects.palm]\ndirectory = "{DOCS.parent}/models/{model}"\nmjcf = "palm.xml"\n'
-    view = f"[view]\nazimuth_deg = 165\nelevation_deg = -12\ndistance = {distance}\n"
-    fingers = (
-        f'[robots.{name}]\nmodel = "{model}"\nbase_frame = {{ {base} }}\n'
-        f"joint_angles = {list(bend)}\n"
-        for name, base in bases.items()
-    )
-    return palm + view + f"look_at = [0.0, 0.0, {0.18 * distance}]\n" + "".join(fingers)
+JUSTIN = """
+[robots.torso]
+model = "justin_torso"
+joint_angles = [0.0, 0.2, -0.12]
+show_arrows = true
+"""
+SPACE_JUSTIN = """
+[robots.torso]
+model = "space_justin_torso"
+"""
+NEAR = """
+[view]
+azimuth_deg = 165
+elevation_deg = -12
+distance = {distance}
+look_at = [0.0, 0.0, {height}]
+"""
 
 
 SHOTS = (
-    Shot("justin", "Rollin' Justin: approximate, not DLR data", JUSTIN, holds_itself=True),
-    Shot("space_justin", "SpaceJustin: approximate, not DLR data", SPACE_JUSTIN, holds_itself=True),
+    Shot("justin", "Rollin' Justin: approximate, not DLR data",
+         JUSTIN + WHEELS + upper_body("dlr_hand2_finger", DLR_HAND2, [0.0, 0.4, 0.5]),
+         holds_itself=True),
+    Shot("space_justin", "SpaceJustin: approximate, not DLR data",
+         SPACE_JUSTIN + upper_body("hit_finger", HIT_HAND, [0.0, 0.45, 0.45]),
+         holds_itself=True),
     Shot("lwr", "DLR/KUKA LWR, holding itself", "lwr", {
         "lwr.joint_angles": [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0], "lwr.show_arrows": True,
     }, holds_itself=True),
-    Shot("hit_hand", "DLR/HIT Hand II: meshes are approximate, not DLR data", hand("hit_finger", {
-        "thumb": "xyz = [0.062569, 0.044545, 0.080045], rpy = [0.41136, -1.08366, 0.225804]",
-        "index": "xyz = [-0.00253, 0.0368, 0.108744], rpy = [3.05433, -1.570796, 0]",
-        "middle": "xyz = [-0.0037, 0.01, 0.119044], rpy = [3.14159, -1.570796, 0]",
-        "ring": "xyz = [-0.00253, -0.0168, 0.114044], rpy = [-3.05433, -1.570796, 0]",
-        "little": "xyz = [0.000972, -0.043396, 0.095044], rpy = [-2.96706, -1.570796, 0]",
-    }, [0.0, 0.45, 0.45, 0.45], 0.42)),
-    Shot("dlr_hand2", "DLR Hand II: approximate, not DLR data", hand("dlr_hand2_finger", {
-        "thumb": "xyz = [0.068, 0.066, 0.108], rpy_deg = [25, -60, 15]",
-        "index": "xyz = [-0.003, 0.045, 0.142], rpy_deg = [174, -90, 0]",
-        "middle": "xyz = [-0.003, 0.0, 0.150], rpy_deg = [180, -90, 0]",
-        "ring": "xyz = [-0.003, -0.045, 0.142], rpy_deg = [186, -90, 0]",
-    }, [0.0, 0.4, 0.5], 0.56)),
+    Shot("hit_hand", "DLR/HIT Hand II: meshes are approximate, not DLR data",
+         hand("hit_finger", HIT_HAND, [0.0, 0.45, 0.45]) + NEAR.format(distance=0.42, height=0.08)),
+    Shot("dlr_hand2", "DLR Hand II: approximate, not DLR data",
+         hand("dlr_hand2_finger", DLR_HAND2, [0.0, 0.4, 0.5])
+         + NEAR.format(distance=0.56, height=0.1)),
     Shot("biped", "Legs of the DLR Biped: approximate, not DLR data", """
 [robots.left]
 model = "biped_leg"
@@ -248,12 +283,13 @@ def scene_of(shot: Shot) -> Scene:
 def _held(scene: Scene, shot: Shot, name: str) -> Scene:
     if not shot.holds_itself:
         return scene
-    torques = {}
-    for robot in scene.robots.values():
-        world = World(Scene(robots=[robot], floor=False), dynamic=True)
-        data = world.make_data()
-        mujoco.mj_forward(world.model, data)  # at rest, so that the bias is gravity's
-        torques[f"{robot.name}.torques"] = data.qfrc_bias[: robot.n].tolist()
+    world = World(scene, dynamic=True)
+    data = world.make_data()
+    mujoco.mj_forward(world.model, data)  # at rest, so that the bias is gravity's
+    torques = {
+        f"{robot}.torques": data.qfrc_bias[part.dofs].tolist()
+        for robot, part in world.robots.items()
+    }
     return load_scene(name, {**shot.overrides, **torques})
 
 

@@ -154,6 +154,11 @@ def test_biped_stands_flat_on_the_floor_in_its_shipped_pose():
     assert floor[:, 0].min() < -0.05 and floor[:, 0].max() > 0.14
 
 
+def test_the_last_joint_of_a_hit_finger_follows_the_one_before():
+    finger = SerialRobot.from_model("hit_finger", joint_angles=[0.1, 0.5, 0.4])
+    assert finger.home.tolist() == [0.1, 0.5, 0.4, 0.4]
+
+
 # The bases of the fingers of a right hand: eaa3/dlr_hit_hand_ii; this project's for the other.
 HIT = {
     "thumb": ([0.062569, 0.044545, 0.080045], [0.41136, -1.08366, 0.225804]),
