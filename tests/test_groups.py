@@ -7,14 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from decor_tools import labels, toggles_of, view_at
+from source_slots import set_source
 
 from sero_mj import DeclarationError, Double, Mirror, Scene, SerialRobot, World, load_scene
 from sero_mj.assemble.groups import Group
 from sero_mj.decor.billboards import declared_lines
+from sero_mj.decor.draw import Decor
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.place import Placer, Router
 from sero_mj.drive.wiring import wire
 from sero_mj.send.play import MotionPackets
+from sero_mj.simulate.scenario import Scenario
 
 COUNTS = {"torso": 2, "left": 3, "right": 3, "head": 1}
 
@@ -354,3 +358,46 @@ def test_the_page_shows_a_group_as_a_tree_whose_switches_are_those_of_all(
     page.entry, page.box = "Transparent doubles", "goal##double"
     panel.build()
     assert not toggles.doubles.any()
+
+
+def test_controllers_of_a_group_are_those_of_its_robots() -> None:
+    soft, stiff = ({"kind": "joint_impedance", "stiffness": k, "damping": 0.7} for k in (1, 2))
+    free = {"kind": "gravity_compensation"}
+    scenario = Scenario(
+        justin(), controllers={"justin": soft, "arms": stiff, "left": free},
+        targets={"arms": {"kind": "constant"}}, duration=0.1,
+    )  # fmt: skip
+    found = {name: getattr(each, "stiffness", None) for name, each in scenario.controllers.items()}
+    assert found == {"left": None, "right": 2, "head": 1, "torso": 1}
+    assert sorted(scenario.targets) == ["left", "right"]
+    with pytest.raises(DeclarationError) as caught:
+        Scenario(justin(), controllers={"justn": soft, "arms": {"kind": "joint_impedanc"}})
+    assert [str(problem) for problem in caught.value.problems] == [
+        "controllers.arms.kind: no kind 'joint_impedanc'; did you mean 'joint_impedance'?",
+        "controllers.justn: no robot 'justn'; did you mean 'justin'?",
+    ]
+
+
+def test_a_group_without_data_says_so_once_with_its_doubles_below() -> None:
+    routes = {
+        "justin.joint_angles": "udp.values0",
+        "arms.torques": "more.values0",
+        "goal.joint_angles": "other.values0",
+    }
+    scene = justin(routes, "9F", doubles=[Double(name="goal", of="arms")])
+    for name in ("more", "other"):
+        scene.sources[name] = {"kind": "udp", "port": 0, "structure": "6F"}
+    world = World(scene)
+
+    def written(**ages: float) -> list[str]:
+        data = world.make_data()
+        for name in scene.sources:
+            set_source(data, world, name, received=5, age=ages.get(name, 0.1), size=72)
+        Placer(world).place(data)
+        pen = Decor(world).draw(data, toggles_of(world), view_at(distance=4))
+        return sorted(text for text in labels(pen.rows[: pen.count]) if "data" in text)
+
+    assert written(udp=-1, other=2.0) == ["goal: no data for 2.0 s", "justin: no data yet"]
+    assert written(udp=-1) == ["justin: no data yet"]
+    some = written(more=2.0)  # of the arms only, so each says so
+    assert some == ["left: no data for 2.0 s", "right: no data for 2.0 s"]

@@ -156,9 +156,10 @@ def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
 
 
 def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _Labelled]:
-    """Returns groups that are in no other, with the body for their label and their routed robots.
+    """Returns groups with the body for their label and their routed robots or doubles.
 
-    The label stands at a robot that no other one carries, if there is one.
+    They are those in no other group. The label stands at a robot that no other one carries, if
+    there is one, and that of doubles below that of their robots.
     """
     found: dict[str, _Labelled] = {}
     for group, robots in world.scene.membership.members.items():
@@ -167,6 +168,12 @@ def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _L
         if len(moved) > 1 and not world.scene.membership.around.get(group):
             at = next((name for name in names if world.robots[name].mocap >= 0), names[0])
             found[group] = int(world.robots[at].bodies[0]), moved
+    for group, doubles in world.scene.double_groups.items():
+        moved = [name for name in doubles if name in routed]
+        if len(moved) > 1:
+            part = world.doubles[moved[0]].of
+            bases = [base for base, names in found.values() if part.robot.name in names]
+            found[group] = (bases or [int(part.bodies[0])])[0], moved
     return found
 
 

@@ -76,7 +76,8 @@ class Scenario:
     Args:
         scene: robots, objects, and what is shown.
         controllers: robot name to a controller's declaration or table, or to any object with the
-            method `torques` of `Controller`. Robots without one compensate gravity.
+            method `torques` of `Controller`. Robots without one compensate gravity. Under the name
+            of a group these, and the two that follow, are for all its robots without an own entry.
         targets: robot name to a law of motion, in joint space or of the flange.
         sensors: robot name to what its sensors add.
         disturbances: by name.
@@ -124,6 +125,8 @@ class Scenario:
         self.sensors: dict[str, RobotSensors] = each(
             "sensors", sensors, lambda table: _built(RobotSensors, table)
         )
+        for section in (self.controllers, self.targets, self.sensors):
+            _share_out(section, scene)
         self.disturbances: dict[str, Disturbance] = each(
             "disturbances", disturbances, lambda table: by_kind(table, DISTURBANCES, Disturbance)
         )
@@ -157,7 +160,7 @@ class Scenario:
         for section in ("controllers", "targets", "sensors"):
             for name in getattr(self, section):
                 if name not in robots:
-                    near = did_you_mean(name, robots)
+                    near = did_you_mean(name, [*robots, *self.scene.groups])
                     self.problems.append(Problem(f"{section}.{name}", f"no robot '{name}'{near}"))
         for name, disturbance in self.disturbances.items():
             self._check_disturbance(f"disturbances.{name}", disturbance)
@@ -268,6 +271,16 @@ class Scenario:
         if self.problems:
             raise DeclarationError(self.scene.located(self.problems))
         return Sensors(sum(robot.n for robot in self.scene.robots.values()), seed=seed, **merged)
+
+
+def _share_out(section: dict[str, Any], scene: Scene) -> None:
+    """Replaces the entries of groups by entries of their robots; those of inner groups count."""
+    around, members = scene.membership.around, scene.membership.members
+    own = {name: section.pop(name) for name in [*section] if name in members}
+    robots = dict.fromkeys(robot for name in own for robot in members[name])
+    for robot in robots:
+        first = next(group for group in around[robot] if group in own)  # inner ones stand first
+        section.setdefault(robot, own[first])
 
 
 def _built(kind: Any, table: Any) -> Any:
