@@ -38,10 +38,10 @@ def run(options: argparse.Namespace) -> int:
     print("robots (models/)")
     for name in paths.list_models():
         about = tomllib.loads(paths.find_model(name).read_text(encoding="utf-8"))
-        print(f"  {name:14} {about.get('description', '')}")
+        print(f"  {name:18} {about.get('description', '')}")
     print("scenes (scenes/)")
     for name in paths.list_scenes():
-        print(f"  {name:14} {_about(name)}")
+        print(f"  {name:18} {_about(name)}")
     print("scenarios (scenes/scenarios/), for sero-mj simulate")
     for name in paths.list_scenarios():
         about = tomllib.loads(paths.find_scenario(name).read_text(encoding="utf-8"))
