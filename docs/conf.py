@@ -34,8 +34,10 @@ _HERE = Path(__file__).parent
 def _declarations() -> str:
     """Every table of robot, scene and scenario files, from the declarations themselves."""
     from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
+    from sero_mj.assemble.couplings import Coupling
     from sero_mj.assemble.double import Double
     from sero_mj.assemble.dynamics import Dynamics
+    from sero_mj.assemble.groups import Group
     from sero_mj.assemble.robot import SerialRobot
     from sero_mj.assemble.scene import SceneToggles
     from sero_mj.assemble.surroundings import Camera, Light, Object, View
@@ -46,6 +48,8 @@ def _declarations() -> str:
     tables = {
         "robot.toml, or [robots.NAME]": SerialRobot,
         "[dynamics] of a robot": Dynamics,
+        "couplings of a robot, JOINT = { ... }": Coupling,
+        "[groups.NAME]": Group,
         "[doubles.NAME]": Double,
         "[arrows.NAME]": SmartArrow,
         "[frames.NAME]": ReceivedFrame,

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .assemble.dh import DhTable as DhTable
     from .assemble.double import Double as Double
     from .assemble.dynamics import Dynamics as Dynamics
+    from .assemble.groups import Group as Group
     from .assemble.robot import SerialRobot as SerialRobot
     from .assemble.scene import Scene as Scene
     from .assemble.scene import SceneToggles as SceneToggles
@@ -79,6 +80,7 @@ _HOME = {
     "DhTable": "assemble.dh",
     "Double": "assemble.double",
     "Dynamics": "assemble.dynamics",
+    "Group": "assemble.groups",
     "Object": "assemble.surroundings",
     "SerialRobot": "assemble.robot",
     "Camera": "assemble.surroundings",

@@ -10,8 +10,16 @@ import pytest
 from decor_tools import labels, toggles_of, view_at
 from source_slots import set_source
 
-from sero_mj import DeclarationError, Double, Mirror, Scene, SerialRobot, World, load_scene
-from sero_mj.assemble.groups import Group
+from sero_mj import (
+    DeclarationError,
+    Double,
+    Group,
+    Mirror,
+    Scene,
+    SerialRobot,
+    World,
+    load_scene,
+)
 from sero_mj.decor.billboards import declared_lines
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.toggles import Toggles
@@ -401,3 +409,12 @@ def test_a_group_without_data_says_so_once_with_its_doubles_below() -> None:
     assert written(udp=-1) == ["justin: no data yet"]
     some = written(more=2.0)  # of the arms only, so each says so
     assert some == ["left: no data for 2.0 s", "right: no data for 2.0 s"]
+
+
+def test_a_double_of_a_group_with_too_many_angles_is_told_once() -> None:
+    with pytest.raises(DeclarationError) as caught:
+        justin(doubles=[Double(name="goal", of="arms", joint_angles=np.zeros(5))])
+    assert str(caught.value) == (
+        "doubles.goal.joint_angles: found 5 joints; expected 6: left 3, right 3, or 4 without the "
+        "coupled joints"
+    )

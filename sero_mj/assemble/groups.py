@@ -28,7 +28,8 @@ class Group(Declaration):
         name: in routes, e.g. `justin` in `justin.joint_angles`.
         description: one line about it.
         robots: names of robots and groups, in the order of the values in packets.
-        enable_touch_sensor: this and the following are defaults of the fields of `SerialRobot`.
+        enable_touch_sensor: whether a click on a robot toggles its features; this and all that
+            follow are defaults of the robots' own fields.
         stale_after: s.
         show_axes: whether coordinate axes are shown.
         axes_size: m.

@@ -191,19 +191,20 @@ class Scene:
             self.doubles[double.name] = double
             return
         known = [self.robots[name] for name in robots if name in self.robots]
-        counts = [np.array([(robot.n, robot.coupled.k) for robot in known]).reshape(-1, 2)]
-        shares: dict[str, list[Any]] = {}
+        counts = ([robot.n for robot in known], [robot.coupled.k for robot in known])
+        shares: dict[str, Sequence[Any]] = {}
         for key in ("joint_angles", "path", *VALUE_INPUTS):
             value = getattr(double, key)
-            if value is None or len(known) < len(robots):
+            if value is None:
                 continue
-            sizes = next((c for c in counts[0].T if c.sum() == value.shape[-1]), None)
-            if sizes is None:
-                self._group_problems.append(
-                    Problem(f"doubles.{double.name}.{key}", _not_their_sum(value.shape[-1], known))
-                )
+            fitting = next((each for each in counts if sum(each) == value.shape[-1]), None)
+            if fitting is not None:
+                shares[key] = np.split(value, np.cumsum(fitting)[:-1], axis=-1)
                 continue
-            shares[key] = np.split(value, np.cumsum(sizes)[:-1], axis=-1)
+            shares[key] = [None] * len(known)
+            if len(known) == len(robots):  # else robots are wrong, which is reported elsewhere
+                message = _not_their_sum(value.shape[-1], known)
+                self._group_problems.append(Problem(f"doubles.{double.name}.{key}", message))
         names = [f"{double.name}_{robot.name}" for robot in known]
         for i, (name, robot) in enumerate(zip(names, known, strict=True)):
             share: dict[str, Any] = {key: values[i] for key, values in shares.items()}
