@@ -220,11 +220,17 @@ def _too_short(detail: ErrorDetails, kind: type[Declaration]) -> str:
     return f"found {reprlib.repr(detail['input'])}; expected {many} or more"
 
 
+def _too_long(detail: ErrorDetails, kind: type[Declaration]) -> str:
+    found, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
+    return f"found {found} entries; expected at most {most}"
+
+
 _MESSAGES: dict[str, Callable[[ErrorDetails, type[Declaration]], str]] = {
     "extra_forbidden": _unknown_key,
     "missing": _missing,
     "literal_error": _literal,
     "too_short": _too_short,
+    "too_long": _too_long,
 }
 
 

@@ -292,6 +292,12 @@ def test_values_can_be_set_for_a_group_on_the_command_line(tmp_path: Path) -> No
     assert scene.routes == {}
 
 
+def test_a_group_of_too_many_is_told() -> None:
+    with pytest.raises(DeclarationError) as caught:
+        Group(name="crowd", robots=["r"] * 401)
+    assert str(caught.value) == "robots: found 401 entries; expected at most 400"
+
+
 def test_deeply_nested_groups_are_resolved_in_no_time() -> None:
     groups = [Group(name="g0", robots=["head"])]
     groups += [Group(name=f"g{i}", robots=[f"g{i - 1}"] * 2) for i in range(1, 100)]

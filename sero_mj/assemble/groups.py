@@ -6,6 +6,7 @@ share of the values, in that order; a route to one of its switches sets those of
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -16,6 +17,9 @@ from pydantic import BeforeValidator, Field
 from ..declaration import Declaration, Name
 from ..errors import Problem, did_you_mean
 from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
+
+_MOST_MEMBERS = 400  # of a group
+_MOST_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
 
 
 class Group(Declaration):
@@ -47,7 +51,7 @@ class Group(Declaration):
 
     name: Name
     description: str = ""
-    robots: list[Name] = Field(min_length=1)
+    robots: list[Name] = Field(min_length=1, max_length=_MOST_MEMBERS)
     enable_touch_sensor: bool | None = None
     stale_after: float | None = Field(None, gt=0)
     show_axes: bool | None = None
@@ -110,19 +114,23 @@ def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
         every = [each for inner in groups[name] for each in visit(inner, [*way, name])]
         found.members[name] = once = list(dict.fromkeys(every))
         if len(once) < len(every):
-            found.twice[name] = next(each for each in once if every.count(each) > 1)
+            found.twice[name] = Counter(every).most_common(1)[0][0]
         return once
 
     for group in groups:
         visit(group, [])
-    for name in dict.fromkeys([*groups, *(each for names in groups.values() for each in names)]):
-        around, todo = [], [name]
+    outer: dict[str, dict[str, None]] = {name: {} for name in groups}  # sets in order
+    for group, names in groups.items():
+        for name in names:
+            outer.setdefault(name, {})[group] = None
+    for name in outer:
+        around: dict[str, None] = {}
+        todo = [name]
         while todo:
-            inner = todo.pop(0)
-            outer = [group for group, names in groups.items() if inner in names]
-            todo += (new := [group for group in outer if group not in around])
-            around += new
-        found.around[name] = around
+            new = [group for group in outer[todo.pop(0)] if group not in around]
+            todo += new
+            around |= dict.fromkeys(new)
+        found.around[name] = [*around]
     return found
 
 
@@ -138,11 +146,11 @@ def group_problems(
     """
     problems = []
     for name, group in groups.items():
-        for each in dict.fromkeys(group.robots):
-            if each not in declared:
-                near = did_you_mean(each, {known for known in declared if known != name})
-                message = f"no robot or group '{each}'{near}"
-                problems.append(Problem(f"groups.{name}.robots", message))
+        unknown = [each for each in dict.fromkeys(group.robots) if each not in declared]
+        for each in unknown[:_MOST_TOLD]:
+            near = did_you_mean(each, {known for known in declared if known != name})
+            message = f"no robot or group '{each}'{near}"
+            problems.append(Problem(f"groups.{name}.robots", message))
     for circle in found.circles:
         way = " in ".join([*circle, circle[0]][::-1])
         message = f"groups are in each other in a circle: {way}"

@@ -24,7 +24,7 @@ from .surroundings import Camera, Light, Object, View
 # Maximum number of entries, so that a scene compiles within seconds.
 MOST_ENTRIES = {
     "robots": 200,
-    "groups": 200,
+    "groups": 100,
     "doubles": 500,
     "arrows": 1000,
     "frames": 1000,
