@@ -244,6 +244,59 @@ def test_null_space_torques_do_not_accelerate_the_flange(seed: int) -> None:
     assert np.abs(MODEL.jacobian() @ accelerations).max() < 1e-3 * np.abs(accelerations).max()
 
 
+def test_the_null_space_leaks_nothing_until_really_near_a_singularity() -> None:
+    rng, bound = np.random.default_rng(0), np.deg2rad([170, 120, 170, 120, 170, 120, 170])
+    poses = rng.uniform(-bound, bound, (2000, 7))
+    best, moved = 0.0, []
+    for q in poses:
+        MODEL.update(q, np.zeros(7))
+        best = max(best, float(np.linalg.svd(MODEL.jacobian(), compute_uv=False).prod()))
+    for q in poses[: examples(400)]:
+        target, sensed, still, out = target_at(MODEL, q), Sensed(7), np.zeros(7), np.zeros(7)
+        sensed.angles[:] = q
+        control = CartesianImpedance().make(MODEL, 1e-3)
+        control.torques(sensed, target, still)
+        target.posture[:] = q + rng.uniform(-1, 1, 7)
+        control.torques(sensed, target, out)
+        J, back = MODEL.jacobian(), np.linalg.solve(MODEL.mass(), MODEL.jacobian().T)
+        if np.linalg.svd(J, compute_uv=False).prod() > 0.01 * best:
+            # The springs' wrench that keeps the flange where it is against these torques.
+            wrench = np.linalg.solve(J @ back, back.T @ (out - still))
+            moved.append(np.linalg.solve(control.stiffness, wrench))
+    assert len(moved) > 0.9 * examples(400)
+    assert np.linalg.norm(np.array(moved)[:, :3], axis=1).max() < 1e-8  # m; 0.1 mm is the goal
+    assert np.linalg.norm(np.array(moved)[:, 3:], axis=1).max() < 1e-8
+
+
+def test_a_target_is_met_at_rest_near_a_stretched_elbow() -> None:
+    loop = Loop()
+    goal = np.deg2rad([0, 30, 0, -37, 0, 60, 0])
+    control = CartesianImpedance(nullspace_stiffness=30.0).make(loop.robot, 1e-3)
+    target = target_at(loop.robot, goal)
+    target.posture[:] = START
+    logged = loop.run(8.0, lambda sensed, out: control.torques(sensed, target, out))
+    assert np.abs(logged[-1] - logged[-500]).max() < 1e-5  # it rests
+    pose = flange_at(loop.robot, logged[-1])
+    assert np.linalg.norm(pose[:3, 3] - target.pose[:3, 3]) < 1e-4
+    assert rotation_angle(pose[:3, :3].T @ target.pose[:3, :3]) < 1e-4
+
+
+def test_torques_are_continuous_through_a_singularity() -> None:
+    def jump(step: float) -> float:
+        control = CartesianImpedance().make(MODEL, 1e-3)
+        torques = []
+        for elbow in np.arange(-0.01, 0.01, step):
+            q = np.array([0.3, 0.5, 0.2, elbow, 0.4, 0.6, 0.1])
+            target, sensed, out = target_at(MODEL, q), Sensed(7), np.zeros(7)
+            sensed.angles[:] = q
+            target.posture[:] = q + 0.5
+            control.torques(sensed, target, out)
+            torques.append(out)
+        return float(np.abs(np.diff(torques, axis=0)).max())
+
+    assert jump(1e-5) < 0.2 * jump(1e-4) < 0.5
+
+
 def test_it_goes_through_a_singularity_with_bounded_torques_and_comes_back() -> None:
     loop = Loop()
     control = CartesianImpedance(stiffness=[1e3] * 3 + [10] * 3).make(loop.robot, 1e-3)

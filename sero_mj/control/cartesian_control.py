@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat, mju_mulQuat
-from numpy import negative, subtract
+from numpy import multiply, negative, subtract
 from pydantic import BeforeValidator, Field
 
 from ..declaration import numbers
@@ -23,11 +23,13 @@ from .controller import (
 from .joint_control import design_damping, too_stiff, unstable_joint
 from .robot_model import RobotModel
 
-# Below this smallest eigenvalue of J M^-1 J^T, 1/kg or 1/(kg m2), the flange counts as all but
-# blocked in a direction, and its mobility is raised by up to as much (as for inverse kinematics:
-# Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity Robustness).
-_BLOCKED = 0.01
-_TINY = 1e-15  # what the pivots of its inverse are at least
+# Least mobility J M^-1 J^T in any direction, as a share of its trace, with lengths in units in
+# which moving and turning have equal traces. What is below is raised to it (as for inverse
+# kinematics: Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity Robustness).
+# For the null space: of 20,000 random poses of an LWR, a Puma 560 and a Panda none with more than
+# 1 % of the best manipulability has a pivot of less than 8e-6, so that there nothing leaks.
+_BLOCKED = 5e-6
+_LIMP = 1e-3  # for the damping, which is designed for poses some way around as well
 # Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
 _MIN_STIFFNESS = 1.0
 
@@ -103,7 +105,7 @@ class CartesianImpedanceController:
     not a potential: bounded, but not passive in the strict sense (Dietrich, Ott, Albu-Schäffer
     2015, An overview of null space projections for redundant, torque-controlled robots, IJRR 34).
 
-    At singularities nothing is inverted but L, with its smallest eigenvalues bounded: torques
+    At singularities nothing is inverted but J M^-1 J^T, with its smallest pivots bounded: torques
     stay bounded, the blocked direction goes limp, and becomes part of the null space.
 
     Args:
@@ -136,8 +138,9 @@ class CartesianImpedanceController:
         self._timestep = timestep
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0  # steps until the damping is designed anew
-        self._singular: Array = np.zeros((6, 6))  # what is added to J M^-1 J^T near singularities
-        self._is_near_singular = False
+        # Lengths are in units of their own for what is inverted, see `_BLOCKED`.
+        self._per_length: Array = np.ones((6, 1))
+        self._least_pivot = _BLOCKED
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
         self._null_damping: Array = np.zeros(n)
         # Everything below is for speed: numpy takes longer to call, and to make arrays and views,
@@ -146,7 +149,7 @@ class CartesianImpedanceController:
         self._null_gains: Array = np.hstack([np.diag(nullspace_stiffness), np.zeros((n, n))])
         self._null_terms: Array = np.zeros(2 * n)
         self._posture_error, self._null_velocities = self._null_terms[:n], self._null_terms[n:]
-        # wrench = [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0]
+        # wrench = [D 1 -1] [dx_d - J dq; f; L J M^-1 tau_0], the last of them per unit of length
         self._wrench_gains: Array = np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)])
         self.damping: Array = self._wrench_gains[:, :6]
         self._wrench_terms: Array = np.zeros(18)
@@ -157,7 +160,7 @@ class CartesianImpedanceController:
         self._linear, self._angular = self._J[:3], self._J[3:]
         self._torque_terms: Array = np.zeros(6 + 2 * n)
         self._wrench, self._inner, self._gravity = np.split(self._torque_terms, [6, 6 + n])
-        self._J_over_M: Array = np.zeros((6, n))
+        self._scaled_J, self._J_over_M = np.zeros((2, 6, n))
         self._M_under_J: Array = self._J_over_M.T
         self._mobility: Array = np.zeros((6, 6))
         self._solved: Array = np.zeros(6)
@@ -178,28 +181,27 @@ class CartesianImpedanceController:
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         model, mobility, solved, inner = self.model, self._mobility, self._solved, self._inner
-        J, J_over_M, wrench = self._J, self._J_over_M, self._wrench
+        J, J_over_M, wrench = self._scaled_J, self._J_over_M, self._wrench
         angles, velocities = sensed.motor_angles, sensed.motor_velocities
         model.update(angles, velocities)
         model.write_jacobian(self._linear, self._angular)
-        model.over_mass(J, J_over_M)
-        J.dot(self._M_under_J, mobility)
         if self._left == 0:
-            self._design(mobility, target.rotation)
+            self._design(target.rotation)
             self._left = self._every
         self._left -= 1
-        if self._is_near_singular:
-            mobility += self._singular
-        mju_cholFactor(mobility, _TINY)  # L = (J M^-1 J^T)^-1 is only ever solved with
+        multiply(self._J, self._per_length, J)
+        model.over_mass(J, J_over_M)
+        J.dot(self._M_under_J, mobility)
+        # L = (J M^-1 J^T)^-1 is only ever solved with
+        mju_cholFactor(mobility, self._least_pivot)
 
         # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
-        twist = J.dot(velocities)
-        mju_cholSolve(solved, mobility, twist)
+        mju_cholSolve(solved, mobility, J.dot(velocities))
         subtract(target.posture, angles, self._posture_error)
         subtract(velocities, solved.dot(J_over_M), self._null_velocities)
         self._null_gains.dot(self._null_terms, inner)
         mju_cholSolve(self._taken, mobility, J_over_M.dot(inner))
-        subtract(target.twist, twist, self._twist_error)
+        subtract(target.twist, self._J.dot(velocities), self._twist_error)
         self.spring_wrench(target)
         self._wrench_gains.dot(self._wrench_terms, wrench)
         if target.has_torques:
@@ -244,9 +246,9 @@ class CartesianImpedanceController:
         model = self.model
         model.update(angles, np.zeros(model.n))
         jacobian, mass, rotation = model.jacobian(), model.mass(), model.flange_rotation
+        self._design(rotation)
         back = np.linalg.solve(mass, jacobian.T)
-        self._design(jacobian @ back, rotation)
-        felt = np.linalg.inv(jacobian @ back + self._singular)
+        felt = self._inertia(jacobian @ back, _BLOCKED)
         through = np.eye(model.n) - jacobian.T @ felt @ back.T
         stiffness = (
             jacobian.T @ self._in_world(rotation) @ jacobian + through * self._null_stiffness
@@ -263,14 +265,28 @@ class CartesianImpedanceController:
         axes = np.kron(np.eye(2), rotation)
         return np.asarray(axes @ self.stiffness @ axes.T)
 
-    def _design(self, mobility: Array, rotation: Array) -> None:
-        least = float(np.linalg.eigvalsh(mobility)[0])
-        near = max(1.0 - least / _BLOCKED, 0.0)
-        self._singular[:] = np.eye(6) * (_BLOCKED * near**2)
-        self._is_near_singular = near > 0.0
-        felt = np.linalg.inv(mobility + self._singular)
-        symmetric = 0.5 * (felt + felt.T)
-        self.damping[:] = design_damping(symmetric, self._in_world(rotation), self._ratio)
+    def _inertia(self, mobility: Array, least: float) -> Array:
+        """L, (6, 6): what the flange feels, its mobility being raised to a least one.
+
+        Args:
+            mobility: J M^-1 J^T, (6, 6).
+            least: as a share of the trace.
+        """
+        per_length = self._per_length * self._per_length.T
+        values, vectors = np.linalg.eigh(mobility * per_length)
+        bounded = np.maximum(values, least * values.sum())
+        return np.asarray((vectors / bounded) @ vectors.T * per_length)
+
+    def _design(self, rotation: Array) -> None:
+        jacobian = self.model.jacobian()
+        mobility = jacobian @ np.linalg.solve(self.model.mass(), jacobian.T)
+        of_moving, of_turning = np.diagonal(mobility).reshape(2, 3).sum(axis=1).tolist()
+        if of_moving > 0 and of_turning > 0:  # a robot may do one of them only
+            self._per_length[:3] = np.sqrt(of_turning / of_moving)
+        self._wrench_gains[:, 12:] = np.diag(-self._per_length[:, 0])
+        self._least_pivot = _BLOCKED * max(2.0 * of_turning, of_moving)
+        felt = self._inertia(mobility, _LIMP)
+        self.damping[:] = design_damping(felt, self._in_world(rotation), self._ratio)
         stiffness = np.maximum(self._null_stiffness, _MIN_STIFFNESS)
         inertia = np.diagonal(self.model.mass())
         self._null_damping[:] = 2.0 * self._null_ratio * np.sqrt(inertia * stiffness)
