@@ -146,7 +146,7 @@ def test_an_impedance_never_makes_energy(seed: int, ratio: float) -> None:
     for _ in range(50):
         loop.run(0.006, lambda sensed, out: control.torques(sensed, target, out))
         now = energies(loop, target.angles, control.stiffness)
-        assert now <= last + 2e-3 * first  # what the integrator makes at this step
+        assert now <= last + 3e-3 * first  # what the integrator makes at this step
         last = now
     if ratio > 0.3:
         assert last < first

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 from .. import paths
 from ..declaration import is_name
+from ..dotted_keys import parts_of, with_value
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
@@ -32,7 +34,8 @@ def read_scene_file(
 
     Args:
         path: a TOML file.
-        overrides: values by `robot.field`, which override the file; routes to these are dropped.
+        overrides: values by dotted key (`robot.field`, `robot.dynamics.coulomb_friction[1]`),
+            which override the file; routes to these are dropped.
         tables: the tables of the file that belong to a scene; all of them when None.
         known: names of other sections of such files, suggested when one is mistyped.
 
@@ -58,6 +61,7 @@ class _Reader:
         self.tables = tables
         self.problems: list[Problem] = []
         self.broken: list[str] = []
+        self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
 
     def scene(self) -> Scene:
         sections: dict[str, Callable[[], Any]] = {
@@ -115,12 +119,15 @@ class _Reader:
             if isinstance(routes, dict):
                 routes.pop(target, None)
         elif name not in entries:
-            near = did_you_mean(name, [known for known in entries if known != "toggles"])
+            names = [known for known in entries if known != "toggles"]
+            near = did_you_mean(name, [*names, *self.known])
             self.wrong(target, f"no robot '{name}' to set this for{near}")
         elif not field:
             self.wrong(target, f"names no field; expected robot.field, e.g. {name}.joint_angles")
         elif isinstance(entries[name], dict):
-            entries[name][field] = value
+            if name == "toggles":
+                entries[name][field] = value
+            self._settings.setdefault(name, []).append((field, value))
             if isinstance(routes, dict):
                 routes.pop(target, None)
 
@@ -173,6 +180,16 @@ class _Reader:
         if not isinstance(table, dict):
             message = f"found {table!r}; expected a table [{place}]"
             raise DeclarationError([Problem("", message)])
+        settings = self._settings.get(name, [])
+        built = None
+        if settings:  # over what the file says; elements of lists may be in a robot's own file
+            with suppress(DeclarationError):
+                built = build(name, table)
+        for key, value in settings:
+            try:
+                table = with_value(table, parts_of(key), value, built=built)
+            except ValueError as error:
+                raise DeclarationError([Problem(key, str(error))]) from None
         return build(name, table)
 
     def _routes(self) -> dict[str, str]:

@@ -189,8 +189,15 @@ def read_scene(name: str, settings: Sequence[str] = ()) -> Scene:
     from ..load import load_scene
 
     given = overrides(settings)
-    try:
+    with named_settings(given):
         return load_scene(name, given)
+
+
+@contextlib.contextmanager
+def named_settings(given: Mapping[str, Any]) -> Iterator[None]:
+    """Names `--set` in problems of what was set by it."""
+    try:
+        yield
     except DeclarationError as error:
         raise DeclarationError([_as_set(problem, given) for problem in error.problems]) from None
 

@@ -15,6 +15,7 @@ from ._arguments import (
     add_command,
     add_set_option,
     check_ending,
+    named_settings,
     not_negative,
     overrides,
     positive,
@@ -89,7 +90,9 @@ def run(options: argparse.Namespace) -> int:
     from ..simulate.simulation import Simulation
 
     _check_options(options)
-    scenario = read_scenario(options.scenario, overrides(options.settings))
+    given = overrides(options.settings)
+    with named_settings(given):
+        scenario = read_scenario(options.scenario, given)
     simulation = Simulation(scenario, options.seed)
     begin = time.perf_counter()
     error = _simulate(simulation, options)

@@ -11,6 +11,7 @@ import numpy as np
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.scene_file import read_scene_file
+from ..dotted_keys import check_tables, parts_of, with_value
 from ..errors import (
     CsvError,
     DeclarationError,
@@ -47,12 +48,12 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
     tables = read_toml(file)
     own = {key: tables.pop(key) for key in (*SECTIONS, *OTHERS) if key in tables}
     of_scene: dict[str, Any] = {}
+    of_own: dict[str, Any] = {}
     for key, value in (overrides or {}).items():
-        section = key.partition(".")[0]
+        section, dot, rest = key.partition(".")
         if section in (*SECTIONS, "run"):
-            _set(own, key, value, file)
+            of_own[key] = value
         else:
-            section, dot, rest = key.partition(".")
             named = dot and "." in rest and section in tables
             of_scene[rest if named else key] = value
     problems: list[Problem] = []
@@ -65,8 +66,10 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
             scene, problems = read_scene_file(file, of_scene, tables=tables, known=known)
     except DeclarationError as error:
         problems += error.problems
-    if scene is None:
-        raise DeclarationError(problems)
+    if scene is None or (problems and "robots" in " ".join(scene.broken)):
+        raise DeclarationError(problems)  # all that is said of robots would be wrong as well
+    for key, value in of_own.items():
+        own = _set(own, key, value, scene, file)
     scene.description = str(own.get("description", scene.description))
     problems += _read_motions(own, scene, file)
     run = own.get("run", {})
@@ -136,26 +139,19 @@ def _other_scene(
     return read_scene_file(path, overrides)
 
 
-def _set(tables: dict[str, Any], key: str, value: Any, file: Path) -> None:
-    """Sets a dotted key in nested tables, which have to be there."""
-    *outer, last = key.split(".")
-    table: Any = tables
-    for k, part in enumerate(outer):
-        if k == 0 and part in ("run", "monitor"):  # all of their keys have a default
-            table = table.setdefault(part, {})
-            continue
-        if not isinstance(table, dict) or part not in table:
-            near = did_you_mean(part, table) if isinstance(table, dict) and table else ""
-            place = ".".join(outer[: k + 1])
-            raise DeclarationError([Problem(key, f"there is no [{place}]{near}", str(file))])
-        table = table[part]
-    if not isinstance(table, dict):
-        message = f"[{'.'.join(outer)}] is no table"
-        raise DeclarationError([Problem(key, message, str(file))])
-    if outer == ["run"] and last not in Run.model_fields:
-        near = did_you_mean(last, Run.model_fields)
-        raise DeclarationError([Problem(key, f"unknown key{near}", str(file))])
-    table[last] = value
+def _set(tables: dict[str, Any], key: str, value: Any, scene: Scene, file: Path) -> dict[str, Any]:
+    """Returns the tables of a scenario with a dotted key set; its table has to be there."""
+    try:
+        section, name, *rest = parts = parts_of(key)
+        if section == "run" and not rest and name not in Run.model_fields:
+            raise ValueError(f"unknown key{did_you_mean(str(name), Run.model_fields)}")
+        defaulted: dict[str, Any] = {part: {} for part in ("run", "monitor") if part == section}
+        tables = {**defaulted, **tables}
+        check_tables(tables, parts)
+        robot = scene.robots.get(str(name))
+        return with_value(tables, parts, value, n=0 if robot is None else robot.n)
+    except ValueError as error:
+        raise DeclarationError([Problem(key, str(error), str(file))]) from None
 
 
 def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> dict[str, Any]:

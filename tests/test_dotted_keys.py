@@ -1,0 +1,103 @@
+"""Values set over those of files, by dotted keys with indices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sero_mj.cli import main
+from sero_mj.dotted_keys import parts_of, with_value
+from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
+from sero_mj.simulate.scenario_file import read_scenario
+
+names = st.from_regex(r"[a-z_][a-z0-9_-]{0,5}", fullmatch=True)
+
+
+@given(names, st.lists(names | st.integers(0, 99), max_size=5))
+def test_parts_are_those_that_a_key_was_written_of(first: str, rest: list[str | int]) -> None:
+    key = first + "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in rest)
+    assert parts_of(key) == [first, *rest]
+
+
+@pytest.mark.parametrize(
+    "key", ["", ".", "a.", "a..b", "[0]", "a[", "a[0", "a[-1]", "a[x]", "a[0]b"]
+)
+def test_what_is_no_key_is_refused(key: str) -> None:
+    with pytest.raises(ValueError, match="expected names with dots, and indices such as"):
+        parts_of(key)
+
+
+def test_nothing_that_was_handed_in_is_changed() -> None:
+    table = {"a": {"b": [1, [2, 3]]}, "c": 4}
+    assert with_value(table, ["a", "b", 1, 0], 9) == {"a": {"b": [1, [9, 3]]}, "c": 4}
+    assert with_value(table, ["a", "d", "e"], 9)["a"] == {"b": [1, [2, 3]], "d": {"e": 9}}
+    assert with_value({"k": 2.0}, ["k", 1], 9, n=3) == {"k": [2.0, 9, 2.0]}
+    assert with_value({"k": [1, 2]}, ["k"], 9) == {"k": [9, 9]}
+    assert table == {"a": {"b": [1, [2, 3]]}, "c": 4}
+
+
+def test_single_elements_and_nested_tables_of_a_robots_own_file_are_set() -> None:
+    plain = load_scene("lwr_udp").robots["lwr"]
+    robot = load_scene(
+        "lwr_udp",
+        {
+            "lwr.dynamics.mass_scale": 1.5,
+            "lwr.dynamics.coulomb_friction[1]": 0.25,
+            "lwr.position_limits[2][0]": -1.0,
+            "lwr.torque_limits": 50,
+        },
+    ).robots["lwr"]
+    friction, before = robot.dynamics.coulomb_friction, plain.dynamics.coulomb_friction
+    assert robot.dynamics.mass_scale == 1.5
+    assert friction is not None and before is not None
+    assert friction[1] == 0.25 and (np.delete(friction, 1) == np.delete(before, 1)).all()
+    assert robot.position_limits is not None and plain.position_limits is not None
+    changed = robot.position_limits != plain.position_limits
+    assert np.argwhere(changed).tolist() == [[2, 0]] and robot.position_limits[2, 0] == -1.0
+    assert robot.torque_limits is not None and robot.torque_limits.tolist() == [50.0] * 7
+
+
+def test_single_elements_of_a_scenarios_lists_are_set() -> None:
+    scenario = read_scenario(
+        "impedance_push",
+        {
+            "controllers.lwr.stiffness[3]": 333.0,
+            "disturbances.push.force[0]": 1.0,
+            "lwr.dynamics.mass_scale": 1.1,
+            "run.duration": 6.0,
+        },
+    )
+    stiffness = np.broadcast_to(scenario.controllers["lwr"].stiffness, 7)
+    plain = np.broadcast_to(read_scenario("impedance_push").controllers["lwr"].stiffness, 7)
+    assert stiffness[3] == 333.0 and (np.delete(stiffness, 3) == np.delete(plain, 3)).all()
+    assert scenario.disturbances["push"].force[0] == 1.0
+    assert scenario.scene.robots["lwr"].dynamics.mass_scale == 1.1
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("lwr.dynamics.mas_scale", "unknown key; did you mean 'mass_scale'?"),
+        ("lwr.torque_limits[9]", "no element [9] of 'torque_limits'; it has 7, from [0] on"),
+        ("lwr.name[0]", "'name' is no list; set it as a whole"),
+        ("lwr.torque_limits.x", "'torque_limits' is no table"),
+        ("lwr.torque_limits[x]", "expected names with dots, and indices such as [0]"),
+        ("controllers.lwr.stifness", "unknown key; did you mean 'stiffness'?"),
+        ("controllers.lrw.stiffness", "there is no [controllers.lrw]; did you mean 'lwr'?"),
+        ("controlers.lwr.stiffness", "no robot 'controlers' to set this for; did you mean 'contro"),
+        ("run.duratio", "unknown key; did you mean 'duration'?"),
+    ],
+)
+def test_a_wrong_key_gets_one_message(key: str, message: str, capsys: Any) -> None:
+    with pytest.raises(SystemExit):
+        main(["simulate", "impedance_push", "--set", f"{key}=3"])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"sero-mj: --set {key}: {message}")
+    with pytest.raises(DeclarationError) as caught:
+        read_scenario("impedance_push", {key: 3})
+    assert len(caught.value.problems) == 1
