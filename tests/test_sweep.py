@@ -21,7 +21,7 @@ from sero_mj.paths import find_scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.sweep import Sweep, Vary, full_grid, latin_hypercube
-from sero_mj.study.sweep_results import SweepTable, summarise_sweep
+from sero_mj.study.sweep_results import SweepTable, plot_sweep, summarise_sweep
 
 SCENARIO = """
 [robots.lwr]
@@ -308,6 +308,26 @@ def test_the_summary_says_where_values_are_lowest_and_highest(file: Path) -> Non
 
 
 # --- the command
+
+
+def test_the_picture_has_units_and_a_legend_of_what_it_shows(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import matplotlib as mpl
+
+    monkeypatch.setitem(mpl.rcParams, "svg.fonttype", "none")  # text as text
+    drawn = sweep(file, f"{STIFFNESS}=200,4000", "disturbances.push.begin=0.1:0.2", samples=2)
+    whole = dict.fromkeys(drawn.columns)
+    rows = {
+        0: {**whole, STIFFNESS: 200, "disturbances.push.begin": 0.1, "held": True,
+            "expect.it_holds": True, "expect.it_holds.value": 0.01},
+        1: {**whole, STIFFNESS: 4000, "disturbances.push.begin": 0.2, "held": False},
+    }  # fmt: skip
+    plot_sweep(drawn, rows, tmp_path / "out.svg")
+    text = (tmp_path / "out.svg").read_text("utf-8")
+    for part in ("it holds, rad", "disturbances.push.begin, s", "held", "did not hold", "no value",
+                 "expected bound"):  # fmt: skip
+        assert f">{part}<" in text, part
 
 
 @pytest.mark.slow

@@ -192,6 +192,13 @@ class Expect(Declaration):
         text = f"{what} at {found[0].joint} found after {1e3 * late:.0f} ms{limit}"
         return Outcome(name, holds, text, late)
 
+    @property
+    def unit(self) -> str:
+        """Unit of the value that is found: of its measure, s until a finding, or none."""
+        if self.measure is not None:
+            return MEASURES[self.measure][0]
+        return "" if self.finds_nothing is not None else "s"
+
     def _judge_nothing(self, name: str, findings: Sequence[Finding]) -> Outcome:
         wanted = KINDS if self.finds_nothing == "any" else self.finds_nothing or ()
         found = [finding for finding in findings if finding.kind in wanted]

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +17,19 @@ import numpy as np
 from ..errors import CsvError, RenderError, UsageError
 from ..record.csv_files import csv_table
 from .sweep import Sweep, Vary
+from .variant import UNITS
 
 _MAX_ROWS, _MAX_COLUMNS = 8, 5  # of the picture
+_LABEL_WIDTH = 22  # characters
 _HELD, _FAILED = "#2a7f62", "#c8553d"
+_BOUND: dict[str, Any] = {"color": "#777777", "lw": 0.9, "ls": "--"}
+# By the last name of a key, where that has one unit only.
+_UNITS_OF_KEYS = {
+    **dict.fromkeys(("begin", "end", "duration", "timestep", "delay", "after", "before"), "s"),
+    "mass": "kg",
+    "delay_ms": "ms",
+    "offset_deg": "deg",
+}
 
 
 class SweepTable:
@@ -280,7 +291,8 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
 
     Crosses at the lower edge are variants without a value: they could not begin, or nothing was
     found. Numbers of robots are green where all of the variant held. Bounds that are expected are
-    dashed lines. Up to eight outcomes over up to five keys, those of expectations first.
+    dashed lines, and a legend says all of that. Up to eight outcomes over up to five keys, those of
+    expectations first.
 
     Args:
         sweep: what was varied.
@@ -307,9 +319,13 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
         for axis, vary in zip(line, varied, strict=True):
             _draw(axis, vary, rows, names[name])
             _draw_bounds(axis, sweep, name)
-        line[0].set_ylabel(name.replace("_", " "), fontsize=8)
+        label = textwrap.fill(_with_unit(name.replace("_", " "), _unit(sweep, name)), _LABEL_WIDTH)
+        line[0].set_ylabel(label, fontsize=8)
     for axis, vary in zip(axes[-1], varied, strict=True):
-        axis.set_xlabel(vary.key, fontsize=8)
+        unit = _UNITS_OF_KEYS.get(vary.key.rpartition(".")[2], "")
+        axis.set_xlabel(_with_unit(vary.key, unit), fontsize=8)
+    figure.legend(handles=_legend(sweep, shown, rows), loc="outside lower center", ncols=4,
+                  fontsize=8, frameon=False)  # fmt: skip
     held = sum(row["held"] is True for row in rows.values())
     figure.suptitle(f"{sweep.base.name}: {held} of {len(rows)} held", fontsize=11)
     try:
@@ -335,8 +351,34 @@ def _draw(axis: Any, vary: Vary, rows: Mapping[int, Mapping[str, Any]], column: 
         axis.set_xscale("log")
     if vary.values and not _are_numbers(vary.values):
         axis.set_xticks(range(len(vary.values)), [str(value) for value in vary.values], fontsize=7)
-    axis.tick_params(labelsize=7)
+    axis.tick_params(which="both", labelsize=7)
     axis.grid(alpha=0.25)
+
+
+def _unit(sweep: Sweep, name: str) -> str:
+    """Returns the unit of an outcome; empty for a number of findings."""
+    expect = sweep.base.expect.get(name)
+    return UNITS.get(name.rpartition(".")[2], "") if expect is None else expect.unit
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return f"{text}, {unit}" if unit else text
+
+
+def _legend(sweep: Sweep, shown: list[str], rows: Mapping[int, Mapping[str, Any]]) -> list[Any]:
+    """Returns the entries of the legend: of what the figure has."""
+    from matplotlib.lines import Line2D
+
+    columns = value_columns(sweep.columns)
+    lacks = any(not is_known(row, columns[name]) for row in rows.values() for name in shown)
+    fails = any(row["held"] is not True for row in rows.values())
+    has_bounds = any(sweep.base.expect.get(name) is not None for name in shown)
+    point = {"linestyle": "", "markersize": 5}
+    entries = [(True, {"marker": "o", "color": _HELD, "label": "held", **point}),
+               (fails, {"marker": "o", "color": _FAILED, "label": "did not hold", **point}),
+               (lacks, {"marker": "x", "color": _FAILED, "label": "no value", **point}),
+               (has_bounds, {**_BOUND, "label": "expected bound"})]  # fmt: skip
+    return [Line2D([], [], **look) for is_there, look in entries if is_there]
 
 
 def _places(vary: Vary, rows: list[Mapping[str, Any]]) -> Any:
@@ -357,4 +399,4 @@ def _draw_bounds(axis: Any, sweep: Sweep, name: str) -> None:
         return
     for bound in (expect.below, expect.above, expect.within):
         if bound is not None:
-            axis.axhline(bound, color="#777777", lw=0.9, ls="--")
+            axis.axhline(bound, **_BOUND)

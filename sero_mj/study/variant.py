@@ -18,6 +18,7 @@ from .reduction import rms
 
 # Of every robot, all in Nm but the share: of its worst joint, over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
+UNITS = {"peak_torque_error": "Nm", "rms_torque_error": "Nm", "peak_torque_share": "of the limit"}
 
 
 def outcome_columns(scenario: Scenario) -> list[str]:
