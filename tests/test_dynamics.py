@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from newton_euler import inverse_dynamics
 
 from sero_mj import paths
-from sero_mj.assemble.dynamics import Dynamics, inertia_problem
+from sero_mj.assemble.dynamics import Dynamics, balanced_tensor, inertia_problem
 from sero_mj.assemble.robot import SerialRobot, build_robot
 from sero_mj.assemble.robot_dynamics import robot_dynamics
 from sero_mj.assemble.scene import Scene
@@ -402,3 +402,40 @@ def test_grown_robots_do_not_stand_in_a_collision(convention):
         data = world.make_data()
         links = [pair for pair in data.contact.geom if 0 not in world.model.geom_bodyid[pair]]
         assert links == []
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_balanced_tensor_is_physical_keeps_its_axes_and_a_right_one_is_left(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    moments, mass = rng.uniform(-0.5, 2.0, 3), rng.uniform(0.1, 5.0)
+    tensor = axes @ np.diag(moments) @ axes.T
+    balanced = balanced_tensor(tensor, mass)
+    assert inertia_problem(balanced) is None
+    assert np.allclose(tensor @ balanced, balanced @ tensor)  # the same axes
+    assert np.linalg.eigvalsh(balanced)[2] == pytest.approx(np.linalg.eigvalsh(tensor)[2])
+    if inertia_problem(tensor) is None and moments.min() > 0.4 * mass * 0.005**2:
+        assert balanced == pytest.approx(tensor)
+
+
+def test_mending_says_what_it_changed_and_the_robot_can_be_simulated() -> None:
+    table = {
+        "masses": [1.0, 2.0, 0.5],
+        "centers_of_mass": np.zeros((3, 3)),
+        "inertias": [[1, 1, 1, 0, 0, 0], [1, 1, 3, 0, 0, 0], [0, 0, 0, 0, 0, 0]],
+    }
+    rows = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
+    with pytest.raises(DeclarationError) as caught:
+        SerialRobot(dh_convention="craig", dh_params=rows, dynamics=table)
+    told = str(caught.value)
+    assert "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2" in told
+    assert "dynamics.inertias: link 2: found principal moments 0, 0, 0 kg m2" in told
+    assert told.count('mend = "balance" changes it to a similar one') == 2
+    robot = SerialRobot(
+        dh_convention="craig", dh_params=rows, dynamics={**table, "mend": "balance"}
+    )
+    assert robot.dynamics.mended == [
+        "link 1: principal moments 1, 1, 3 are now 1.5, 1.5, 3 kg m2",
+        "link 2: principal moments 0, 0, 0 are now 5e-06, 5e-06, 5e-06 kg m2",
+    ]
+    World(Scene(robots=[robot]), dynamic=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from ..declaration import Declaration, numbers, of_shape
 from ..errors import DeclarationError, Problem
@@ -18,6 +18,7 @@ _ROUNDING = 1e-6
 # moving links have their true mass of 13.4 kg.
 LINK_DENSITY = 840.0
 
+_POINT_RADIUS = 0.005  # m, of the ball that a point mass becomes
 _INERTIAL = ("masses", "centers_of_mass", "inertias")
 _FRAMES = ("frames", "frame_origins", "mass_scale")
 _PER_LINK = (*_INERTIAL, "frame_origins")
@@ -94,6 +95,22 @@ def inertia_problem(tensor: Array) -> str | None:
     return None
 
 
+def balanced_tensor(tensor: Array, mass: float) -> Array:
+    """Returns the tensor (3, 3), kg m2, of a body that is like one that no rigid body can have.
+
+    Its axes stay. Principal moments are raised to those of a ball of `_POINT_RADIUS`, and of the
+    two smaller ones each by the same amount until their sum is the largest.
+
+    Args:
+        tensor: about the centre of mass, (3, 3), kg m2, symmetric.
+        mass: kg.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)
+    moments[:2] += max(moments[2] - moments[0] - moments[1], 0.0) / 2.0
+    return np.asarray((axes * moments) @ axes.T)
+
+
 def principal_moments(tensor: Array) -> tuple[Array, Array]:
     """Returns the principal moments (3,), kg m2, and a rotation (3, 3) with their axes as columns.
 
@@ -133,21 +150,13 @@ def _bounded(values: Array | None, lowest: float, expected: str) -> Array | None
     return values
 
 
-def _physical(tensors: Array | None) -> Array | None:
-    for k, tensor in enumerate([] if tensors is None else tensors):
-        reason = inertia_problem(tensor)
-        if reason is not None:
-            raise ValueError(f"{link_name(k)}: {reason}")
-    return tensors
-
-
 def _read_tensors(value: Any) -> Any:
     return value if value is None else tensors_from(value)
 
 
 _Rows = Annotated[Array | None, of_shape(None, 3)]
 _Masses = Annotated[Array | None, of_shape(None), AfterValidator(_positive_masses)]
-_Tensors = Annotated[Array | None, BeforeValidator(_read_tensors), AfterValidator(_physical)]
+_Tensors = Annotated[Array | None, BeforeValidator(_read_tensors)]
 _NotNegative = Annotated[Array | None, of_shape(None), AfterValidator(_at_least_zero)]
 _Positive = Annotated[Array | None, of_shape(None), AfterValidator(_above_zero)]
 
@@ -168,6 +177,9 @@ class Dynamics(Declaration):
         centers_of_mass: (n + 1, 3).
         inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
             entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
+        mend: what is done to tensors that no rigid body can have, as in tables that were
+            identified or have point masses: `none`, they are an error, or `balance`, see
+            `balanced_tensor`; `mended` says which.
         mass_scale: multiplies masses and tensors of the moving links.
         density: kg/m3, used to estimate links when no masses are given.
         motor_inertias: (n,), as seen at the joint: rotor times the square of the gear ratio.
@@ -182,6 +194,7 @@ class Dynamics(Declaration):
     masses: _Masses = None
     centers_of_mass: _Rows = None
     inertias: _Tensors = None
+    mend: Literal["none", "balance"] = "none"
     mass_scale: float = Field(1.0, gt=0)
     density: float = Field(LINK_DENSITY, gt=0)
     motor_inertias: _NotNegative = None
@@ -189,6 +202,39 @@ class Dynamics(Declaration):
     coulomb_friction: _NotNegative = None
     joint_stiffness: _Positive = None
     joint_damping: _NotNegative = None
+
+    _mended: list[str] = PrivateAttr(default_factory=list)
+
+    @property
+    def mended(self) -> list[str]:
+        """What `mend` has changed, a line for every link."""
+        return list(self._mended)
+
+    @model_validator(mode="after")
+    def _physical(self) -> Dynamics:
+        problems: list[Problem] = []
+        tensors = np.empty((0, 3, 3)) if self.inertias is None else self.inertias.copy()
+        for k, tensor in enumerate(tensors):
+            reason = inertia_problem(tensor)
+            if reason is None:
+                continue
+            if self.mend == "none" or self.masses is None or k >= len(self.masses):
+                hint = '; mend = "balance" changes it to a similar one'
+                problems.append(Problem("inertias", f"{link_name(k)}: {reason}{hint}"))
+                continue
+            balanced = balanced_tensor(tensor, float(self.masses[k]))
+            before, after = (
+                ", ".join(f"{moment:.4g}" for moment in np.linalg.eigvalsh(each))
+                for each in (tensor, balanced)
+            )
+            changed = f"principal moments {before} are now {after} kg m2"
+            self._mended.append(f"{link_name(k)}: {changed}")
+            tensors[k] = balanced
+        if problems:
+            raise DeclarationError(problems)
+        if self._mended:
+            self.__dict__["inertias"] = tensors
+        return self
 
     @model_validator(mode="after")
     def _all_or_none(self) -> Dynamics:

@@ -47,6 +47,8 @@ def run(options: argparse.Namespace) -> int:
         estimated = robot_dynamics(robot).estimated
         about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
         print(f"          dynamics: {about}")
+        for line in robot.dynamics.mended:
+            print(f"          mended  {line}")
     wiring = wire(scene)
     taken = {(o.name, o.key) for route in wiring.routes for o in route.value.origins if o.is_event}
     for name, source in wiring.sources.items():
