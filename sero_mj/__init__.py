@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .assemble.robot import SerialRobot as SerialRobot
     from .assemble.scene import Scene as Scene
     from .assemble.scene import SceneToggles as SceneToggles
+    from .assemble.scene_file import group_from_model as group_from_model
     from .assemble.surroundings import Camera as Camera
     from .assemble.surroundings import Light as Light
     from .assemble.surroundings import Object as Object
@@ -81,6 +82,7 @@ _HOME = {
     "Double": "assemble.double",
     "Dynamics": "assemble.dynamics",
     "Group": "assemble.groups",
+    "group_from_model": "assemble.scene_file",
     "Object": "assemble.surroundings",
     "SerialRobot": "assemble.robot",
     "Camera": "assemble.surroundings",

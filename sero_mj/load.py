@@ -1,4 +1,4 @@
-"""Loads what a name or a file means: a scene, a scenario, or a robot alone.
+"""Loads what a name or a file means: a scene, a scenario, a robot or a group of robots alone.
 
 What commands, `sero_mj.view` and `sero_mj.load_scene` are given is loaded here.
 """
@@ -14,17 +14,18 @@ from .assemble.robot import SerialRobot
 from .assemble.scene import Scene
 from .assemble.scene_file import read_scene_file
 from .drive.wiring import wire
-from .errors import DeclarationError, UnknownName, UsageError, did_you_mean
+from .errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
 from .simulate.sections import is_scenario
 
 
 def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> Scene:
     """Loads and checks a scene, opening nothing.
 
-    A robot is a scene with it alone. A scenario is simulated while its scene is shown.
+    A robot or a group of robots is a scene with it alone. A scenario is simulated while its scene
+    is shown.
 
     Args:
-        name: a TOML file, or the name of a shipped scene, scenario or robot.
+        name: a TOML file, or the name of a shipped scene, scenario, robot or group.
         overrides: `robot.field` to its value, over what the file says. An input that is set so
             (`lwr.joint_angles`) is no longer routed to.
 
@@ -40,18 +41,28 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
         if name in paths.list_scenarios():
             return _load_scenario(name, overrides)
         try:
-            paths.find_model(name)
-        except UnknownName as no_model:
-            available = [*paths.list_scenes(), *paths.list_scenarios(), *no_model.available]
-            hint = paths.file_hint(name)
-            raise UnknownName("scene or robot", name, available, hint) from error
-        return Scene(robots=[load_robot(name, overrides)], name=name)
-    if path.name == "robot.toml":
+            path = paths.find_model(name)
+        except UnknownName as no_robot:
+            try:
+                path = paths.find_group_model(name)
+            except UnknownName as no_group:
+                models = [*no_robot.available, *no_group.available]
+                available = [*paths.list_scenes(), *paths.list_scenarios(), *models]
+                hint = paths.file_hint(name)
+                raise UnknownName("scene or robot", name, available, hint) from error
+    if path.name == paths.ROBOT_FILE:
         return Scene(robots=[load_robot(str(path), overrides)], name=path.parent.name)
+    if path.name == paths.GROUP_FILE:
+        own = path.resolve().parent.name
+        tables = {"name": own, "groups": {own: {"model": str(path.resolve())}}}
+        return _checked(*read_scene_file(path, overrides, tables=tables))
     if is_scenario(path):
         return _load_scenario(str(path), overrides)
-    scene, problems = read_scene_file(path, overrides)
-    problems += scene.located(wire(scene).problems)
+    return _checked(*read_scene_file(path, overrides))
+
+
+def _checked(scene: Scene, problems: list[Problem]) -> Scene:
+    problems = problems + scene.located(wire(scene).problems)
     if problems:
         raise DeclarationError(problems)
     return scene

@@ -14,6 +14,7 @@ from typing import BinaryIO
 
 from .errors import DeclarationError, Problem, UnknownName, nearest
 
+ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 _PACKAGE = Path(__file__).resolve().parent
 _KINDS = (
     (stat.S_ISFIFO, "a pipe"),
@@ -42,7 +43,12 @@ def scenes_dir() -> Path:
 
 def list_models() -> list[str]:
     """Names of the shipped robots."""
-    return _models_in(models_dir())
+    return _models_in(models_dir(), ROBOT_FILE)
+
+
+def list_group_models() -> list[str]:
+    """Names of the shipped models that are groups of robots."""
+    return _models_in(models_dir(), GROUP_FILE)
 
 
 def list_scenes() -> list[str]:
@@ -60,18 +66,36 @@ def find_model(name: str, beside: Path | None = None) -> Path:
     Raises:
         UnknownName: nothing of that name exists; lists the robots beside it and the shipped ones.
     """
+    return _find_model("robot model", name, beside, ROBOT_FILE)
+
+
+def find_group_model(name: str, beside: Path | None = None) -> Path:
+    """Returns the file of the group of robots that `name` means; as `find_model` does.
+
+    Args:
+        name: a shipped group's name, a folder with a `group.toml`, or a TOML file.
+        beside: folder that relative paths start from; the working directory when None.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the groups beside it and the shipped ones.
+    """
+    return _find_model("model of a group", name, beside, GROUP_FILE)
+
+
+def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
     local = (beside or Path.cwd()) / name
-    for candidate in (local / "robot.toml", local, models_dir() / name / "robot.toml"):
+    for candidate in (local / file, local, models_dir() / name / file):
         if candidate.suffix == ".toml" and os.path.isfile(candidate):
             return candidate
     _refuse_path(name, beside)
-    raise UnknownName("robot model", name, [*_models_in(beside or Path.cwd()), *list_models()])
+    available = [*_models_in(beside or Path.cwd(), file), *_models_in(models_dir(), file)]
+    raise UnknownName(kind, name, available)
 
 
-def _models_in(folder: Path) -> list[str]:
-    """Names of the folders in a folder that hold a robot; none where it cannot be read."""
+def _models_in(folder: Path, file: str) -> list[str]:
+    """Names of the folders in a folder that hold such a file; none where it cannot be read."""
     try:
-        return sorted(path.parent.name for path in folder.glob("*/robot.toml"))
+        return sorted(path.parent.name for path in folder.glob(f"*/{file}"))
     except OSError:
         return []
 

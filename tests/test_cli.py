@@ -218,7 +218,9 @@ def test_list_names_robots_scenes_and_fields(capsys) -> None:
     assert re.search(r"^  impedance_push +Joint impedance holds", out, re.MULTILINE)
     assert re.search(r"^  lwr/reach +Brings the flange to a random target", out, re.MULTILINE)
     robots = out.partition("robots (models/)\n")[2].partition("\nscenes (")[0].splitlines()
+    robots.remove("groups of robots (models/)")
     assert all(row[20] == " " and row[21] != " " for row in robots), robots  # in a column
+    assert any(row.split()[0] == "dlr_hand2" for row in robots)
     _, out, _ = run(capsys, "list", "--fields")
     assert re.search(r"^axes_size = 0.2\n    their length, m", out, re.MULTILINE)
     assert "dh_convention = required" in out

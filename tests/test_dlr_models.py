@@ -105,7 +105,7 @@ def test_table_and_model_turn_as_their_joints_are_named(name):
 @pytest.mark.parametrize("name", BY_HAND)
 def test_what_is_not_published_is_not_passed_off_as_data(name):
     robot = SerialRobot.from_model(name)
-    assert "not DLR data" in robot.description
+    assert robot.note.endswith("approximate, not DLR data")
     text = (MODELS / name / "robot.toml").read_text()
     assert "approximate, not DLR data" in text and "Interactive Features" in text
 

@@ -10,9 +10,10 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, PrivateAttr
 
 from ..declaration import Declaration, Name
 from ..errors import Problem, did_you_mean
@@ -68,6 +69,9 @@ class Group(Declaration):
         None
     )
     elastic_joints: bool | None = None
+
+    # Files and keys of its tables, where it has a model; for problems found later.
+    _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @property
     def defaults(self) -> dict[str, object]:

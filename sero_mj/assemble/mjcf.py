@@ -21,6 +21,7 @@ from ..frames import Array, nice
 from .double import DOUBLE_GROUP, Double, path_fade
 from .inputs import moving
 from .mjcf_dynamics import (
+    ON,
     add_dynamics,
     exclude_mounted,
     exclude_neighbours,
@@ -196,10 +197,18 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     wrong_children: list[Problem] = []
     for k, (child, T) in enumerate(zip(robot.children, robot.child_frames, strict=True)):
         with collect(wrong_children, f"children.{k}"):
-            _add_object(root, flange, child, T, mirrored=robot.mirrored)
+            body = flange if child.on == "flange" else _body_on(root, child.on)
+            _add_object(root, body, child, T, mirrored=robot.mirrored)
     if wrong_children or problems:
         raise DeclarationError(wrong_children + problems)
     return root
+
+
+def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
+    """Returns the body of the children on a base or link, whose inertia is theirs alone."""
+    name = f"{ON}{label}"
+    body = root.worldbody if label == "base" else root.body(label)
+    return root.body(name) or body.add_body(name=name)
 
 
 def _joint_axis_frame(robot: SerialRobot, i: int) -> Array:

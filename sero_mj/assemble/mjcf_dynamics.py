@@ -23,6 +23,7 @@ from .shapes import housing_radii
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
 HULL_GROUP = 4  # a group that is not shown: links are displayed by their meshes
+ON = "on_"  # before a label: the body of the children that are fixed there
 PAYLOAD = "payload"  # a body at the flange that weighs nothing until something is picked up
 # Links closer than this count as neighbours, in housing radii: those of one wrist or shoulder
 # share a housing and always overlap.
@@ -183,8 +184,8 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     for i, k in combinations(range(robot.n + 1), 2):
         # The offsets between joint i + 1, where link i ends, and joint k, where link k begins.
         if k - i <= 2 or steps[i + 1 : k - ends_before].sum() < near:
-            for other in bodies[k]:
-                root.add_exclude(bodyname1=bodies[i][0], bodyname2=other)
+            for one, other in product(bodies[i], bodies[k]):
+                root.add_exclude(bodyname1=one, bodyname2=other)
 
 
 def exclude_mounted(root: mujoco.MjSpec, robots: Mapping[str, SerialRobot]) -> None:
@@ -217,11 +218,13 @@ def exclude_mounted(root: mujoco.MjSpec, robots: Mapping[str, SerialRobot]) -> N
 
 
 def _bodies_of(root: mujoco.MjSpec, robot: SerialRobot, link: int) -> list[str]:
-    """Returns the names of the bodies of a link; the last one's tools are its own."""
+    """Returns the names of the bodies of a link and of what is fixed to it, its own first."""
     scope = f"{robot.name}/"
     names = [f"{scope}link{link}" if link else scope]
+    fixed = [root.body(f"{scope}{ON}{f'link{link}' if link else 'base'}")]
     if link == robot.n:
-        flange = root.body(f"{scope}flange")
-        tools = [flange.name, *(body.name for body in flange.find_all("body"))]
+        fixed.append(root.body(f"{scope}flange"))
+    for body in (each for each in fixed if each is not None):
+        tools = [body.name, *(inner.name for inner in body.find_all("body"))]
         names += [name for name in tools if name.startswith(scope)]
     return names

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from ..errors import Problem, did_you_mean
 from ..frames import Array
 from .robot import SerialRobot
+from .robot_parts import frame_labels
 
 
 def carrier(robot: SerialRobot) -> str | None:
@@ -26,7 +27,7 @@ def carrier(robot: SerialRobot) -> str | None:
 def mount_labels(robot: SerialRobot) -> list[str]:
     """Returns what can follow `NAME/` in a `mount`: base, links, flange, axes at the flange."""
     axes = [child.name for child in robot.children if child.shape == "axes"]
-    return ["base", *(f"link{i + 1}" for i in range(robot.n)), "flange", *axes]
+    return [*frame_labels(robot.n), *axes]
 
 
 def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
@@ -68,10 +69,9 @@ def carried_by(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
 def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, int]:
     """Returns the name of the robot that carries a mounted one, and the link, 0 for its base."""
     below, _, label = (robots[name].mount or "").partition("/")
-    if label == "base":
-        return below, 0
-    is_link = label.startswith("link") and label[4:].isdigit()
-    return below, int(label[4:]) if is_link else robots[below].n
+    robot = robots[below]
+    label = next((child.on for child in robot.children if child.name == label), label)
+    return below, min(frame_labels(robot.n).index(label), robot.n)
 
 
 def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
@@ -86,10 +86,10 @@ def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
         return frames[..., 0, :, :]
     if label.startswith("link") and label[4:].isdigit():
         return frames[..., int(label[4:]), :, :]
-    flange = frames[..., -1, :, :] @ robot.T_n_flange
-    names = [child.name for child in robot.children]
-    T = flange if label == "flange" else flange @ robot.child_frames[names.index(label)]
-    return np.asarray(T)
+    if label == "flange":
+        return np.asarray(frames[..., -1, :, :] @ robot.T_n_flange)
+    k = [child.name for child in robot.children].index(label)
+    return np.asarray(mount_pose(robot, robot.children[k].on, frames) @ robot.child_frames[k])
 
 
 def base_frames(

@@ -18,7 +18,7 @@ from pydantic import (
 
 from .. import paths
 from ..declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
-from ..errors import DeclarationError
+from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import MIRROR, Array
 from ..toml_file import key_lines, located, read_toml
 from .couplings import CoupledJoints, Coupling, coupled_joints, coupling_problems
@@ -41,9 +41,10 @@ from .robot_parts import (
     check_colors,
     check_line_values,
     dh_rows,
+    frame_labels,
 )
 from .shapes import housing_radii
-from .surroundings import set_directory
+from .surroundings import Object, set_directory
 
 _COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
 _CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
@@ -93,7 +94,7 @@ class SerialRobot(Declaration):
             z of its joint frames points against the sense in which joints turn.
         flange_frame: T_n_flange, from the last joint's frame.
         joint_angles: (n,), initial pose, used until something is received.
-        children: objects fixed to the flange.
+        children: objects fixed to the flange, or to the frame that they are `on`.
         enable_touch_sensor: whether a click on the robot toggles its features.
         stale_after: s without a packet until the robot is shown grey.
         offsets_to_center_of_joints: (n, 3), m, offset of arrows and billboards in the joint's
@@ -175,6 +176,8 @@ class SerialRobot(Declaration):
     flange_tolerance_deg: float = Field(0.5, gt=0)
 
     _model: Path | None = PrivateAttr(None)  # the robot file, for problems found later
+    # Files and keys of its tables in models of groups, outer ones first; for the same.
+    _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @field_validator("dh_params")
     @classmethod
@@ -253,6 +256,20 @@ class SerialRobot(Declaration):
             )
         return self
 
+    @field_validator("children")
+    @classmethod
+    def _frames_to_be_on_exist(cls, children: list[Object], info: ValidationInfo) -> list[Object]:
+        if "dh_params" in info.data:
+            frames = frame_labels(len(info.data["dh_params"]))
+            problems = [
+                Problem(f"{k}.on", f"no frame '{child.on}'{did_you_mean(child.on, frames)}")
+                for k, child in enumerate(children)
+                if child.on not in frames
+            ]
+            if problems:
+                raise DeclarationError(problems)
+        return children
+
     @model_validator(mode="after")
     def _can_be_mirrored(self) -> SerialRobot:
         pieces = [child.name for child in self.children if child.mjcf is not None]
@@ -305,7 +322,7 @@ class SerialRobot(Declaration):
 
     @property
     def child_frames(self) -> list[Array]:
-        """T_flange_child (4, 4) of every child, m: as declared, or mirrored."""
+        """T_on_child (4, 4) of every child in the frame it is on, m: as declared, or mirrored."""
         frames = [child.frame for child in self.children]
         return [MIRROR @ frame @ MIRROR for frame in frames] if self.mirrored else frames
 

@@ -129,6 +129,11 @@ class BillboardLine(Declaration):
     scale: float = 1.0
 
 
+def frame_labels(n: int) -> list[str]:
+    """Returns what the frames of a robot with n joints are called: base, links, flange."""
+    return ["base", *(f"link{i + 1}" for i in range(n)), "flange"]
+
+
 def as_link_meshes(value: Any) -> Any:
     """Converts a file name, a table with `file` and `color`, a list of these, or "" for none."""
     if isinstance(value, str):

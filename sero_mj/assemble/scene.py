@@ -15,6 +15,7 @@ from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..toml_file import key_lines, located
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
+from .group_model import has_key, where
 from .groups import Group, group_problems, membership
 from .mounts import carrier, mount_problems
 from .robot import SerialRobot
@@ -376,12 +377,20 @@ class Scene:
         section, _, rest = problem.key.partition(".")
         name, _, key = rest.partition(".")
         robot = self.robots.get(name) if section == "robots" else None
-        model = None if robot is None else robot._model
-        if problem.file or model is None or not key:
+        group = self.groups.get(name) if section == "groups" else None
+        declaration = robot or group
+        field, _, inner = key.partition(".")
+        if problem.file or declaration is None or not key or f"{section}.{name}.{field}" in lines:
             return problem
-        if f"{section}.{name}.{key.partition('.')[0]}" in lines:
-            return problem
-        return located(Problem(key, problem.message), model, key_lines(model))
+        child, _, inner = inner.partition(".")
+        if robot is not None and field == "children" and child.isdigit():
+            declared = robot.children[int(child)]._declared
+            if declared is not None:
+                return where(Problem(inner, problem.message), (declared,))
+        places = [place for place in declaration._declared if has_key(place, field)]
+        if robot is not None and robot._model is not None and not places:
+            places = [(robot._model, "")]
+        return where(Problem(key, problem.message), tuple(places)) if places else problem
 
 
 def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:

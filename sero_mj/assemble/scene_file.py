@@ -15,6 +15,7 @@ from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, neare
 from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
+from .group_model import Expanded, expand_groups, where
 from .groups import Group, membership
 from .robot import SerialRobot, build_robot
 from .scene import Scene, SceneToggles, origin_text
@@ -50,7 +51,35 @@ def read_scene_file(
     for target, value in (overrides or {}).items():
         reader.override(target, value)
     scene = reader.scene()
-    return scene, scene.located(reader.problems)
+    # What is wrong with the mount of a group is so for all of its robots.
+    return scene, list(dict.fromkeys(scene.located(reader.problems)))
+
+
+def group_from_model(
+    model: str, name: str | None = None, **fields: Any
+) -> tuple[list[SerialRobot], list[Group]]:
+    """Reads a model that is a group, as `[groups.NAME]` with `model` does in a scene.
+
+    Args:
+        model: a shipped group's name (`dlr_hand2`), a folder with a `group.toml`, or a file.
+        name: of the group; the model's when None.
+        **fields: `mount`, `base_frame`, `mirrored`, defaults of `Group`, and in `robots` and
+            `groups` fields of its members by name.
+
+    Returns:
+        its robots and groups, for a `Scene`.
+
+    Raises:
+        UnknownName: there is no such model.
+        DeclarationError: what is wrong in the files or the fields.
+    """
+    path = paths.find_group_model(model).resolve()
+    entry = {"model": str(path), **fields}
+    reader = _Reader(path, {"groups": {name or path.parent.name: entry}}, ())
+    robots, groups = reader.robots(), reader.groups()
+    if reader.problems:
+        raise DeclarationError(reader.problems)
+    return robots, groups
 
 
 class _Reader:
@@ -62,11 +91,28 @@ class _Reader:
         self.problems: list[Problem] = []
         self.broken: list[str] = []
         self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
+        self.expanded = Expanded()
+        if isinstance(tables.get("groups"), dict):
+            self._expand(tables["groups"])
+
+    def _expand(self, groups: dict[str, Any]) -> None:
+        """Puts the robots of groups that have a model among those of the file."""
+        self.expanded = expanded = expand_groups(groups, self.path)
+        self.problems += expanded.problems
+        self.broken += expanded.broken
+        self.tables = {**self.tables, "groups": expanded.groups}
+        if not expanded.groups:
+            del self.tables["groups"]
+        robots = self.tables.get("robots", {})
+        if expanded.robots and isinstance(robots, dict):
+            for name in expanded.robots.keys() & robots.keys():
+                self.wrong(f"robots.{name}", "a group with a model has a robot of this name")
+            self.tables["robots"] = {**robots, **expanded.robots}
 
     def scene(self) -> Scene:
         sections: dict[str, Callable[[], Any]] = {
-            "robots": lambda: list(self._each("robots", self._robot).values()),
-            "groups": lambda: list(self._each("groups", _named(Group)).values()),
+            "robots": self.robots,
+            "groups": self.groups,
             "sources": lambda: self._each("sources", self._source),
             "routes": self._routes,
             "doubles": lambda: list(self._each("doubles", _named(Double)).values()),
@@ -104,6 +150,15 @@ class _Reader:
             near = did_you_mean(str(camera), scene.cameras)
             self.wrong("view.camera", f"no camera '{camera}'{near}")
         return scene
+
+    def robots(self) -> list[SerialRobot]:
+        return list(self._each("robots", self._robot).values())
+
+    def groups(self) -> list[Group]:
+        groups = self._each("groups", _named(Group))
+        for name, group in groups.items():
+            group._declared = self.expanded.declared.get(f"groups.{name}", ())
+        return list(groups.values())
 
     def override(self, target: str, value: Any) -> None:
         """Overrides `robot.field`, or a field of a double, an arrow, ..., of the file."""
@@ -150,7 +205,10 @@ class _Reader:
         try:
             return build()
         except DeclarationError as error:
-            self.problems += [p if p.file else p.inside(key) for p in error.problems]
+            declared = self.expanded.declared.get(key)
+            for problem in error.problems:
+                here = problem.inside(key) if declared is None else where(problem, declared)
+                self.problems.append(problem if problem.file else here)
         self.broken.append(key)
         return None
 
@@ -202,6 +260,14 @@ class _Reader:
         return routes
 
     def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
+        robot = self._built(name, table)
+        objects = self.expanded.objects.get(name, [])
+        if objects:  # of the group, fixed to its first robot
+            robot.children = [*robot.children, *objects]
+        robot._declared = self.expanded.declared.get(f"robots.{name}", ())
+        return robot
+
+    def _built(self, name: str, table: dict[str, Any]) -> SerialRobot:
         if "name" in table:
             message = f"belongs in the header: write [robots.{table['name']}] instead"
             raise DeclarationError([Problem("name", message)])
@@ -211,7 +277,8 @@ class _Reader:
         for key in fields:
             if key not in known and did_you_mean(key, known).endswith("did you mean 'model'?"):
                 raise DeclarationError([Problem(key, "unknown key; did you mean 'model'?")])
-        beside = self.path.parent
+        declared = self.expanded.declared.get(f"robots.{name}")
+        beside = declared[-1][0].parent if declared else self.path.parent
         if "directory" in fields and isinstance(fields["directory"], str):
             fields["directory"] = str(beside / fields["directory"])
         set_directory(fields.get("children"), beside)

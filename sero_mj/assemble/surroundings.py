@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from ..declaration import Declaration, Frame, Name, Point, Rgba, Vector
 from ..frames import Array
@@ -62,7 +69,8 @@ class Object(Declaration):
         mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in
             Python an object that contains MJCF: a `mujoco.MjSpec`, a PyMJCF
             `mjcf.RootElement`, a dm_control composer entity.
-        frame: pose in the world, or in the flange's frame for a robot's child.
+        frame: pose in the world, or in the frame of a robot's link that a child is fixed to.
+        on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
         rgba: colour; an MJCF piece has its own.
         directory: base folder of the files, set by the reader of the declaration.
     """
@@ -75,7 +83,10 @@ class Object(Declaration):
     mjcf: Any = None
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
+    on: str = "flange"
     directory: str = ""
+
+    _declared: tuple[Path, str] | None = PrivateAttr(None)  # file and key, if not its robot's
 
     @field_validator("mjcf")
     @classmethod

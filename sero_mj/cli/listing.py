@@ -39,6 +39,10 @@ def run(options: argparse.Namespace) -> int:
     for name in paths.list_models():
         about = tomllib.loads(paths.find_model(name).read_text(encoding="utf-8"))
         print(f"  {name:18} {about.get('description', '')}")
+    print("groups of robots (models/)")
+    for name in paths.list_group_models():
+        about = tomllib.loads(paths.find_group_model(name).read_text(encoding="utf-8"))
+        print(f"  {name:18} {about.get('description', '')}")
     print("scenes (scenes/)")
     for name in paths.list_scenes():
         print(f"  {name:18} {_about(name)}")

@@ -1,0 +1,246 @@
+"""Models that are groups: their robots, where these stand, what a scene sets, what can be wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from poses import chain, move, rot
+
+from sero_mj import DeclarationError, Scene, SerialRobot, World, group_from_model, load_scene
+
+FINGER = """
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.02], [1.5707963267948966, 0.01, 0, 0]]
+flange_frame = { xyz = [0.05, 0, 0] }
+"""
+HAND = """
+show_axes = true
+axes_size = 0.03
+
+[robots.index]
+model = "finger"
+base_frame = { xyz = [0.0, 0.04, 0.1], rpy = [0.3, 0.0, 0.2] }
+joint_angles = [0.1, 0.2]
+
+[robots.thumb]
+model = "finger"
+base_frame = { xyz = [0.03, 0.05, 0.06] }
+
+[robots.nail]
+model = "finger"
+mount = "thumb/flange"
+base_frame = { xyz = [0.0, 0.01, 0.0] }
+
+[groups.two]
+robots = ["thumb", "nail"]
+
+[objects.palm]
+shape = "box"
+size = [0.02, 0.08, 0.1]
+frame = { xyz = [0.0, 0.0, 0.05] }
+"""
+BODY = """
+members = ["trunk", "left", "right"]
+
+[robots.trunk]
+model = "finger"
+
+[groups.right]
+model = "hand"
+mount = "trunk/flange"
+base_frame = { xyz = [0.0, -0.2, 0.0], rpy = [0.5, 0.0, 0.0] }
+
+[groups.left]
+model = "hand"
+mirrored = true
+mount = "trunk/flange"
+base_frame = { xyz = [0.0, 0.2, 0.0], rpy = [-0.5, 0.0, 0.0] }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a finger, a hand of these, and a body with two hands."""
+    for name, text in (("finger/robot", FINGER), ("hand/group", HAND), ("body/group", BODY)):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / f"{name}.toml").write_text(text)
+    return tmp_path
+
+
+def loaded(folder: Path, text: str, overrides: dict[str, Any] | None = None) -> Scene:
+    (folder / "scene.toml").write_text(text)
+    return load_scene(folder / "scene.toml", overrides)
+
+
+def told(folder: Path, text: str) -> list[str]:
+    with pytest.raises(DeclarationError) as caught:
+        loaded(folder, text)
+    return [str(problem).replace(f"{folder}/", "") for problem in caught.value.problems]
+
+
+def changed(folder: Path, name: str, old: str, new: str) -> None:
+    file = folder / name
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+def finger(*q: float) -> np.ndarray:
+    """A finger's flange in its base, by hand."""
+    steps = (rot(2, q[0]), move(z=0.02), rot(0, np.pi / 2), move(x=0.01), rot(2, q[1]))
+    # Craig: the turn about x comes before a; here both are along x.
+    return chain(*steps, move(x=0.05))
+
+
+def test_a_model_becomes_robots_and_groups_in_the_order_of_its_members(folder: Path) -> None:
+    scene = loaded(folder, '[groups.b]\nmodel = "body"\n')
+    one = ["index", "thumb", "nail"]
+    robots = ["b_trunk", *(f"b_left_{n}" for n in one), *(f"b_right_{n}" for n in one)]
+    assert scene.members("b") == robots
+    assert scene.members("b_left_two") == ["b_left_thumb", "b_left_nail"]
+    assert scene.groups["b"].robots == ["b_trunk", "b_left", "b_right"]
+    assert not scene.robots["b_trunk"].show_axes
+    assert scene.robots["b_left_nail"].show_axes
+    assert scene.robots["b_left_nail"].axes_size == 0.03
+
+
+def test_members_stand_where_products_of_frames_have_them(folder: Path) -> None:
+    world = World(loaded(folder, '[groups.b]\nmodel = "body"\nbase_frame = { xyz = [1, 2, 0] }\n'))
+    data = world.make_data()
+    trunk = chain(move(1, 2, 0), finger(0, 0))
+    wrist = chain(trunk, move(0, -0.2, 0), rot(0, 0.5))
+    index = chain(move(0, 0.04, 0.1), rot(2, 0.2), rot(0, 0.3), finger(0.1, 0.2))
+    nail = chain(move(0.03, 0.05, 0.06), finger(0, 0), move(0, 0.01, 0), finger(0, 0))
+    S = np.diag([1.0, -1.0, 1.0, 1.0])
+    other = chain(trunk, move(0, 0.2, 0), rot(0, -0.5))
+    for name, tip in (("index", index), ("nail", nail)):
+        right, left = (world.frame(data, f"b_{side}_{name}/flange") for side in ("right", "left"))
+        np.testing.assert_allclose(right, wrist @ tip, atol=1e-9)
+        np.testing.assert_allclose(left, other @ S @ tip @ S, atol=1e-9)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_objects_of_a_model_move_with_it(folder: Path, side: str) -> None:
+    world = World(loaded(folder, '[groups.b]\nmodel = "body"\n', {"b_trunk.joint_angles": [1, 2]}))
+    data = world.make_data()
+    turn = 0.5 if side == "right" else -0.5
+    wrist = chain(finger(1, 2), move(0, -0.4 * turn, 0), rot(0, turn))
+    palm = data.geom(f"b_{side}_index/palm")
+    at = np.vstack([np.c_[palm.xmat.reshape(3, 3), palm.xpos], [0, 0, 0, 1]])
+    np.testing.assert_allclose(at, chain(wrist, move(0, 0, 0.05)), atol=1e-9)
+
+
+def test_a_scene_sets_fields_of_members_and_defaults_of_the_group(folder: Path) -> None:
+    scene = loaded(
+        folder,
+        """
+        [groups.b]
+        model = "body"
+        arrow_radius = 0.07
+        [groups.b.groups.left]
+        axes_size = 0.01
+        [groups.b.groups.left.robots.index]
+        joint_angles = [0.5, 0.6]
+        [groups.b.robots.trunk]
+        torque_limits = [5, 6]
+        """,
+        {"b_right.show_billboards": True},
+    )
+    index = scene.robots["b_left_index"]
+    assert index.joint_angles is not None
+    assert (index.joint_angles.tolist(), index.axes_size) == ([0.5, 0.6], 0.01)
+    assert scene.robots["b_right_index"].axes_size == 0.03
+    assert scene.robots["b_right_nail"].show_billboards and not index.show_billboards
+    assert {robot.arrow_radius for robot in scene.robots.values()} == {0.07}
+    assert scene.robots["b_trunk"].torque_limits is not None
+
+
+def test_a_model_is_a_scene_by_itself_and_robots_and_groups_in_python(folder: Path) -> None:
+    assert [*load_scene(folder / "hand" / "group.toml").robots] == [
+        "hand_index", "hand_thumb", "hand_nail"
+    ]  # fmt: skip
+    arm = SerialRobot.from_model("lwr", name="arm")
+    robots, groups = group_from_model(
+        str(folder / "hand"), "left", mount="arm/flange", mirrored=True, show_arrows=True
+    )
+    scene = Scene(robots=[arm, *robots], groups=groups)
+    assert scene.members("left") == ["left_index", "left_thumb", "left_nail"]
+    assert all(scene.robots[name].mirrored for name in scene.members("left") or [])
+    assert scene.robots["left_nail"].show_arrows
+    with pytest.raises(DeclarationError, match="mirored: unknown key; did you mean 'mirr"):
+        group_from_model(str(folder / "hand"), "left", mirored=True)
+
+
+def test_mistakes_are_told_with_the_file_and_line_of_the_model(folder: Path) -> None:
+    changed(folder, "hand/group.toml", "joint_angles = [0.1, 0.2]", "joint_angles = [0.1]")
+    changed(folder, "hand/group.toml", '"thumb/flange"', '"thum/flange"')
+    changed(folder, "hand/group.toml", "size = [0.02, 0.08, 0.1]", "size = [0.02, 0.08]")
+    changed(folder, "hand/group.toml", "axes_size = 0.03", "axes_size = -1.0\naxes_sise = 0.03")
+    changed(folder, "hand/group.toml", '["thumb", "nail"]', '["thumb", "nails"]')
+    assert told(folder, '[groups.h]\nmodel = "hand"\n') == [
+        "hand/group.toml:4: axes_sise: unknown key; did you mean 'axes_size'?",
+        "hand/group.toml:23: objects.palm: size of a box: found [0.02, 0.08]; expected positive "
+        "length x, length y, length z in m",
+        "hand/group.toml:9: robots.index.joint_angles: found 1 entries; expected 2, one per row of "
+        "dh_params",
+        "hand/group.toml:3: axes_size: found -1.0; expected greater than 0",
+        "hand/group.toml:17: robots.nail.mount: no frame 'h_thum/flange'; did you mean "
+        "'h_thumb/flange'?",
+        "hand/group.toml:21: groups.two.robots: no robot or group 'h_nails'; did you mean "
+        "'h_nail'?",
+    ]
+
+
+def test_mistakes_in_the_scene_are_told_with_its_own_line(folder: Path) -> None:
+    text = """[groups.h]
+model = "hand"
+mount = "arm/flanje"
+[groups.h.robots.index]
+joint_angles = [1, 2, 3]
+[groups.h.robots.tumb]
+joint_angles = [1, 2]
+[groups.k]
+model = "hnd"
+[groups.l]
+model = "hand"
+base_frame = { xzy = [0, 0, 0] }
+mirrored = "yes"
+[robots.arm]
+model = "lwr"
+[robots.m_nail]
+model = "lwr"
+[groups.m]
+model = "hand"
+"""
+    assert told(folder, text) == [
+        "scene.toml:6: groups.h.robots.tumb: hand has none; did you mean 'thumb'?",
+        "scene.toml:9: groups.k.model: no model of a group 'hnd'; did you mean 'hand'?",
+        "scene.toml:12: groups.l.base_frame: unknown key 'xzy'; did you mean 'xyz'?",
+        "scene.toml:13: groups.l.mirrored: found 'yes'; expected true or false",
+        "scene.toml:16: robots.m_nail: a group with a model has a robot of this name",
+        "scene.toml:5: groups.h.robots.index.joint_angles: found 3 entries; expected 2, one per "
+        "row of dh_params",
+        "scene.toml:3: groups.h.mount: no frame 'arm/flanje'; did you mean 'arm/flange'?",
+    ]
+
+
+def test_a_model_in_itself_is_told(folder: Path) -> None:
+    changed(
+        folder, "hand/group.toml", "[robots.index]", '[groups.x]\nmodel = "body"\n[robots.index]'
+    )
+    (problem, *_) = told(folder, '[groups.b]\nmodel = "body"\n')
+    assert problem == (
+        "hand/group.toml:6: groups.x.model: models of groups are in each other in a circle: "
+        "body in hand in body"
+    )
+
+
+def test_objects_need_a_robot_to_carry_them(folder: Path) -> None:
+    (folder / "hand/group.toml").write_text('[objects.palm]\nshape = "sphere"\nsize = [0.1]\n')
+    assert (
+        "hand/group.toml:1: objects.palm: no robot to carry it"
+        in told(folder, '[groups.h]\nmodel = "hand"\n')[0]
+    )
