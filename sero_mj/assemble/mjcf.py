@@ -25,6 +25,7 @@ from .mjcf_dynamics import (
     add_dynamics,
     exclude_mounted,
     exclude_neighbours,
+    set_friction,
     set_inertia,
     set_up_dynamics,
 )
@@ -67,13 +68,17 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     moved = moving(scene)
     _surroundings(root, scene, moved)
     if dynamics is not None:
-        set_up_dynamics(root)
+        set_up_dynamics(root, has_free=any(item.is_free for item in scene.objects))
     problems = _clashes(scene)
     if problems:
         raise DeclarationError(scene.located(problems))
     for item in scene.objects:
         with collect(problems, f"objects.{item.name}"):
-            if item.name in moved:
+            if dynamics is not None and item.is_free:
+                body = root.worldbody.add_body(name=moved_body(item.name), **pose(item.frame))
+                body.add_freejoint(name=moved_body(item.name))
+                _add_object(root, body, item, np.eye(4))
+            elif item.name in moved:
                 _add_object(root, _moved_body(root, item.name, item.frame), item, np.eye(4))
             else:
                 _add_object(root, root.worldbody, item, item.frame)
@@ -147,7 +152,7 @@ def _attach(
 
 
 def moved_body(name: str) -> str:
-    """Returns the name of the body of an object or camera that a route moves."""
+    """Returns the name of the body of an object or camera that a route or physics moves."""
     return f"moved-{name}"
 
 
@@ -387,7 +392,11 @@ def _add_object(
     else:
         assert item.size is not None and item.shape is not None  # checked by Object
         kind = {"type": geom_type(item.shape), "size": item.size * _HALF.get(item.shape, 1.0)}
-    body.add_geom(name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind, **pose(T))
+    if item.mass is not None:
+        kind["mass"] = item.mass
+    geom = body.add_geom(name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind, **pose(T))
+    if item.friction is not None:
+        set_friction(geom, item.friction)
 
 
 def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:

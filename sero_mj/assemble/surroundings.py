@@ -58,7 +58,10 @@ MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
 
 
 class Object(Declaration):
-    """A fixed object: a primitive shape, coordinate axes, a mesh, or a piece of MJCF.
+    """An object: a primitive shape, coordinate axes, a mesh, or a piece of MJCF.
+
+    It stands where it is declared, or on its flange; an object of a scene that has a mass is free
+    in simulation: it falls, is pushed and is held by what touches it.
 
     Attributes:
         name: unique in its scene or robot.
@@ -72,6 +75,8 @@ class Object(Declaration):
         frame: pose in the world, or in the frame of a robot's link that a child is fixed to.
         on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
         rgba: colour; an MJCF piece has its own.
+        mass: kg, of a solid of one density; a robot's child without one has water's density.
+        friction: coefficient of friction with all that it touches in simulation; 0.3 when None.
         directory: base folder of the files, set by the reader of the declaration.
     """
 
@@ -84,6 +89,8 @@ class Object(Declaration):
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
     on: str = "flange"
+    mass: float | None = Field(None, gt=0)
+    friction: float | None = Field(None, ge=0)
     directory: str = ""
 
     _declared: tuple[Path, str] | None = PrivateAttr(None)  # file and key, if not its robot's
@@ -107,6 +114,7 @@ class Object(Declaration):
         if len(given) != 1:
             found = " and ".join(given) or "none of them"
             raise ValueError(f"found {found}; expected exactly one of shape, mesh, mjcf")
+        self._check_solid()
         if self.shape is None:
             return self
         meaning = SHAPE_SIZES[self.shape]
@@ -121,6 +129,21 @@ class Object(Declaration):
                 f"size of {article} {self.shape}: found {found}; expected positive {meaning} in m"
             )
         return self
+
+    def _check_solid(self) -> None:
+        """Refuses a mass and a friction of what has none, or its own."""
+        for key in ("mass", "friction"):
+            if getattr(self, key) is None or (self.mjcf is None and self.shape != "axes"):
+                continue
+            found = f"{key}: found {getattr(self, key):g}"
+            if self.mjcf is not None:
+                raise ValueError(f"{found} for a piece of MJCF; expected it in its geoms")
+            raise ValueError(f"{found} for axes; expected a shape that is a body, or a mesh")
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it moves in simulation, as an object of a scene."""
+        return self.mass is not None
 
 
 def set_directory(children: Any, folder: Path) -> None:

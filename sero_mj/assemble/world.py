@@ -47,6 +47,8 @@ class World(WorldView):
 
     Attributes:
         dynamic: whether it is compiled for simulation.
+        free_objects: indices in `qpos` (7,) of the pose of every object that is free, by name:
+            position, and quaternion with its scalar first; empty unless `dynamic`.
         dynamics: parameters of every robot's equations of motion, by name; empty unless
             `dynamic`.
 
@@ -79,6 +81,9 @@ class World(WorldView):
             # Doubles cast no shadow; the shadow map costs as much as the picture.
             self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
         self.robots = self._find_robots()
+        free = [item.name for item in scene.objects if dynamic and item.is_free]
+        bodies = map(self._free, self._bodies([moved_body(name) for name in free]))
+        self.free_objects = dict(zip(free, bodies, strict=True))
         self.doubles = self._find_doubles()
         single = {name: part for name, part in self.doubles.items() if part.path is None}
         self.owners = {**self.robots, **single}
@@ -221,7 +226,7 @@ class World(WorldView):
         return parts
 
     def _free(self, base: int) -> Ints:
-        """Returns the indices in `qpos` of the free joint of a base; empty where it has none."""
+        """Returns the indices in `qpos` of the free joint of a body; empty where it has none."""
         joint = self.model.body_jntadr[base]
         if joint < 0:
             return np.zeros(0, np.intp)

@@ -388,7 +388,8 @@ def _share(expect: Expect, log: RunLog) -> float:
     assert expect.measure is not None
     measure = MEASURES[expect.measure][1]
     found = [1.0]
-    for robot in log.robots if expect.robot is None else [expect.robot]:
+    named = expect.robot or expect.object
+    for robot in log.robots if named is None else [named]:
         values = np.abs(measure(log, robot)[-1])
         if expect.joints and len(values) > 1:
             names = log.robots[robot].names

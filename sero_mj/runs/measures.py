@@ -1,4 +1,4 @@
-"""Measures of a run: errors, speeds, torques and forces over time."""
+"""Measures of a run: errors, speeds, torques and forces over time; where what is free has gone."""
 
 from __future__ import annotations
 
@@ -76,7 +76,27 @@ def _drift(log: RunLog, robot: str) -> Array:
     return np.asarray(angles - angles[0])
 
 
-# Name in files to unit, and the numbers (T, n) per joint or (T, 1).
+def _free_pose(log: RunLog, name: str) -> Array:
+    """T_world_base of a robot whose base is free, or T_world_object of a free object, (T, 4, 4)."""
+    return log.signals[event_of(name, "base_frame" if name in log.robots else "frame")]
+
+
+def _height(log: RunLog, name: str) -> Array:
+    return _free_pose(log, name)[:, 2, 3:]
+
+
+def _displacement(log: RunLog, name: str) -> Array:
+    at = _free_pose(log, name)[:, :3, 3]
+    return np.asarray(np.linalg.norm(at - at[0], axis=1)[:, None])
+
+
+def _tilt(log: RunLog, name: str) -> Array:
+    """The angle between z as it is and as it was at first."""
+    up = _free_pose(log, name)[:, :3, 2]
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(up, up[0]), axis=1), up @ up[0])[:, None])
+
+
+# Name in files to unit, and the numbers (T, n) per joint or (T, 1) of a robot, or of an object.
 MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "position_error": ("rad", _position_error),
     "velocity_error": ("rad/s", _velocity_error),
@@ -92,6 +112,11 @@ MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "external_torque": ("Nm", lambda log, robot: log.of(robot, "external_torques")),
     "saturated": ("share of the time", lambda log, robot: log.of(robot, "saturated")),
     "contact_force": ("N", _contact_force),
+    "height": ("m", _height),
+    "displacement": ("m", _displacement),
+    "tilt": ("rad", _tilt),
 }
+# Those of what is free: a base, or an object.
+OF_FREE = ("height", "displacement", "tilt")
 # Those that ask for a target, and those that only robots with obstacles have.
 NEED_TARGET = ("position_error", "velocity_error", "flange_error", "orientation_error")

@@ -13,7 +13,7 @@ from ..assemble.scene import Scene
 from ..declaration import Declaration, Name
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import Array
-from ..runs.measures import MEASURES, NEED_TARGET
+from ..runs.measures import MEASURES, NEED_TARGET, OF_FREE
 from ..runs.monitor import KINDS, Finding
 from ..runs.run_log import RunLog
 from .disturbances import Disturbance, Fault
@@ -61,6 +61,7 @@ class Expect(Declaration):
     Attributes:
         measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`, ...
         robot: whose; all robots when None.
+        object: a free object, whose `height`, `displacement` or `tilt` it is.
         joints: names; all when empty.
         below: what its size must be below, at every joint.
         above: what its size must be above, at one joint at least.
@@ -75,6 +76,7 @@ class Expect(Declaration):
 
     measure: str | None = None
     robot: Name | None = None
+    object: Name | None = None
     joints: list[str] = Field(default_factory=list)
     below: float | None = None
     above: float | None = None
@@ -108,12 +110,24 @@ class Expect(Declaration):
             value = getattr(self, key)
             if value is not None and value not in known:
                 raise ValueError(f"{key}: no '{value}'{did_you_mean(value, known)}")
+        self._check_free()
         for kind in self.finds_nothing if isinstance(self.finds_nothing, list) else []:
             if kind not in KINDS:
                 raise ValueError(f"finds_nothing: no '{kind}'{did_you_mean(kind, list(KINDS))}")
         if self.before is not None and self.before <= self.after:
             raise ValueError(f"before: found {self.before:g}; expected more than {self.after:g} s")
         return self
+
+    def _check_free(self) -> None:
+        """Looks whether measures of what is free, and no others, say of what."""
+        if self.measure in OF_FREE and (self.robot is None) == (self.object is None):
+            found = "none of them" if self.robot is None else "robot and object"
+            raise ValueError(
+                f"measure: '{self.measure}' is of one thing that is free; found {found}; expected "
+                "robot, with a free base, or object"
+            )
+        if self.measure not in OF_FREE and self.object is not None:
+            raise ValueError(f"object: is for {', '.join(OF_FREE)}; found {self.measure}")
 
     def check(self, scenario: RunContext) -> None:
         """Checks that the scenario has the robots, joints and causes that are named.
@@ -126,6 +140,7 @@ class Expect(Declaration):
         if self.robot is not None and self.robot not in robots:
             near = did_you_mean(self.robot, robots)
             problems.append(Problem("robot", f"no robot '{self.robot}'{near}"))
+        problems += self._not_free(scenario.scene)
         names = [name for robot in self._robots(list(robots)) if robot in robots
                  for name in robots[robot].names]  # fmt: skip
         problems += [
@@ -151,6 +166,21 @@ class Expect(Declaration):
             problems.append(Problem("after", message))
         if problems:
             raise DeclarationError(problems)
+
+    def _not_free(self, scene: Scene) -> list[Problem]:
+        """Returns that what must be free for this measure is fixed, or is not there."""
+        if self.object is not None:
+            objects = {item.name: item for item in scene.objects}
+            if self.object not in objects:
+                near = did_you_mean(self.object, objects)
+                return [Problem("object", f"no object '{self.object}'{near}")]
+            if not objects[self.object].is_free:
+                return [Problem("object", f"'{self.object}' is fixed; expected one with a mass")]
+            return []
+        robot = scene.robots.get(self.robot or "") if self.measure in OF_FREE else None
+        if robot is None or robot.free_base:
+            return []
+        return [Problem("robot", f"the base of '{self.robot}' is fixed; expected free_base = true")]
 
     def _robots(self, all_of_them: Sequence[str]) -> list[str]:
         return list(all_of_them) if self.robot is None else [self.robot]
@@ -214,7 +244,8 @@ class Expect(Declaration):
             rows &= log.times <= self.before + 1e-9
         worst, place = -np.inf, ""
         reaches_end = log.times[-1] >= (self.after if self.before is None else self.before) - 1e-6
-        for robot in self._robots(list(log.robots)):
+        whose = self._robots(list(log.robots)) if self.object is None else [self.object]
+        for robot in whose:
             values = np.abs(compute(log, robot)[rows])
             names = log.robots[robot].names if values.shape[1] > 1 else [""]
             chosen = [k for k, joint in enumerate(names)

@@ -90,7 +90,10 @@ class Simulation:
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
         parts = self.plant.world.robots
-        self._free_bases = {name: part.free for name, part in parts.items() if len(part.free)}
+        bases = {name: part.free for name, part in parts.items() if len(part.free)}
+        self._free = {event_of(name, "base_frame"): free for name, free in bases.items()}
+        objects = self.plant.world.free_objects
+        self._free |= {event_of(name, "frame"): free for name, free in objects.items()}
         start = np.concatenate([robot.home for robot in self.robots.values()])
         self._begin(start)
         robots = dict(zip(self.robots, self._robots, strict=True))
@@ -153,7 +156,7 @@ class Simulation:
         self._estimated = self.rows[:, self.layout.block(ESTIMATED)]
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, 0] = self.plant.actual[2]  # what holds it at rest
-        self._write_bases(0)
+        self._write_free(0)
 
     def _of_robots(self, section: str, make: Callable[[str], T]) -> dict[str, T]:
         """What is made for every robot, by name; tells all that is wrong in a section at once."""
@@ -181,7 +184,7 @@ class Simulation:
         events = self._schedule.log_events()
         if self._contacts is not None:
             events |= {event_of(name, "contact_force"): "1V" for name in plans}
-        events |= {event_of(name, "base_frame"): "1M" for name in self._free_bases}
+        events |= dict.fromkeys(self._free, "1M")
         for name, plan in plans.items():
             if plan.flange is not None:
                 events[event_of(name, "target_pose")] = "1M"
@@ -252,7 +255,7 @@ class Simulation:
             SimulationError: it cannot go on; the log ends with the step before.
         """
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
-        whole_body, free_bases = self.whole_body, self._free_bases
+        whole_body, free = self.whole_body, self._free
         measured, actual, driven = self._measured, self._actual, self._driven
         (commanded, _), every = self._drive, self._observed_every
         first, stop = self.step + 1, min(to_step, self.steps) + 1
@@ -266,8 +269,8 @@ class Simulation:
                     robot.command(k - 1, time)
                 plant.step(commanded * schedule.gains)
                 measured[k], actual[k], driven[k] = plant.measured, plant.actual, self._drive
-                if free_bases:
-                    self._write_bases(k)
+                if free:
+                    self._write_free(k)
                 if contacts is not None and plant.data.ncon:
                     self._write_contacts(k, contacts.update())
                 schedule.after(k)
@@ -282,12 +285,12 @@ class Simulation:
             written = driven[first : self.step + 1]
             written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
 
-    def _write_bases(self, k: int) -> None:
-        """Writes where free bases are into row k."""
-        for name, free in self._free_bases.items():
+    def _write_free(self, k: int) -> None:
+        """Writes where free bases and objects are into row k."""
+        for event, free in self._free.items():
             pose = self.plant.data.qpos[free]
             T = frame(rotation_from_quat(pose[3:]), pose[:3])
-            self.rows[k, self.layout.columns[event_of(name, "base_frame")]] = T.ravel()
+            self.rows[k, self.layout.columns[event]] = T.ravel()
 
     def _write_contacts(self, k: int, forces: Array) -> None:
         columns = self.layout.columns
