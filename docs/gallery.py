@@ -191,19 +191,10 @@ SHOTS = (
     Shot("dlr_hand2", "DLR Hand II: approximate, not DLR data",
          hand("dlr_hand2_finger", DLR_HAND2, [0.0, 0.4, 0.5])
          + NEAR.format(distance=0.56, height=0.1)),
-    Shot("biped", "Legs of the DLR Biped: approximate, not DLR data", """
-[robots.left]
-model = "biped_leg"
-base_frame = { xyz = [0.0, 0.1, 0.8415] }
-[robots.right]
-model = "biped_leg"
-base_frame = { xyz = [0.0, -0.1, 0.8415] }
-[view]
-azimuth_deg = 205
-elevation_deg = -10
-distance = 1.8
-look_at = [0.0, 0.0, 0.46]
-"""),
+    Shot("hit_hand_grasp", "It holds a can by friction, simulated: torques and forces of the grasp",
+         "hit_hand_grasp", at=4.5),
+    Shot("biped", "DLR Biped, simulated: it stands by stiff ankles, and is pushed", "biped_stand",
+         at=2.25),
     Shot("puma560", "Unimation Puma 560: a standard table, published dynamics", "puma560",
          {"puma560.show_arrows": True}, holds_itself=True),
     Shot("panda", "Franka Emika Panda: a modified table", "panda",
