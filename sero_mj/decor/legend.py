@@ -27,7 +27,7 @@ _WORDS = {
     "singularity": ("towards the singularity", "at it"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
-_MOST_NAMES = 3  # of robots before a note
+_MOST_NAMES = 3  # of robots before a note, and of arrows before their scale
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
@@ -122,7 +122,7 @@ class Legend(Feature):
                 scale = f"{size:g} mm {word} = {value:g} {arrow.unit_text}"
                 lines.setdefault(scale, []).append(name)
         return [
-            f"{', '.join(names)}: {scale}".encode("ascii", "replace")[:99]
+            f"{_whose(names, 'arrows')}: {scale}".encode("ascii", "replace")[:99]
             for scale, names in lines.items()
         ]
 
@@ -136,10 +136,14 @@ def _notes(world: WorldView) -> list[bytes]:
         if len(names) == len(robots):
             lines.append(note)
         elif note:
-            whose = ", ".join(names) if len(names) <= _MOST_NAMES else f"{len(names)} robots"
-            lines.append(f"{whose}: {note}")
+            lines.append(f"{_whose(names, 'robots')}: {note}")
     unique = dict.fromkeys(line for line in lines if line)
     return [line.encode("ascii", "replace")[:99] for line in unique]
+
+
+def _whose(names: list[str], what: str) -> str:
+    """Returns the names, or how many there are of what."""
+    return ", ".join(names) if len(names) <= _MOST_NAMES else f"{len(names)} {what}"
 
 
 def _bars(panels: Panels, view: PictureView) -> Array:
