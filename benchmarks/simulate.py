@@ -92,6 +92,9 @@ def main() -> None:
             "joint impedance, recorded": lambda: run(simulation("joint_impedance"), file),
             "joint position": lambda: run(simulation("joint_position")),
             "Cartesian impedance": lambda: run(simulation("cartesian_impedance")),
+            "joint impedance, torque loop at 3 kHz": lambda: run(
+                simulation("joint_impedance", torque_control=True)
+            ),
             "joint impedance, elastic joints": lambda: run(
                 simulation("joint_impedance", elastic=True)
             ),

@@ -92,9 +92,14 @@ def test_gains_that_a_time_step_cannot_hold_are_refused_with_the_joint() -> None
     JointPosition().make(model, 1e-3).check(START)
     with pytest.raises(DeclarationError, match=r"^stiffness: joint A[56] is unstable at 1e\+06 Nm"):
         JointPosition(stiffness=1e6).make(model, 1e-3).check(START)
-    message = r"with a time step of 20 ms; expected less, or a shorter step$"
+    message = (
+        r"unstable at 10000 Nm/rad with a time step of 20 ms; expected up to 667, or a shorter"
+    )
     with pytest.raises(DeclarationError, match=message):
         JointPosition().make(model, 0.02).check(START)
+    JointPosition(stiffness=667.0).make(model, 0.02).check(START)
+    with pytest.raises(DeclarationError):
+        JointPosition(stiffness=700.0).make(model, 0.02).check(START)
     # It is true: the robot would have gone wild.
     loop = Loop(0.02)
     loop.data.qvel[:] = 1e-3

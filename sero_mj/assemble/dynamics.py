@@ -1,8 +1,11 @@
-"""The `[dynamics]` table of a robot file: link inertias, joint friction and elasticity."""
+"""The tables `[dynamics]` and `[torque_control]` of a robot file.
+
+Link inertias, joint friction and elasticity; what the joint torque control makes of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -253,18 +256,53 @@ class Dynamics(Declaration):
         Raises:
             DeclarationError: with the keys of this table.
         """
-        problems = []
-        for keys, count, what in (
-            (_PER_LINK, n + 1, "the base and one per joint"),
-            (_PER_JOINT, n, "one per row of dh_params"),
-        ):
-            for key in keys:
-                value = getattr(self, key)
-                if value is not None and len(value) != count:
-                    message = f"found {len(value)} entries; expected {count}: {what}"
-                    problems.append(Problem(key, message))
+        problems = _count_problems(self, _PER_LINK, n + 1, "the base and one per joint")
+        problems += _count_problems(self, _PER_JOINT, n, _ROWS)
         if problems:
             raise DeclarationError(problems)
+
+
+class TorqueControl(Declaration):
+    """The joint torque control between controllers and motors, where `run.torque_control` is on.
+
+    Attributes:
+        inertia_ratio: of what the motors feel like to what they are; a fourth to a tenth is usual
+            (Albu-Schäffer, Ott, Hirzinger 2007).
+        motor_inertias: (n,), what they feel like, where that is not one ratio for all; kg m2 or kg,
+            as seen at the joint.
+        bandwidth: of the low pass that the measured torque goes through, 1/s.
+        damping: ratio, of shaped motor inertia on the spring of an elastic joint with a held link.
+        friction_bandwidth: of the friction observer, 1/s; 0 for no compensation.
+    """
+
+    inertia_ratio: float = Field(0.25, gt=0, le=1)
+    motor_inertias: _Positive = None
+    bandwidth: float = Field(1000.0, gt=0, le=1e5)
+    damping: float = Field(0.7, ge=0, le=2)
+    friction_bandwidth: float = Field(100.0, ge=0, le=1e5)
+
+    def check_counts(self, n: int) -> None:
+        """Checks that there is an entry for each of n joints.
+
+        Raises:
+            DeclarationError: with the key of this table.
+        """
+        problems = _count_problems(self, ("motor_inertias",), n, _ROWS)
+        if problems:
+            raise DeclarationError(problems)
+
+
+_ROWS = "one per row of dh_params"
+
+
+def _count_problems(
+    table: Declaration, keys: Sequence[str], count: int, what: str
+) -> list[Problem]:
+    return [
+        Problem(key, f"found {len(value)} entries; expected {count}: {what}")
+        for key in keys
+        if (value := getattr(table, key)) is not None and len(value) != count
+    ]
 
 
 def merge_tables(file_table: Any, override: Any) -> Any:
@@ -289,6 +327,6 @@ def is_overridden(key: str, fields: Mapping[str, Any]) -> bool:
     """Whether a dotted key of a robot is set by fields that override its file."""
     name, _, inner = key.partition(".")
     table = fields.get(name)
-    if name == "dynamics" and isinstance(table, Mapping) and inner:
+    if name in ("dynamics", "torque_control") and isinstance(table, Mapping) and inner:
         return inner.partition(".")[0] in table
     return name in fields

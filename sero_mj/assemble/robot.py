@@ -23,7 +23,7 @@ from ..frames import MIRROR, Array
 from ..toml_file import key_lines, located, read_toml
 from .couplings import CoupledJoints, Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS, DhTable
-from .dynamics import Dynamics, is_overridden, merge_tables
+from .dynamics import Dynamics, TorqueControl, is_overridden, merge_tables
 from .robot_parts import (
     IN_DEGREES,
     PER_JOINT,
@@ -76,6 +76,7 @@ class SerialRobot(Declaration):
         velocity_limits_deg: the same in degrees per second; converted to velocity_limits.
         torque_limits: (n,), Nm or N.
         dynamics: masses, inertia and friction; estimated where not given.
+        torque_control: of joint torque control, used where a run asks for it.
         elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
         acceleration_limits: (n,), rad/s2 or m/s2, at which arrows of accelerations have full width.
         directory: folder of the mesh files.
@@ -138,6 +139,7 @@ class SerialRobot(Declaration):
     velocity_limits_deg: Limits = None
     torque_limits: Limits = None
     dynamics: Dynamics = Field(default_factory=Dynamics)
+    torque_control: TorqueControl = Field(default_factory=TorqueControl)
     elastic_joints: bool = False
     acceleration_limits: Limits = None
     directory: str = ""
@@ -210,12 +212,14 @@ class SerialRobot(Declaration):
                 raise DeclarationError(problems)
         return couplings
 
-    @field_validator("dynamics")
+    @field_validator("dynamics", "torque_control")
     @classmethod
-    def _dynamics_suit_the_joints(cls, dynamics: Dynamics, info: ValidationInfo) -> Dynamics:
+    def _tables_suit_the_joints(
+        cls, table: Dynamics | TorqueControl, info: ValidationInfo
+    ) -> Dynamics | TorqueControl:
         if "dh_params" in info.data:
-            dynamics.check_counts(len(info.data["dh_params"]))
-        return dynamics
+            table.check_counts(len(info.data["dh_params"]))
+        return table
 
     @field_validator(*IN_DEGREES)
     @classmethod
@@ -463,7 +467,8 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
     """Builds a robot from its fields, which override those of a robot file if one is given.
 
     Args:
-        fields: fields of `SerialRobot` that override the file's; entries of `dynamics` one by one.
+        fields: fields of `SerialRobot` that override the file's; entries of `dynamics`
+            and `torque_control` one by one.
         model: the robot file; its `directory` is relative to its folder.
 
     Raises:
@@ -482,8 +487,9 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
             if key == "dh_params":
                 below.pop("length_unit", None)
     whole = {**below, **fields}
-    if "dynamics" in below and "dynamics" in fields:
-        whole["dynamics"] = merge_tables(below["dynamics"], fields["dynamics"])
+    for key in ("dynamics", "torque_control"):
+        if key in below and key in fields:
+            whole[key] = merge_tables(below[key], fields[key])
     try:
         robot = SerialRobot(**whole)
         robot._model = model

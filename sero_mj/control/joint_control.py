@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -230,8 +231,16 @@ class JointImpedanceController:
         damping = design_damping(mass, self.stiffness, self._ratio)
         joint = unstable_joint(mass, self.stiffness, damping, self._timestep)
         if joint is not None:
-            gain = f" at {self.stiffness[joint, joint]:g} Nm/rad"
-            raise too_stiff(model.joint_names[joint], gain, self._timestep)
+
+            def holds(share: float) -> bool:
+                stiffness = share * self.stiffness
+                damping = design_damping(mass, stiffness, self._ratio)
+                return unstable_joint(mass, stiffness, damping, self._timestep) is None
+
+            gain = float(self.stiffness[joint, joint])
+            most = 0.99 * largest_share(holds) * gain
+            name = model.joint_names[joint]
+            raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, f"up to {most:.3g}")
 
 
 def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array:
@@ -291,13 +300,24 @@ def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: floa
     return int(np.argmax(np.abs(vectors[n:, worst])))
 
 
-def too_stiff(joint: str, gain: str, timestep: float) -> DeclarationError:
+def largest_share(holds: Callable[[float], bool]) -> float:
+    """The largest share from 0 to 1 of something for which a condition holds, within 0.03 %."""
+    low, high = 0.0, 1.0
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def too_stiff(joint: str, gain: str, timestep: float, expected: str = "less") -> DeclarationError:
     """The error for gains that are unstable at a time step.
 
     Args:
         joint: name of the one that moves most.
         gain: for the message: ` at 500 Nm/rad`, say.
         timestep: s between two torques.
+        expected: what would do, where that is known.
     """
     found = f"joint {joint} is unstable{gain} with a time step of {1e3 * timestep:g} ms"
-    return DeclarationError([Problem("stiffness", f"{found}; expected less, or a shorter step")])
+    message = f"{found}; expected {expected}, or a shorter step"
+    return DeclarationError([Problem("stiffness", message)])

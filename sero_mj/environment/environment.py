@@ -18,6 +18,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import robot_dynamics
 from ..assemble.world import World
 from ..control.compiler import Compiler
+from ..control.torque_loop import LoopGains
 from ..declaration import Declaration
 from ..drive.mirror import Mirror
 from ..errors import DeclarationError, Problem, SimulationError, UnknownName
@@ -137,6 +138,9 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         self._action = settings.make_action(robots[robot], timestep)
         self._compiler = Compiler()
         own = unmounted(robots[robot], base_frames(robots)[robot])
+        if scenario.run.torque_control:
+            gains = LoopGains.of(own.torque_control, robot_dynamics(own), own.elastic_joints)
+            own = gains.felt(own)
         model = self._compiler.robot_model(own)
         self._agent = AgentController(self._action, robots[robot], model, timestep)
         self.scenario = copy.copy(scenario)

@@ -43,7 +43,8 @@ class EventSchedule:
         self._objects: dict[str, Array] = {}  # T_world_object of objects that are picked up
         self._columns: dict[str, slice] = {}
         self._log: Array = np.zeros((0, 0))
-        times = np.arange(self.steps + 1, dtype=np.float64) * self.plant.timestep
+        self._timestep = self.scenario.run.timestep
+        times = np.arange(self.steps + 1, dtype=np.float64) * self._timestep
         for disturbance in self.scenario.disturbances.values():
             if isinstance(disturbance, Force):
                 self._plan_force(disturbance, times)
@@ -107,7 +108,7 @@ class EventSchedule:
             rows[:, columns[event_of(name, "frame")]] = frame.ravel()
 
     def _at(self, time: float, action: Callable[[], None]) -> None:
-        self._due.append((max(round(time / self.plant.timestep), 0), action))
+        self._due.append((max(round(time / self._timestep), 0), action))
 
     def _plan_force(self, force: Force, times: Array) -> None:
         def begin() -> None:
@@ -115,7 +116,7 @@ class EventSchedule:
             if force.profile != "step":
                 self._varying.append((push, force, force.share(times)))
             if force.end is not None and force.profile != "ramp":
-                self._due.append((round(force.end / self.plant.timestep), lambda: end(push)))
+                self._due.append((round(force.end / self._timestep), lambda: end(push)))
                 self._due.sort(key=lambda entry: entry[0])
 
         def end(push: Push) -> None:
@@ -144,7 +145,7 @@ class EventSchedule:
             self.plant.detach_payload(payload.robot)
             if name is not None:
                 self._carried.pop(name)
-                k = round(payload.end / self.plant.timestep) if payload.end else self.steps
+                k = round(payload.end / self._timestep) if payload.end else self.steps
                 self._log[k:, self._columns[event_of(name, "frame")]] = self._objects[name].ravel()
 
         self._at(payload.begin, pick_up)

@@ -142,11 +142,22 @@ class Plant:
             SimulationError: a torque is no number, or the motion has become unstable; names the
                 joint and the time. `measured` and `actual` are those before.
         """
-        joints = self.joints
-        given = joints.given
+        given = self.joints.given
         given[...] = motor_torques
         if not hypot(*given.tolist()) < _MAX_TORQUE:
             self._stop_for_torque()
+        return self.step_given()
+
+    def step_given(self) -> Array:
+        """Simulates one timestep with what is in `joints.given`, which is not looked at.
+
+        Returns:
+            `measured`, (3, n): the same array every time.
+
+        Raises:
+            SimulationError: the motion has become unstable.
+        """
+        joints = self.joints
         if not joints.advance(self._gather_pushes() if self._pushed else None):
             self._stop_for_motion()
         sensors = self.sensors

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import ceil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..assemble.scene import Scene
 from ..assemble.surroundings import Object
@@ -20,9 +21,20 @@ from ..declaration import Declaration, by_kind
 from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..frames import Array
 from ..runs.monitor import Monitor
-from .disturbances import DISTURBANCES, FAULTS, Disturbance, Fault, Force, Payload
+from .disturbances import (
+    DISTURBANCES,
+    FAULTS,
+    ControllerFault,
+    Disturbance,
+    Fault,
+    Force,
+    Payload,
+)  # fmt: skip
 from .expect import Expect
 from .sensors import SIGNALS, SensorErrors, Sensors
+
+TORQUE_RATE = 3000.0  # Hz, of joint torque control on the LWR
+OBSERVER_GAIN = 50.0  # 1/s
 
 
 class RobotSensors(Declaration):
@@ -48,7 +60,13 @@ class Run(Declaration):
 
     Attributes:
         duration: s.
-        timestep: of the simulation and of the controllers, s.
+        timestep: of the controllers and of the log, s.
+        physics_timestep: of physics, sensors and joint torque control, s, of which `timestep` is a
+            multiple; when None that of the controllers, and with torque control the multiple that
+            makes at least 3 kHz.
+        torque_control: whether joint torque control is between controllers and motors, see
+            `TorqueControl`; without it commanded torques are those of the motors.
+        drive_delay: s until a motor's torque acts; a multiple of the steps of the physics.
         seed: of everything that is random.
         elastic: whether joints are elastic, for all robots; as they are declared when None.
         show_targets: whether transparent doubles show where robots are commanded to be.
@@ -58,16 +76,56 @@ class Run(Declaration):
 
     duration: float = Field(5.0, gt=0, le=1e5)
     timestep: float = Field(0.001, ge=1e-5, le=0.05)
+    physics_timestep: float | None = Field(None, ge=1e-5, le=0.05)
+    torque_control: bool = False
+    drive_delay: float = Field(0.0, ge=0, le=0.1)
     seed: int = Field(0, ge=0, lt=2**32)
     elastic: bool | None = None
     show_targets: bool = True
     show_paths: bool = False
-    observer_gain: float = Field(50.0, gt=0, le=1e4)
+    observer_gain: float = Field(OBSERVER_GAIN, gt=0, le=1e4)
+
+    @model_validator(mode="after")
+    def _rates_fit(self) -> Run:
+        problems: list[Problem] = []
+        if self.physics_timestep is not None:
+            ratio = self.timestep / self.physics_timestep
+            if ratio < 0.999 or abs(ratio - round(ratio)) > 1e-3 * ratio:
+                fit = self.timestep / max(round(ratio), 1)
+                message = (
+                    f"found {self.physics_timestep:g} s; expected a whole number of steps in "
+                    f"run.timestep, {self.timestep:g} s: {fit:.6g}, for instance"
+                )
+                problems.append(Problem("physics_timestep", message))
+        step = self.timestep / self.substeps
+        ratio = self.drive_delay / step
+        if not problems and abs(ratio - round(ratio)) > 1e-3 * max(ratio, 1.0):
+            message = (
+                f"found {self.drive_delay:g} s; expected a multiple of the physics' step, "
+                f"{step:.6g} s: {round(ratio) * step:.6g}, for instance"
+            )
+            problems.append(Problem("drive_delay", message))
+        if self.observer_gain > max(OBSERVER_GAIN, (1 + 1e-9) / self.timestep):
+            message = (
+                f"found {self.observer_gain:g} 1/s; expected up to {1 / self.timestep:g} with a "
+                f"timestep of {self.timestep:g} s: beyond it nothing gets faster"
+            )
+            problems.append(Problem("observer_gain", message))
+        if problems:
+            raise DeclarationError(problems)
+        return self
 
     @property
     def steps(self) -> int:
         """Number of steps."""
         return max(round(self.duration / self.timestep), 1)
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the physics in one of the controllers."""
+        if self.physics_timestep is not None:
+            return max(round(self.timestep / self.physics_timestep), 1)
+        return max(ceil(self.timestep * TORQUE_RATE - 1e-6), 1) if self.torque_control else 1
 
 
 class Scenario:
@@ -224,6 +282,12 @@ class Scenario:
         """Whether there is something that robots can touch: objects, a floor, each other."""
         return bool(self.obstacles) or self.scene.floor or len(self.scene.robots) > 1
 
+    @property
+    def amplifies(self) -> bool:
+        """Whether a fault makes commanded torques larger, behind the controllers' limits."""
+        faults = self.faults.values()
+        return any(isinstance(each, ControllerFault) and abs(each.gain) > 1 for each in faults)
+
     def has_target(self, robot: str) -> bool:
         """Whether a robot has a target pose: a declared one, or that at which it starts."""
         sections = (f"controllers.{robot}", f"targets.{robot}")
@@ -267,7 +331,9 @@ class Scenario:
                 message = f"found {found} steps; expected the same delay of {signal} for all robots"
                 self.problems.append(Problem("sensors", message))
             joined = {key: np.concatenate(values) for key, values in parts.items()}
-            merged[signal] = SensorErrors(**joined, delay=max(delays.values()))
+            # Sensors are read in every step of the physics; delays are steps of the controllers.
+            delay = max(delays.values()) * self.run.substeps
+            merged[signal] = SensorErrors(**joined, delay=delay)
         if self.problems:
             raise DeclarationError(self.scene.located(self.problems))
         return Sensors(sum(robot.n for robot in self.scene.robots.values()), seed=seed, **merged)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
@@ -11,18 +13,20 @@ from ..assemble.mounts import base_frames, unmounted
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..control.compiler import Compiler
-from ..control.controller import Sensed, Target
+from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.joint_control import GravityCompensation
 from ..control.make_controller import make_controller
 from ..control.observer import MomentumObserver
 from ..control.plan import Plan, make_plan
 from ..control.robot_model import RobotModel
+from ..control.torque_loop import HangingLinks
 from ..control.whole_body import WholeBody
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Array, frame, rotation_from_quat
 from ..receive.structure import Structure
 from ..runs.monitor import Finding
 from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
+from .drives import Drives
 from .event_schedule import EventSchedule
 from .expect import Outcome
 from .external_loads import Contacts
@@ -33,6 +37,7 @@ T = TypeVar("T")
 
 # s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
 OBSERVED_EVERY = 0.01
+_MOVE = 1e-5  # rad and rad/s, between which controllers are linear
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
 
@@ -80,12 +85,18 @@ class Simulation:
             name=scene.name,
             file=scene.file,
         )
-        self.plant = Plant(self.compiler.world(stripped), sensors, run.timestep)
+        timestep = run.timestep / run.substeps
+        self.plant = Plant(self.compiler.world(stripped), sensors, timestep)
         self.plant.joints.looks_ahead = False  # controllers have models of their own
         self.whole_body = (
             WholeBody(self.plant.world) if WholeBody.is_needed(self.plant.world) else None
         )
-        self._observed_every = max(round(OBSERVED_EVERY / run.timestep), 1)
+        every = min(OBSERVED_EVERY, 0.5 / run.observer_gain)
+        self._observed_every = max(round(every / run.timestep), 1)
+        self.drives: Drives | None = None
+        if run.torque_control or run.substeps > 1 or run.drive_delay or scenario.amplifies:
+            with _located_in(scenario.scene):
+                self.drives = Drives(self.plant, self.robots, run)
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
@@ -96,10 +107,7 @@ class Simulation:
         self._free |= {event_of(name, "frame"): free for name, free in objects.items()}
         start = np.concatenate([robot.home for robot in self.robots.values()])
         self._begin(start)
-        robots = dict(zip(self.robots, self._robots, strict=True))
-        self._of_robots(
-            "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
-        )
+        self._check_gains(start)
 
     def __reduce__(self) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int]]:
         """Pickles what is run, so that it runs anew, to the same log, where it is unpickled."""
@@ -114,7 +122,22 @@ class Simulation:
         """
         self.plant.sensors.seed = seed
         self.plant.reset(joint_angles)
+        if self.drives is not None:
+            self.drives.reset()
         self._begin(joint_angles)
+
+    def _check_gains(self, start: Array) -> None:
+        """Refuses gains, of controllers and of the torque loop, that the time steps cannot hold."""
+        robots = dict(zip(self.robots, self._robots, strict=True))
+        self._of_robots(
+            "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
+        )
+        if self.drives is not None and self.drives.loop is not None:
+            with _located_in(self.scenario.scene):
+                for name, robot in robots.items():
+                    self.drives.check(
+                        name, *robot.linearised(self.robot_model, start[robot.joints])
+                    )
 
     def _begin(self, start: Array) -> None:
         """Makes a new log, and controllers that remember nothing, for a plant that is at rest."""
@@ -172,9 +195,13 @@ class Simulation:
     def robot_model(self, robot: SerialRobot) -> RobotModel:
         """Returns a new model of a robot for its controller, which knows what the robot carries.
 
+        Behind a torque loop the motors are what they feel like.
+
         Args:
             robot: as it stands in the world at first.
         """
+        if self.drives is not None and robot.name in self.drives.gains:
+            robot = self.drives.gains[robot.name].felt(robot)
         model = self.compiler.robot_model(robot)
         if self.whole_body is not None:
             model.follow(self.whole_body.mounting(robot.name), robot.base_frame)
@@ -247,9 +274,9 @@ class Simulation:
         """Simulates until a step.
 
         In every step, in this order: disturbances and faults that begin or end; each robot's
-        controller, from what its sensors read, then its torque limits; the plant, with gains of
-        faulty drives, pushes, physics and sensors; the log. The observer takes several steps at
-        once.
+        controller, from what its sensors read, then its torque limits; the drives, with gains of
+        faulty controllers, joint torque control and the motors' limits; the plant, once or several
+        times, with pushes, physics and sensors; the log. The observer takes several steps at once.
 
         Raises:
             SimulationError: it cannot go on; the log ends with the step before.
@@ -258,6 +285,7 @@ class Simulation:
         whole_body, free = self.whole_body, self._free
         measured, actual, driven = self._measured, self._actual, self._driven
         (commanded, _), every = self._drive, self._observed_every
+        move = plant.step if self.drives is None else self.drives.step
         first, stop = self.step + 1, min(to_step, self.steps) + 1
         times = self.rows[first - 1 : stop - 1, 0].tolist()
         try:
@@ -267,7 +295,7 @@ class Simulation:
                     whole_body.update(measured[k - 1, 0], plant.data)
                 for robot in self._robots:
                     robot.command(k - 1, time)
-                plant.step(commanded * schedule.gains)
+                move(commanded * schedule.gains)
                 measured[k], actual[k], driven[k] = plant.measured, plant.actual, self._drive
                 if free:
                     self._write_free(k)
@@ -335,6 +363,7 @@ class ControlledRobot:
         observed_every: steps between two estimates of the external torques.
 
     Attributes:
+        robot: as given.
         joints: which joints of the plant are its own.
         controller: behind its torque limits.
 
@@ -353,9 +382,11 @@ class ControlledRobot:
         name, scenario, plant = robot.name, simulation.scenario, simulation.plant
         timestep = scenario.run.timestep
         self.joints = joints = plant.world.robots[name].joints
-        declared = scenario.controllers.get(name, GravityCompensation())
+        self._declared = scenario.controllers.get(name, GravityCompensation())
+        self._timestep = timestep
+        self.robot = robot
         self.controller = make_controller(
-            declared, simulation.robot_model(robot), timestep, robot.torque_limits
+            self._declared, simulation.robot_model(robot), timestep, robot.torque_limits
         )
         self._commanded, self.controller.asked = drive[:, joints]
         # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
@@ -372,6 +403,10 @@ class ControlledRobot:
                 (sensed.motor_angles, plant.motor_angles[joints]),
                 (sensed.motor_velocities, plant.motor_velocities[joints]),
             ]
+        self._hanging = None
+        if robot.elastic_joints and simulation.drives is not None and simulation.drives.loop:
+            stiffness = simulation.drives.gains[name].stiffness
+            self._hanging = HangingLinks(simulation.robot_model(robot), stiffness, robot.home)
         self._target = Target(robot.n)
         self._target.posture[:] = robot.home
         self._target.has_torques = False  # no target motion has any
@@ -390,6 +425,44 @@ class ControlledRobot:
         """Lets the controller see what was measured."""
         for sensed, measured in self._copies:
             sensed[...] = measured
+        if self._hanging is not None:
+            self._sensed.motor_angles[...] = self._hanging.link_angles(self._sensed.motor_angles)
+
+    def linearised(
+        self, make_model: Callable[[SerialRobot], RobotModel], angles: Array
+    ) -> tuple[Array, Array, Array]:
+        """The robot and its controller about a pose at rest, in which its target is.
+
+        Args:
+            make_model: `Simulation.robot_model`; who kept it would keep the simulation.
+            angles: (n,), rad or m.
+
+        Returns:
+            the links' mass matrix, and stiffness and damping matrix: the slopes by which torques
+            fall with angles and with velocities, without limits. Compensation of gravity, whose
+            slope gravity takes away, is left out: of the stiffness only what pulls back. Both are
+            zero for a controller that is not declared, because asking it may change it. (n, n)
+            each.
+        """
+        n, model = len(angles), make_model(self.robot)
+        slopes: Array = np.zeros((2, n, n))
+        model.update(angles, np.zeros(n))
+        mass = model.mass() - np.diag(model.motor_inertia)
+        if isinstance(self._declared, ControllerDeclaration):
+            controller = self._declared.make(make_model(self.robot), self._timestep)
+            sensed, target, torques = Sensed(n), Target(n), np.zeros((2, n))
+            target.angles[:] = target.posture[:] = angles
+            target.pose[:] = model.flange()
+            target.has_torques = False
+            for k, joint in product(range(2), range(n)):
+                for torque, move in zip(torques, (_MOVE, -_MOVE), strict=True):
+                    sensed.values[:2] = angles, np.zeros(n)
+                    sensed.values[k, joint] += move
+                    controller.torques(sensed, target, torque)
+                slopes[k, :, joint] = (torques[1] - torques[0]) / (2 * _MOVE)
+            values, vectors = np.linalg.eigh((slopes[0] + slopes[0].T) / 2)
+            slopes[0] = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return mass, *slopes
 
     def command(self, k: int, time: float) -> None:
         """Computes `commanded` for the step that leads on from row k of the log.
@@ -424,6 +497,15 @@ class ControlledRobot:
         mean = np.add.reduce(measured[:, 2, self.joints]) / len(measured)
         self._observer.model.update(angles, velocities)
         return self._observer.update_with(velocities, mean)
+
+
+@contextmanager
+def _located_in(scene: Scene) -> Iterator[None]:
+    """Adds the scene's file and lines to the problems of a `DeclarationError` in its context."""
+    try:
+        yield
+    except DeclarationError as error:
+        raise DeclarationError(scene.located(error.problems)) from None
 
 
 def _check_size(scenario: Scenario) -> None:

@@ -1,0 +1,165 @@
+"""`Drives`: what is between controllers and motors, where that is more than a wire.
+
+Gains of faulty controllers, joint torque control at the rate of the physics, a delay, and torque
+limits, in that order. One step of the drives is one of the controllers, and as many of the plant as
+the physics is faster.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..assemble.robot import SerialRobot
+from ..assemble.robot_dynamics import robot_dynamics
+from ..control.joint_control import largest_share
+from ..control.torque_loop import LoopGains, TorqueLoop, unstable_loop
+from ..errors import DeclarationError, Problem, collect
+from ..frames import Array
+from .plant import Plant
+from .scenario import Run
+
+
+class Drives:
+    """Steps a plant with what its controllers command.
+
+    Args:
+        plant: whose timestep divides that of the controllers.
+        robots: in the plant's order.
+        run: with the rates, the delay, and whether joint torque is controlled.
+
+    Attributes:
+        loop: the joint torque control; None where a run has none.
+        gains: of the loop, by robot.
+
+    Raises:
+        DeclarationError: a loop that the step cannot hold, or that a robot cannot have.
+    """
+
+    def __init__(self, plant: Plant, robots: dict[str, SerialRobot], run: Run) -> None:
+        self.plant, self._steps = plant, run.substeps
+        limits = [
+            np.full(robot.n, np.inf) if robot.torque_limits is None else robot.torque_limits
+            for robot in robots.values()
+        ]
+        self._high: Array = np.concatenate(limits)
+        self._low: Array = -self._high
+        self.gains: dict[str, LoopGains] = {}
+        self.loop: TorqueLoop | None = None
+        if run.torque_control:
+            self._find_gains(robots)
+            joined = LoopGains.joined([*self.gains.values()])
+            self.loop = TorqueLoop(joined, plant.timestep, self._high)
+        # Motors of elastic joints have encoders of their own, without errors; others the links'.
+        self._velocities = plant.motor_velocities if plant.joints.elastic else None
+        self._measured = plant.measured[1:].reshape(-1)
+        self._late: Array = np.zeros((round(run.drive_delay / plant.timestep) + 1, plant.n))
+        self._k = 0
+        self.reset()
+
+    def _find_gains(self, robots: dict[str, SerialRobot]) -> None:
+        problems: list[Problem] = []
+        for name, robot in robots.items():
+            with collect(problems, f"robots.{name}"):
+                dynamics = robot_dynamics(robot)
+                self.gains[name] = LoopGains.of(
+                    robot.torque_control, dynamics, robot.elastic_joints
+                )
+        if problems:
+            raise DeclarationError(problems)
+
+    def check(self, name: str, mass: Array, stiffness: Array, damping: Array) -> None:
+        """Refuses a loop, or a controller before it, that the steps cannot hold.
+
+        Args:
+            name: of the robot.
+            mass: (n, n), of its links where it starts, without the motors, kg m2 (kg).
+            stiffness: (n, n), by which its controller's torques fall with the angles, Nm/rad (N/m).
+            damping: (n, n), likewise with velocities, Nm s/rad (N s/m).
+
+        Raises:
+            DeclarationError: names the joint that would shake most, and what would do.
+        """
+        gains, timestep = self.gains[name], self.plant.timestep
+        joints = self.plant.world.robots[name].robot.names
+        joint = unstable_loop(gains, mass, timestep)
+        if joint is not None:
+            share = largest_share(
+                lambda each: unstable_loop(gains.lighter(each), mass, timestep) is None
+            )
+            least = 1.01 * gains.lighter(share).shaped_inertias[joint]
+            found = f"joint {joints[joint]} is unstable at {gains.shaped_inertias[joint]:.3g}"
+            better = (
+                f"at least {least:.3g}, or a shorter run.physics_timestep"
+                if share > 0
+                else "a lower torque_control.bandwidth, or a shorter run.physics_timestep"
+            )
+            message = f"{found} with a loop of {1 / timestep:.0f} Hz; expected {better}"
+            raise DeclarationError(
+                [Problem(f"robots.{name}.torque_control.motor_inertias", message)]
+            )
+
+        def shaken(share: float) -> int | None:
+            # Damping is designed with the root of the stiffness.
+            scaled = share * stiffness, np.sqrt(share) * damping
+            return unstable_loop(gains, mass, timestep, *scaled, self._steps)
+
+        joint = shaken(1.0)
+        if joint is not None:
+            share = largest_share(lambda each: shaken(each) is None)
+            gain = stiffness[joint, joint]
+            message = (
+                f"joint {joints[joint]} is unstable at {gain:.4g} Nm/rad with a torque loop of "
+                f"{1 / timestep:.0f} Hz and a time step of {1e3 * timestep * self._steps:g} ms; "
+                f"expected at most {0.99 * share * gain:.3g}, {99 * share:.2g} % of all stiffness, "
+                "or shorter steps"
+            )
+            raise DeclarationError([Problem(f"controllers.{name}.stiffness", message)])
+
+    @property
+    def delay(self) -> int:
+        """Steps of the plant until a motor's torque acts."""
+        return len(self._late) - 1
+
+    def reset(self) -> None:
+        """Begins anew with a plant at rest, which the motors hold."""
+        self._k = 0
+        self._late[:] = self.plant.actual[2]
+        if self.loop is not None:
+            velocities = self.plant.measured[1] if self._velocities is None else self._velocities
+            self.loop.reset(self.plant.measured[2], velocities)
+
+    def step(self, commanded: Array) -> None:
+        """Simulates one step of the controllers.
+
+        Args:
+            commanded: (n,), torques behind the controllers' limits and faults, Nm or N.
+
+        Raises:
+            SimulationError: as `Plant.step`.
+        """
+        plant, loop = self.plant, self.loop
+        if loop is None:
+            given = np.minimum(np.maximum(commanded, self._low), self._high)
+            for _ in range(self._steps):
+                plant.step(self._delayed(given))
+            return
+        loop.command(commanded)
+        given, sensed, late = plant.joints.given, loop.sensed, self.delay
+        for _ in range(self._steps):
+            sensed[...] = self._measured
+            if self._velocities is not None:
+                sensed[: plant.n] = self._velocities
+            loop.step(given)
+            if late:
+                given[...] = self._delayed(given)
+            plant.step_given()
+
+    def _delayed(self, torques: Array) -> Array:
+        """What acts while `torques` are asked for."""
+        late = self._late
+        if len(late) == 1:
+            return torques
+        late[self._k % len(late)] = torques
+        self._k += 1
+        acting: Array = late[self._k % len(late)]
+        return acting
