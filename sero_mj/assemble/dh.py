@@ -128,14 +128,16 @@ class DhTable:
 
         Args:
             joint_angles: (..., n), rad or m.
-            base_frame: T_world_base (4, 4); identity when None.
+            base_frame: T_world_base (..., 4, 4); identity when None.
 
         Returns:
             T_world_i for i = 0 (the base) to n, (..., n + 1, 4, 4), translation in m.
         """
         links = self.link_transforms(joint_angles)
-        T = np.empty((*links.shape[:-3], len(self) + 1, 4, 4))
-        T[..., 0, :, :] = np.eye(4) if base_frame is None else np.asarray(base_frame)
+        base = np.eye(4) if base_frame is None else np.asarray(base_frame)
+        many = np.broadcast_shapes(links.shape[:-3], base.shape[:-2])
+        T = np.empty((*many, len(self) + 1, 4, 4))
+        T[..., 0, :, :] = base
         for i in range(len(self)):
             T[..., i + 1, :, :] = T[..., i, :, :] @ links[..., i, :, :]
         return T

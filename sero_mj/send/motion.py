@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from ..assemble.mounts import carriers
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World
@@ -22,6 +23,8 @@ _AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
 _BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
 _DEFAULT_RANGE = (-1.0, 1.0)  # rad or m, for joints without limits
 _LONGEST_SWING = 1.1  # rad
+_REDUCTION, _REDUCTIONS = 0.75, 10  # of swings that make robots meet, and how often
+_LOOKED_AT = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
 _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
 _FRI_LEAD = 0.3  # s; much, so that the commanded position is seen beside the measured one
 _FORCE = 40.0  # N; as when somebody leans on the tool
@@ -110,8 +113,56 @@ class InverseDynamics:
         return np.asarray(data.qfrc_inverse[dofs])
 
 
+def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[str, float]:
+    """Returns amplitudes with which robots that move together stay clear of each other.
+
+    What touches as declared, or whatever the amplitudes are, is left as it is. The others' swings,
+    and those of what carries them, are reduced where links meet in poses from all over the motion.
+
+    Args:
+        robots: that move about the same time.
+        amplitude: of each of them, where nothing meets.
+
+    Returns:
+        by name.
+    """
+    by_name = {robot.name: robot for robot in robots}
+    amplitudes = dict.fromkeys(by_name, amplitude)
+    if len(robots) < 2:
+        return amplitudes
+    world = World(Scene(robots=list(robots), floor=False), dynamic=True)
+    model, data = world.model, world.make_data()
+    owners = [name.partition("/")[0] for name in (model.body(i).name for i in range(model.nbody))]
+
+    def meeting(t: float | None) -> set[tuple[str, str]]:
+        for name, part in world.robots.items():
+            angles = part.robot.home if t is None else motions[name].at(t)[0]
+            data.qpos[part.qpos] = angles
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        bodies = model.geom_bodyid[data.contact.geom[data.contact.dist < 0]]
+        return {(owners[a], owners[b]) for a, b in bodies.tolist() if {a, b} <= moving}
+
+    moving = {i for i in range(model.nbody) if owners[i] in by_name}
+    motions = {name: SineMotion(robot, amplitude) for name, robot in by_name.items()}
+    always = meeting(None)
+    for _ in range(_REDUCTIONS):
+        met = {pair for t in _LOOKED_AT for pair in meeting(float(t))} - always
+        if not met:
+            break
+        reduced: set[str] = set()
+        for one, other in met:
+            below, above = set(carriers(by_name, one)), set(carriers(by_name, other))
+            reduced |= (below ^ above) - {one, other} or {one, other}  # of hands that meet the arms
+        for name in reduced:
+            amplitudes[name] *= _REDUCTION
+            motions[name] = SineMotion(by_name[name], amplitudes[name])
+    return amplitudes
+
+
 class CommonMotion:
-    """The motion of robots together, with the torques that it takes.
+    """The motion of robots together, with the torques that it takes; they stay clear of each other.
 
     Args:
         robots: that move.
@@ -119,7 +170,8 @@ class CommonMotion:
     """
 
     def __init__(self, robots: Sequence[SerialRobot], amplitude: float) -> None:
-        self._motions = [SineMotion(robot, amplitude) for robot in robots]
+        amplitudes = clear_amplitudes(robots, amplitude)
+        self._motions = [SineMotion(robot, amplitudes[robot.name]) for robot in robots]
         self._dynamics = InverseDynamics(*robots)
         ends = np.cumsum([0, *(robot.n for robot in robots)]).tolist()
         self._rows = {r.name: slice(*ends[i : i + 2]) for i, r in enumerate(robots)}

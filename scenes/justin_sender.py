@@ -1,0 +1,98 @@
+"""Drives Rollin' Justin about, by UDP at 200 Hz: the packets of justin.toml.
+
+The platform goes along a figure of eight and turns on its way. Each wheel is steered to where the
+platform makes it go, and rolls as far as it goes there; arms, torso, head and fingers move as with
+`sero-mj send`.
+
+python justin_sender.py [seconds [port]]
+"""
+
+import math
+import socket
+import sys
+import time
+
+import numpy as np
+
+from sero_mj import load_scene
+from sero_mj.send.play import MotionPackets
+
+RATE = 200  # packets/s
+PERIOD = 24.0  # s, of the way
+LENGTH, WIDTH = 0.8, 0.5  # half of it, m
+WHEEL = 0.10  # radius, m
+
+
+def platform(t):
+    """Returns x, y (m) and yaw (rad) of the platform at time t, s."""
+    w = 2 * math.pi * t / PERIOD
+    return np.array([LENGTH * math.sin(w), WIDTH * math.sin(2 * w), 0.5 * math.sin(w + 1.0)])
+
+
+class Platform:
+    """Follows the platform's way, and turns its wheels.
+
+    Args:
+        robots: of the scene, by name; the wheels stand on the torso's base, the platform.
+    """
+
+    def __init__(self, robots):
+        wheels = {name: robot for name, robot in robots.items() if name.endswith("_wheel")}
+        self.at = np.array([robot.base_frame[:2, 3] for robot in wheels.values()])
+        outwards = [robot.base_frame[:2, 0] for robot in wheels.values()]
+        self.outwards = np.array([math.atan2(y, x) for x, y in outwards])
+        self.steer = np.array([robot.home[0] for robot in wheels.values()])
+        self.drive = np.zeros(len(wheels))
+
+    def go(self, t, dt):
+        """Returns T_world_base (4, 4), and steer and drive of every wheel (n, 2), rad, after dt."""
+        x, y, yaw = platform(t)
+        vx, vy, turning = (platform(t + 1e-4) - platform(t - 1e-4)) / 2e-4
+        c, s = math.cos(yaw), math.sin(yaw)
+        # Of the wheels' places in the platform's frame: its velocity and what its turning adds.
+        velocity = np.array([c * vx + s * vy, c * vy - s * vx])
+        velocity = velocity + turning * np.stack([-self.at[:, 1], self.at[:, 0]], axis=1)
+        wanted = np.arctan2(velocity[:, 1], velocity[:, 0]) - self.outwards
+        # A wheel goes backwards rather than turn by more than a quarter.
+        off = np.remainder(wanted - self.steer + math.pi / 2, math.pi) - math.pi / 2
+        self.steer = self.steer + off
+        heading = self.steer + self.outwards
+        forwards = np.sum(velocity * np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=1)
+        self.drive = self.drive + forwards * dt / WHEEL
+        base = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+        return base, np.stack([self.steer, self.drive], axis=1)
+
+
+def packets(scene):
+    """Yields the packets, at RATE."""
+    motion = MotionPackets(scene)
+    way = Platform(scene.robots)
+    k = 0
+    while True:
+        values = motion.structure.decode(motion.at(k / RATE))
+        base, wheels = way.go(k / RATE, 1 / RATE)
+        angles = np.array(values["values0"])
+        angles[-wheels.size :] = wheels.ravel()  # they are the last members
+        yield motion.structure.encode({**values, "values0": angles, "matrices0": base[None]})
+        k += 1
+
+
+def main():
+    """Sends packets until Ctrl-C, or for so many seconds."""
+    scene = load_scene("justin")
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else math.inf
+    port = int(sys.argv[2]) if len(sys.argv) > 2 else scene.sources["udp"]["port"]
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    start = time.monotonic()
+    try:
+        for k, packet in enumerate(packets(scene)):
+            if k >= seconds * RATE:
+                break
+            time.sleep(max(start + k / RATE - time.monotonic(), 0.0))
+            out.sendto(packet, ("127.0.0.1", port))
+    except KeyboardInterrupt:
+        pass
+
+
+if __name__ == "__main__":
+    main()
