@@ -17,6 +17,8 @@ from poses import chain, move, rot
 
 from sero_mj import DeclarationError, Mirror, Scenario, Scene, Simulation, World, load_scene
 from sero_mj.assemble.robot_dynamics import robot_dynamics
+from sero_mj.decor.card_names import titles
+from sero_mj.decor.toggles import Toggles
 from sero_mj.paths import models_dir, scenes_dir
 from sero_mj.send.motion import CommonMotion
 from sero_mj.send.play import MotionPackets
@@ -273,6 +275,26 @@ def test_a_controller_of_a_group_is_that_of_its_robots_without_one() -> None:
     assert found["justin_right_hand_ring"] == [500]
     with pytest.raises(DeclarationError, match="no robot 'justinn'; did you mean 'justin'"):
         Scenario(scene, controllers={"justinn": {"kind": "gravity_compensation"}})
+
+
+def test_names_of_a_group_of_all_are_not_repeated_on_cards() -> None:
+    owners = ["justin_head", "justin_left_arm", "justin_right_arm"]
+    found = titles([["tilt"], ["A1"], ["A1"]], owners, [True] * 3)
+    assert found == ["head tilt", "left_arm A1", "right_arm A1"]
+    other = titles([["tilt"], ["A1"]], ["justin_head", "just_an_arm"], [True] * 2)
+    assert other == ["justin_head tilt", "just_an_arm A1"]
+
+
+def test_only_axes_that_are_shown_show_their_names() -> None:
+    world = World(load_scene("space_justin"))
+    data = world.make_data()
+    shown = Toggles(world).shown(data).frame_names
+    names = {world.frames.names[i].partition("_justin_")[2] for i in shown.nonzero()[0]}
+    assert names == {"torso/body"} | {
+        f"{side}_arm/{side}_{label}"
+        for side in ("left", "right")
+        for label in ("shoulder", "wrist")
+    }
 
 
 def test_the_haptic_device_moves_the_arms_of_space_justin() -> None:

@@ -53,7 +53,7 @@ class SceneToggles(Declaration):
     Attributes:
         legend: whether the legend of the arrows is shown.
         status: whether faults of the sources are shown.
-        frame_names: whether all axes show their names.
+        frame_names: whether all axes that are shown show their names.
         flange_checks: whether received flange frames are compared with the robots' own.
     """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import takewhile
 
 _LONGEST = 14  # characters of a robot's or a joint's name
 _BETWEEN = r"[_\-\s/:.]+"  # words of a name
@@ -48,10 +49,11 @@ def titles(
 
     Args:
         joints: names of the joints of every robot and double, without what repeats.
-        owners: names of these.
+        owners: names of these; words that all begin with are left out.
         is_named: whether a title has the name of its owner, for each of these.
     """
     of_joints = iter(shortened([name for names in joints for name in names]))
+    owners = _without_common_start(owners)
     found = []
     for owner, short, names, with_owner in zip(
         owners, shortened(owners), joints, is_named, strict=True
@@ -63,6 +65,16 @@ def titles(
             title = short if is_same else f"{short} {joint}"
             found.append(title if with_owner else joint)
     return found
+
+
+def _without_common_start(owners: Sequence[str]) -> list[str]:
+    """Returns names without the words that all of them begin with: those of a group of all."""
+    words = [name.split("_") for name in owners]
+    same = 0
+    if len(words) > 1:
+        columns = zip(*(of_name[:-1] for of_name in words), strict=False)
+        same = sum(1 for _ in takewhile(lambda column: len({*column}) == 1, columns))
+    return _if_clear(list(owners), ["_".join(of_name[same:]) for of_name in words])
 
 
 def shortened(names: Sequence[str]) -> list[str]:

@@ -166,7 +166,7 @@ class Toggles:
             arrows=self.arrows & joints,
             billboards=(self.billboards | self.details) & joints,
             axes=self.axes & frames,
-            frame_names=self.frame_names & frames,
+            frame_names=self.frame_names & self.axes & frames,
             vectors=vectors,
             cards=self.cards & vectors,
         )
