@@ -69,128 +69,37 @@ model = "lwr"
 joint_angles = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
 """
 
-# Where fingers stand in the palm of a right hand, as their robot files have it: position, m, and
-# roll, pitch and yaw by the name of their unit.
-HIT_HAND = {
-    "thumb": ([0.062569, 0.044545, 0.080045], "rpy", [0.41136, -1.08366, 0.225804]),
-    "index": ([-0.00253, 0.0368, 0.108744], "rpy", [3.05433, -1.570796, 0.0]),
-    "middle": ([-0.0037, 0.01, 0.119044], "rpy", [3.14159, -1.570796, 0.0]),
-    "ring": ([-0.00253, -0.0168, 0.114044], "rpy", [-3.05433, -1.570796, 0.0]),
-    "little": ([0.000972, -0.043396, 0.095044], "rpy", [-2.96706, -1.570796, 0.0]),
-}
-DLR_HAND2 = {
-    "thumb": ([0.068, 0.066, 0.108], "rpy_deg", [25, -60, 15]),
-    "index": ([-0.003, 0.045, 0.142], "rpy_deg", [174, -90, 0]),
-    "middle": ([-0.003, 0.0, 0.150], "rpy_deg", [180, -90, 0]),
-    "ring": ([-0.003, -0.045, 0.142], "rpy_deg", [186, -90, 0]),
-}
-Bases = Mapping[str, tuple[Sequence[float], str, Sequence[float]]]
-
-
-def hand(model: str, bases: Bases, bend: Sequence[float], arm: str = "", left: bool = False) -> str:
-    """Returns the text of a hand, on the flange of an arm or standing on its wrist.
-
-    Args:
-        model: of its fingers.
-        bases: where these stand in a right hand.
-        bend: joint angles of every finger, rad.
-        arm: name of the robot that carries it; none when empty.
-        left: whether it is a left hand, the right one in a mirror.
-    """
-    table = f"[[robots.{arm}.children]]" if arm else "[objects.palm]"
-    name = 'name = "palm"\n' if arm else ""
-    palm = "palm_left.xml" if left else "palm.xml"
-    text = f'{table}\n{name}directory = "{DOCS.parent}/models/{model}"\nmjcf = "{palm}"\n'
-    sign = -1 if left else 1
-    for finger, ((x, y, z), unit, (roll, pitch, yaw)) in bases.items():
-        text += (
-            f'[robots.{arm}{finger}]\nmodel = "{model}"\njoint_angles = {list(bend)}\n'
-            f"base_frame = {{ xyz = [{x}, {sign * y}, {z}], "
-            f"{unit} = [{sign * roll}, {pitch}, {sign * yaw}] }}\n"
-        )
-        text += f'mount = "{arm}/flange"\n' if arm else ""
-        text += "mirrored = true\n" if left else ""
-    return text
-
-
-def upper_body(model: str, bases: Bases, bend: Sequence[float]) -> str:
-    """Returns the text of the head, the arms and the hands on a torso, with a view of it all."""
-    arms = "".join(
-        f"""
-[robots.{side}]
-model = "lwr"
-mount = "torso/flange"
-base_frame = {{ xyz = [0.0, {0.19 * sign}, 0.0], rpy_deg = [{-60 * sign}, 0, 0] }}
-joint_angles = [{-1.05 * sign}, 1.05, {0.3 * sign}, -1.5, {-0.6 * sign}, 0.5, {-0.4 * sign}]
+GROUP = """
+[groups.robot]
+model = "{model}"
 show_arrows = true
-"""
-        + hand(model, bases, bend, side, left=sign > 0)
-        for side, sign in (("left", 1), ("right", -1))
-    )
-    return f"""
-[robots.head]
-model = "justin_head"
-mount = "torso/flange"
-base_frame = {{ xyz = [-0.008, 0.0, 0.115] }}
-joint_angles = [0.25, 0.2]
-{arms}
+
 [view]
-azimuth_deg = 210
+azimuth_deg = {azimuth}
 elevation_deg = -10
-distance = 2.9
-look_at = [0.0, 0.0, 0.92]
+distance = {distance}
+look_at = [0.0, 0.0, {height}]
 
 [toggles]
 legend = false
 """
 
 
-WHEELS = "".join(
-    f"""
-[robots.{name}_wheel]
-model = "justin_wheel"
-mount = "torso/base"
-base_frame = {{ xyz = [{x}, {y}, 0.0], rpy_deg = [0, 0, {turn}] }}
-"""
-    for name, x, y, turn in [
-        ("front_left", 0.36, 0.31, 40.7), ("front_right", 0.36, -0.31, -40.7),
-        ("rear_left", -0.36, 0.31, 139.3), ("rear_right", -0.36, -0.31, -139.3),
-    ]
-)  # fmt: skip
-JUSTIN = """
-[robots.torso]
-model = "justin_torso"
-joint_angles = [0.0, 0.2, -0.12]
-show_arrows = true
-"""
-SPACE_JUSTIN = """
-[robots.torso]
-model = "space_justin_torso"
-"""
-NEAR = """
-[view]
-azimuth_deg = 165
-elevation_deg = -12
-distance = {distance}
-look_at = [0.0, 0.0, {height}]
-"""
-
-
 SHOTS = (
     Shot("justin", "Rollin' Justin: approximate, not DLR data",
-         JUSTIN + WHEELS + upper_body("dlr_hand2_finger", DLR_HAND2, [0.0, 0.4, 0.5]),
-         holds_itself=True),
+         GROUP.format(model="justin", azimuth=205, distance=2.7, height=0.92), holds_itself=True),
+    Shot("justin_push", "Justin, simulated: one arm is pushed, and its arrows are wide",
+         "justin_push", {"toggles.legend": False}, at=2.5),
     Shot("space_justin", "SpaceJustin: approximate, not DLR data",
-         SPACE_JUSTIN + upper_body("hit_finger", HIT_HAND, [0.0, 0.45, 0.45]),
+         GROUP.format(model="space_justin", azimuth=205, distance=2.7, height=0.95),
          holds_itself=True),
     Shot("lwr", "DLR/KUKA LWR, holding itself", "lwr", {
         "lwr.joint_angles": [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0], "lwr.show_arrows": True,
     }, holds_itself=True),
     Shot("hit_hand", "DLR/HIT Hand II: meshes are approximate, not DLR data",
-         hand("hit_finger", HIT_HAND, [0.0, 0.45, 0.45]) + NEAR.format(distance=0.42, height=0.08)),
+         GROUP.format(model="hit_hand2", azimuth=165, distance=0.42, height=0.08)),
     Shot("dlr_hand2", "DLR Hand II: approximate, not DLR data",
-         hand("dlr_hand2_finger", DLR_HAND2, [0.0, 0.4, 0.5])
-         + NEAR.format(distance=0.56, height=0.1)),
+         GROUP.format(model="dlr_hand2", azimuth=165, distance=0.56, height=0.1)),
     Shot("hit_hand_grasp", "It holds a can by friction, simulated: torques and forces of the grasp",
          "hit_hand_grasp", at=4.5),
     Shot("biped", "DLR Biped, simulated: it stands by stiff ankles, and is pushed", "biped_stand",
