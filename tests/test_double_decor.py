@@ -269,13 +269,14 @@ def test_a_double_that_is_switched_off_is_gone_with_all_it_has() -> None:
 
     assert draw(world, toggles=toggles).hidden is None
     toggles.doubles[:] = (False, True)
-    toggles.details[9] = toggles.frame_names[:] = True
+    toggles.details[9] = toggles.axes[:] = toggles.frame_names[:] = True
     pen = draw(world, toggles=toggles)
     assert pen.hidden is not None
     assert pen.hidden.tolist() == geoms_of("goal")
     assert sum(geoms_of("goal")) == 24
     assert not any("goal" in text for text in labels(pen.rows[: pen.count]))
-    assert set(pen.kinds[: pen.count]) == {Kind.NONE, Kind.NAME}  # names of the robot's frames
+    # The robot's axes with their names.
+    assert set(pen.kinds[: pen.count]) == {Kind.NONE, Kind.AXES, Kind.NAME}
     toggles.doubles[:] = (True, False)
     pen = draw(world, toggles=toggles)
     assert pen.hidden is not None
