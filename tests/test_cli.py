@@ -196,6 +196,12 @@ def test_check_says_what_a_scene_holds(capsys) -> None:
     assert "route   udp.values1 -> lwr.torques" in out
 
 
+def test_check_says_which_objects_are_free(capsys) -> None:
+    _, out, _ = run(capsys, "check", "hit_hand_grasp")
+    assert "object  can: 0.2 kg, free in simulation\n" in out
+    assert "object  table\n" in out
+
+
 def test_check_says_what_routes_compute(capsys, tmp_path) -> None:
     file = tmp_path / "s.toml"
     scene = '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "9F"\n[routes]\n'

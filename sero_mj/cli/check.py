@@ -75,7 +75,8 @@ def run(options: argparse.Namespace) -> int:
     for target, event in scene.routes.items():
         print(f"  route   {event} -> {target}")
     for item in scene.objects:
-        print(f"  object  {item.name}")
+        mass = "" if item.mass is None else f": {item.mass:g} kg, free in simulation"
+        print(f"  object  {item.name}{mass}")
     for camera in list_cameras(world):
         print(f"  camera  {camera}")
     model = world.model
