@@ -413,8 +413,9 @@ def test_a_balanced_tensor_is_physical_keeps_its_axes_and_a_right_one_is_left(se
     balanced = balanced_tensor(tensor, mass)
     assert inertia_problem(balanced) is None
     assert np.allclose(tensor @ balanced, balanced @ tensor)  # the same axes
-    assert np.linalg.eigvalsh(balanced)[2] == pytest.approx(np.linalg.eigvalsh(tensor)[2])
-    if inertia_problem(tensor) is None and moments.min() > 0.4 * mass * 0.005**2:
+    least = 0.4 * mass * 0.005**2  # of a ball; all moments may have been below zero
+    assert np.linalg.eigvalsh(balanced)[2] == pytest.approx(max(moments.max(), least))
+    if inertia_problem(tensor) is None and moments.min() > least:
         assert balanced == pytest.approx(tensor)
 
 
