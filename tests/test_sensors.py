@@ -167,3 +167,62 @@ def test_a_delay_may_be_of_some_joints_only():
     assert all((row[1:] == value[1:]).all() for row, value in zip(seen, values[5:], strict=True))
     sensors.delay("angles", 0, [1])
     assert sensors.measure(values[3])[0].tolist() == [3, 3, 3]
+
+
+def test_velocities_are_differentiated_from_what_encoders_read() -> None:
+    bandwidth, step, speed = 200.0, 1e-3, 0.7
+    filters = np.array([bandwidth, 0.0])
+    sensors = Sensors(2, velocity_filter=filters, timestep=step)
+    assert not sensors.is_perfect
+    actual = np.zeros((3, 2))
+    sensors.reset(actual)
+    found = []
+    for k in range(1, 101):
+        actual[0], actual[1] = speed * step * k, speed
+        found.append(sensors.measure(actual)[1].copy())
+    times = step * np.arange(1, 101)
+    smooth, own = np.array(found).T
+    np.testing.assert_allclose(smooth, -speed * np.expm1(-bandwidth * times), atol=1e-12)
+    assert (own == speed).all()
+
+
+def test_a_coarse_encoder_makes_velocities_rough_and_a_low_pass_smooth() -> None:
+    grid, step, speed = 1e-4, 1e-3, 0.033
+    spreads = []
+    for bandwidth in (1e5, 50.0):
+        errors = SensorErrors(resolution=grid)
+        filters = np.array([bandwidth])
+        sensors = Sensors(1, angles=errors, velocity_filter=filters, timestep=step)
+        actual = np.zeros((3, 1))
+        sensors.reset(actual)
+        found = []
+        for k in range(1, 2001):
+            actual[0], actual[1] = speed * step * k, speed
+            found.append(sensors.measure(actual)[1, 0])
+        rest = np.array(found[500:])
+        assert rest.mean() == pytest.approx(speed, rel=0.01)
+        spreads.append(np.ptp(rest))
+    assert spreads[0] == pytest.approx(grid / step)  # one step of the encoder, or none
+    assert spreads[1] < 0.1 * spreads[0]
+
+
+def test_differentiated_velocities_have_faults_of_their_own() -> None:
+    sensors = Sensors(1, velocity_filter=np.array([1e5]), timestep=1e-3)
+    actual = np.zeros((3, 1))
+    sensors.reset(actual)
+
+    def read(k: int) -> float:
+        actual[0] = 1e-3 * k
+        return float(sensors.measure(actual)[1, 0])
+
+    assert read(1) == pytest.approx(1.0)
+    sensors.change("velocities", gain=2.0, bias=0.5)
+    assert read(2) == pytest.approx(2.5)
+    sensors.change("velocities", resolution=2.0)
+    assert read(3) == pytest.approx(2.0)
+    sensors.kill("velocities", 0)
+    assert read(4) == 0.0
+    sensors.repair()
+    assert read(5) == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="timestep: found 0 s; expected more than 0"):
+        Sensors(1, velocity_filter=np.array([1.0]))

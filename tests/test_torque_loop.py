@@ -239,6 +239,7 @@ def test_real_sensors_do_not_upset_the_loop() -> None:
         "torques": {"noise": 0.05, "resolution": 0.01},
         "velocities": {"noise": 1e-3},
         "angles": {"resolution": 1e-5},
+        "velocity_filter": 500.0,
     }
     made = ran(simulation(SOFT, sensors={"lwr": real}, duration=1.0))
     error = made.log.of("lwr", "commanded_torques") - made.log.of("lwr", "torques")

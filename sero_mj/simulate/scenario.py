@@ -44,11 +44,15 @@ class RobotSensors(Declaration):
         angles: errors of the encoders.
         velocities: of what is differentiated from them.
         torques: of the torque sensors.
+        velocity_filter: 1/s, bandwidth of the low pass through which velocities are differences of
+            the angles that are read, their errors included; true ones, with the errors of
+            `velocities` alone, when None.
     """
 
     angles: Mapping[str, Any] | None = None
     velocities: Mapping[str, Any] | None = None
     torques: Mapping[str, Any] | None = None
+    velocity_filter: float | None = Field(None, gt=0, le=1e5)
 
     def errors(self, signal: str) -> SensorErrors:
         """The errors of one signal."""
@@ -336,7 +340,17 @@ class Scenario:
             merged[signal] = SensorErrors(**joined, delay=delay)
         if self.problems:
             raise DeclarationError(self.scene.located(self.problems))
-        return Sensors(sum(robot.n for robot in self.scene.robots.values()), seed=seed, **merged)
+        filters = [
+            np.full(robot.n, (self.sensors.get(name) or RobotSensors()).velocity_filter or 0.0)
+            for name, robot in self.scene.robots.items()
+        ]
+        return Sensors(
+            sum(map(len, filters)),
+            seed=seed,
+            **merged,
+            velocity_filter=np.concatenate(filters),
+            timestep=self.run.timestep / self.run.substeps,
+        )
 
 
 def _share_out(section: dict[str, Any], scene: Scene) -> None:

@@ -1,6 +1,11 @@
 """`Sensors`: noise, bias, quantisation, delay and faults of a robot's sensors.
 
 A value goes through gain and bias, noise, quantisation and faults, and then through the delay.
+Velocities may be differentiated from what the encoders of the angles read before that:
+
+    v(k) = v(k-1) + (1 - exp(-w t)) ((q(k) - q(k-1)) / t - v(k-1)),
+
+differences through a first-order low pass of bandwidth w, exact for what is constant during a step.
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from ..declaration import Declaration, numbers
 from ..errors import UnknownName
-from ..frames import Array, Ints
+from ..frames import Array, Bools, Ints
 
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")
@@ -66,6 +71,9 @@ class Sensors:
         velocities: likewise.
         torques: of the torque sensors.
         seed: of the noise; the same seed gives the same values.
+        velocity_filter: w, (n,), 1/s, of joints whose velocities are differentiated, with their own
+            errors on top; 0 for those that have tachometers. None for no differentiated ones.
+        timestep: t, s between two readings; needed with `velocity_filter`.
 
     Attributes:
         is_perfect: whether they read the truth, at once.
@@ -73,7 +81,7 @@ class Sensors:
         seed: of the noise from the next `reset` on.
 
     Raises:
-        ValueError: an error has neither one number nor n.
+        ValueError: an error has neither one number nor n, or the timestep is missing.
     """
 
     def __init__(
@@ -83,6 +91,9 @@ class Sensors:
         velocities: SensorErrors | None = None,
         torques: SensorErrors | None = None,
         seed: int = 0,
+        *,
+        velocity_filter: Array | None = None,
+        timestep: float = 0.0,
     ) -> None:
         self.n = n
         self.measured = np.zeros((3, n))
@@ -93,6 +104,14 @@ class Sensors:
         self._drawn = False
         self._grid_steps = np.zeros(n)
         self._joints = np.arange(n)
+        self._differentiated: Bools | None = None
+        if velocity_filter is not None and np.any(velocity_filter):
+            if not timestep > 0:
+                raise ValueError(f"timestep: found {timestep:g} s; expected more than 0")
+            self._differentiated = np.array(velocity_filter) > 0
+            self._new_share = -np.expm1(-np.array(velocity_filter) * timestep)
+            self._timestep = timestep
+        self._speeds, self._read_angles = np.zeros((2, n))
         self._past = [np.zeros((1, n)) for _ in SIGNALS]  # what was read without its delay
         self._k = 0
         self.repair()
@@ -126,6 +145,8 @@ class Sensors:
         self._rng = np.random.default_rng(self.seed)
         self._drawn = False
         self._k = 0
+        self._speeds[:] = 0.0
+        self._has_read = False
         for _ in range(int(self._delays.max()) + 1):
             self.measure(actual)
 
@@ -240,7 +261,12 @@ class Sensors:
         ]
 
         self.is_perfect = not (
-            self._scaled or self._shifted or self._grids or self._faulty or self._late
+            self._scaled
+            or self._shifted
+            or self._grids
+            or self._faulty
+            or self._late
+            or self._differentiated is not None
         )
 
     def _offset_all(self) -> None:
@@ -276,6 +302,8 @@ class Sensors:
             multiply(steps, grid, steps)
             if coarse is not None:
                 copyto(values, steps, where=coarse)
+        if self._differentiated is not None:
+            self._differentiate(self._differentiated)
         if self._faulty:
             copyto(measured, self._held, where=self._frozen)
             copyto(measured, 0.0, where=self._dead)
@@ -284,6 +312,23 @@ class Sensors:
             values[:] = past[(self._k - late) % len(past), self._joints]
         self._k += 1
         return measured
+
+    def _differentiate(self, joints: Bools) -> None:
+        """Replaces the velocities of some joints by what their angles have changed by."""
+        angles, (gain, resolution) = (
+            self.measured[0],
+            (self._gain[1], self._errors["resolution"][1]),
+        )
+        if self._has_read:
+            change = (angles - self._read_angles) / self._timestep
+            self._speeds += self._new_share * (change - self._speeds)
+        self._read_angles[:], self._has_read = angles, True
+        values = self._speeds * gain
+        if self._shifted:
+            values += self._offset_rows[self._k % _BLOCK][1]
+        grid = np.where(resolution > 0, resolution, 1.0)
+        values = np.where(resolution > 0, rint(values / grid) * grid, values)
+        copyto(self.measured[1], values, where=joints)
 
 
 def _row(signal: str) -> int:
