@@ -17,20 +17,22 @@ from conftest import ROOT
 from window_tools import MISSING, screen
 
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
-FILM = re.compile(r"((?:-o|--render) \S+\.mp4)")
+PICTURE = re.compile(r"((?:-o|--render) \S+\.(?:mp4|png))")
+SAMPLES = re.compile(r"--samples 8\b")
 WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")  # `compare` has the recording's
 DURATION = re.compile(r"--duration [23]\b")
 FILM_IN_PYTHON = re.compile(r"(render_film\(.+)\)$", re.MULTILINE)
 # What a block writes: an option's or a command's file, or the text of a call in Python.
 OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml))")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-# Of films: software takes most of the time of this test to draw them.
+# Of films and pictures: software takes most of the time of this test to draw them.
 SMALL, FPS = (480, 320), 10
 
 
 def shortened(text: str) -> str:
-    """A block whose films are small and have few frames, and whose recordings are short."""
-    text = FILM.sub(r"\1 --size {}x{}".format(*SMALL), text)
+    """A block of small pictures, films with few frames, short recordings and small sweeps."""
+    text = PICTURE.sub(r"\1 --size {}x{}".format(*SMALL), text)
+    text = SAMPLES.sub("--samples 4", text)
     text = DURATION.sub("--duration 1", text)
     text = WITH_FPS.sub(rf"\1 --fps {FPS}", text)
     return FILM_IN_PYTHON.sub(rf"\1, size={SMALL}, fps={FPS})", text)

@@ -102,19 +102,20 @@ def test_the_arm_carries_the_weight_of_the_hand() -> None:
     np.testing.assert_allclose(palm[1], [0.0, 0.0, 0.06], atol=0.02)  # in front of the adapter
     adapter = 1000.0 * np.pi * 0.032**2 * 0.02, np.array([0.0, 0.0, 0.01])
     start = np.concatenate([log.of(name, "actual_angles")[0] for name in ("arm", *HAND)])
+    parameters = {name: robot_dynamics(robots[name]) for name in ("arm", *HAND)}
     # Its own links, then what is at the flange, and the fingers by their tables.
 
     def energy(q: np.ndarray) -> float:
         arm = robots["arm"]
         frames = arm.dh.frames(q[:7], arm.base_frame)
         flange = frames[-1] @ arm.T_n_flange
-        bodies = list(zip(robot_dynamics(arm).masses, robot_dynamics(arm).centers, frames,
-                          strict=True))  # fmt: skip
+        own = parameters["arm"]
+        bodies = list(zip(own.masses, own.centers, frames, strict=True))
         bodies += [(mass, center, flange) for mass, center in (palm, adapter)]
         for k, name in enumerate(HAND):
             robot = robots[name]
             at = robot.dh.frames(q[7 + 4 * k : 11 + 4 * k], flange @ robot.base_frame)
-            known = robot_dynamics(robot)
+            known = parameters[name]
             bodies += zip(known.masses, known.centers, at, strict=True)
         return sum(9.81 * float(m * (T @ np.append(c, 1.0))[2]) for m, c, T in bodies)
 

@@ -64,7 +64,7 @@ def test_a_mirrored_robot_moves_and_is_grey_when_its_source_is_quiet(
     port = free_port(socket.SOCK_DGRAM)
     scene = tmp_path / "scene.toml"
     scene.write_text(
-        '[robots.lwr]\nmodel = "lwr"\nstale_after = 5.0\n'
+        '[robots.lwr]\nmodel = "lwr"\nstale_after = 3.0\n'
         f'[sources.udp]\nkind = "udp"\nport = {port}\nstructure = "7F"\n'
         '[routes]\n"lwr.joint_angles" = "udp.values0"\n'
     )
