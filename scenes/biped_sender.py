@@ -8,14 +8,13 @@ python biped_sender.py [seconds [port]]
 """
 
 import math
-import socket
 import struct
 import sys
-import time
 
 import numpy as np
 
 from sero_mj import load_scene
+from sero_mj.send.sender import UdpSink, paced, send
 
 RATE = 200  # packets/s
 WEIGHT = 29.0 * 9.81  # N, of pelvis and hips
@@ -58,18 +57,15 @@ def main():
     """Sends packets until Ctrl-C, or for so many seconds."""
     scene = load_scene("biped")
     (source,) = scene.sources.values()
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else math.inf
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else None
     port = int(sys.argv[2]) if len(sys.argv) > 2 else source["port"]
-    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    start, k = time.monotonic(), 0
-    try:
-        while k < seconds * RATE:
-            values = stand(scene.robots, k / RATE)
-            out.sendto(struct.pack(f"<{len(values)}d", *values), ("127.0.0.1", port))
-            k += 1
-            time.sleep(max(start + k / RATE - time.monotonic(), 0.0))
-    except KeyboardInterrupt:
-        pass
+
+    def packet(t):
+        values = stand(scene.robots, t)
+        return struct.pack(f"<{len(values)}d", *values)
+
+    with UdpSink("127.0.0.1", port) as sink:
+        send(paced(packet, RATE, seconds), sink)
 
 
 if __name__ == "__main__":

@@ -8,14 +8,13 @@ python justin_sender.py [seconds [port]]
 """
 
 import math
-import socket
 import sys
-import time
 
 import numpy as np
 
 from sero_mj import load_scene
 from sero_mj.send.play import MotionPackets
+from sero_mj.send.sender import UdpSink, paced, send
 
 RATE = 200  # packets/s
 PERIOD = 24.0  # s, of the way
@@ -80,18 +79,11 @@ def packets(scene):
 def main():
     """Sends packets until Ctrl-C, or for so many seconds."""
     scene = load_scene("justin")
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else math.inf
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else None
     port = int(sys.argv[2]) if len(sys.argv) > 2 else scene.sources["udp"]["port"]
-    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    start = time.monotonic()
-    try:
-        for k, packet in enumerate(packets(scene)):
-            if k >= seconds * RATE:
-                break
-            time.sleep(max(start + k / RATE - time.monotonic(), 0.0))
-            out.sendto(packet, ("127.0.0.1", port))
-    except KeyboardInterrupt:
-        pass
+    stream = packets(scene)
+    with UdpSink("127.0.0.1", port) as sink:
+        send(paced(lambda t: next(stream), RATE, seconds), sink)
 
 
 if __name__ == "__main__":

@@ -8,14 +8,14 @@ python parallel_sender.py five_bar|stewart [seconds [port]]
 """
 
 import math
-import socket
 import struct
 import sys
-import time
 
 import numpy as np
 
 from sero_mj import load_scene
+from sero_mj.frames import rotation_about, rotation_from_rpy
+from sero_mj.send.sender import UdpSink, paced, send
 
 RATE = 200  # packets/s
 PUSH = 15.0  # N, what acts on the five-bar's tool, against its motion
@@ -59,7 +59,7 @@ def stewart(robots, t):
     tilt = [0.16 * math.sin(w * t), 0.16 * math.sin(w * t + 2.0), 0.25 * math.sin(0.5 * w * t)]
     at = [0.06 * math.cos(w * t), 0.06 * math.sin(w * t), 0.62 + 0.05 * math.sin(2 * w * t)]
     platform = np.eye(4)
-    platform[:3, :3] = turn(2, tilt[2]) @ turn(1, tilt[1]) @ turn(0, tilt[0])
+    platform[:3, :3] = rotation_from_rpy(tilt)
     platform[:3, 3] = at
     legs = [leg(robot, platform) for robot in robots.values()]
     # The struts carry the platform: their forces and moments about its middle add up to its weight.
@@ -92,16 +92,8 @@ def leg(robot, platform):
 def universal_joint(first, second):
     """Returns the rotation (3, 3) of two joints with crossing axes; at zero z is x of the base."""
     half = math.pi / 2
-    return turn(2, first) @ turn(0, -half) @ turn(2, second + half) @ turn(0, half)
-
-
-def turn(axis, angle):
-    """Returns a rotation (3, 3) about x, y or z (0, 1, 2)."""
-    c, s = math.cos(angle), math.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    R = np.eye(3)
-    R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
-    return R
+    crossed = rotation_about(0, -half) @ rotation_about(2, second + half) @ rotation_about(0, half)
+    return rotation_about(2, first) @ crossed
 
 
 def main():
@@ -111,19 +103,15 @@ def main():
     scene = load_scene(sys.argv[1])
     pose = {"five_bar": five_bar, "stewart": stewart}[sys.argv[1]]
     (source,) = scene.sources.values()
-    seconds = float(sys.argv[2]) if len(sys.argv) > 2 else math.inf
+    seconds = float(sys.argv[2]) if len(sys.argv) > 2 else None
     port = int(sys.argv[3]) if len(sys.argv) > 3 else source["port"]
-    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    start, k = time.monotonic(), 0
-    try:
-        while k < seconds * RATE:
-            values = pose(scene.robots, k / RATE)
-            packet = struct.pack(f"<{len(values)}d", *values)
-            out.sendto(packet, ("127.0.0.1", port))
-            k += 1
-            time.sleep(max(start + k / RATE - time.monotonic(), 0.0))
-    except KeyboardInterrupt:
-        pass
+
+    def packet(t):
+        values = pose(scene.robots, t)
+        return struct.pack(f"<{len(values)}d", *values)
+
+    with UdpSink("127.0.0.1", port) as sink:
+        send(paced(packet, RATE, seconds), sink)
 
 
 if __name__ == "__main__":
