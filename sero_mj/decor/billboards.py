@@ -21,7 +21,6 @@ from .feature import Feature, Frame
 from .panels import PANEL_RGBA, panel_sizes
 from .pen import Kind
 from .picture_view import PictureView
-from .toggles import Toggles
 
 NO_DATA = b"no data"
 NO_LIMIT = b"none"
@@ -62,7 +61,7 @@ _TINT = 0.30  # fraction of the double's colour in the colour of its panels
 class Billboards(Feature):
     """The billboards of one world."""
 
-    order = 55  # after what is in the corners: cards have the room that is left
+    order = 10
 
     def __init__(self, world: WorldView) -> None:
         super().__init__(world)
@@ -96,7 +95,7 @@ class Billboards(Feature):
         """
         cards = self._cards(frame)
         if cards is not None:
-            frame.cards.insert(0, cards)
+            frame.cards.append(cards)
 
     def _cards(self, frame: Frame) -> Cards | None:
         data, view, toggles, values = frame.data, frame.view, frame.toggles, frame.values
@@ -110,7 +109,7 @@ class Billboards(Feature):
         index, anchors, depth = index[inside], anchors[inside], depth[inside]
         if not len(index):
             return None
-        lines = [self._lines_of(int(i), toggles) for i in index]
+        lines = [self._details[i] if toggles.details[i] else self._lines[i] for i in index]
         if toggles.details.any():
             limit = joints.torque_limit
             share = 100 * np.abs(values["torques"]) / limit
@@ -134,9 +133,6 @@ class Billboards(Feature):
             clear=clear,
             rgba=np.where(stale[index, None], _STALE_RGBA, self._rgba[index]),
         )
-
-    def _lines_of(self, joint: int, toggles: Toggles) -> list[Line]:
-        return self._details[joint] if toggles.details[joint] else self._lines[joint]
 
     def _shares(self, frame: Frame) -> Array:
         """Returns the value of every joint's arrow over that of full width, (N,); 0 without any."""

@@ -227,7 +227,7 @@ class CardLayout:
         is_load = np.concatenate(
             [np.full(len(group.texts), group.kind == Kind.BILLBOARD) for group in groups]
         )
-        note = _note(view, len(keys), len(keys), corners)
+        note = _note(view, len(keys), corners)
         corners = [*corners, note]
         kept = fitting(corners, _NEW_ROOM * line)
         if kept.all():
@@ -297,10 +297,10 @@ def _rectangles(corners: list[Panels], origin: Array) -> Array:
     return rows - np.tile(origin, 2)
 
 
-def _note(view: PictureView, shown: int, count: int, corners: list[Panels]) -> Panels:
-    """Returns the note of how many cards are shown, for the lower right corner."""
+def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
+    """Returns a note that says of `count` cards how many are shown, for the lower right corner."""
     margin = _MARGIN * view.font.height
-    text = _note_text(shown, count)
+    text = _note_text(count, count)  # the longest
     size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
     right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
     for corner in corners:  # above the legend, in a narrow picture
