@@ -11,9 +11,12 @@ from sero_mj.show.headless.backend import choose_backend
 choose_backend()
 
 import gc
+import importlib.util
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -23,6 +26,8 @@ from xdist.scheduler import LoadScopeScheduling
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
 
 settings.register_profile("quarter", max_examples=25)
 settings.register_profile("thorough", max_examples=100)
@@ -48,6 +53,23 @@ ROOT = Path(__file__).resolve().parent.parent
 def examples(thorough: int) -> int:
     """How many examples a property test has, of those in a thorough run."""
     return max(thorough * settings().max_examples // 100, 5)
+
+
+def import_script(path: Path) -> ModuleType:
+    """A script that is in no package, as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def problems_in(scene: Path) -> list[str]:
+    """What is wrong in a scene's file: line, key and message of every problem."""
+    with pytest.raises(DeclarationError) as caught:
+        load_scene(scene)
+    return [f"{p.line}: {p.key}: {p.message}" for p in caught.value.problems]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from types import ModuleType
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, import_script
 
 from sero_mj import paths
 from sero_mj.show.headless.render import render_picture
@@ -15,11 +13,7 @@ from sero_mj.show.headless.render import render_picture
 
 @pytest.fixture(scope="module")
 def gallery() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("gallery", ROOT / "docs" / "gallery.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["gallery"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    return import_script(ROOT / "docs" / "gallery.py")
 
 
 def test_page_and_pictures_are_those_of_the_list(gallery):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import problems_in
 from decor_tools import labels, toggles_of, view_at
 from source_slots import set_source
 
@@ -265,10 +266,7 @@ model = "lwr"
 def test_wrong_groups_are_all_told_at_once_with_their_lines(tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(WRONG)
-    with pytest.raises(DeclarationError) as caught:
-        load_scene(path)
-    found = [f"{p.line}: {p.key}: {p.message}" for p in caught.value.problems]
-    assert found == [
+    assert problems_in(path) == [
         "9: groups.one.show_arrows: found 3; expected true or false",
         "32: groups.seven.robots: found []; expected 1 entry or more",
         "28: groups.c: a robot has this name; expected another one",

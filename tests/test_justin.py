@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import socket
 import tomllib
@@ -13,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import import_script
 from poses import chain, move, rot
 
 from sero_mj import DeclarationError, Mirror, Scenario, Scene, Simulation, World, load_scene
@@ -211,12 +211,7 @@ def test_nothing_goes_through_itself_for_a_minute_of_motion(name: str) -> None:
 
 
 def test_wheels_roll_where_the_platform_goes_without_slip() -> None:
-    spec = importlib.util.spec_from_file_location(
-        "justin_sender", scenes_dir() / "justin_sender.py"
-    )
-    assert spec is not None and spec.loader is not None
-    sender = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sender)
+    sender = import_script(scenes_dir() / "justin_sender.py")
     scene = load_scene("justin")
     world = World(scene)
     data = world.make_data()
@@ -319,12 +314,7 @@ def test_the_haptic_device_moves_the_arms_of_space_justin() -> None:
 
 
 def test_packets_of_the_sender_are_played() -> None:
-    spec = importlib.util.spec_from_file_location(
-        "justin_sender", scenes_dir() / "justin_sender.py"
-    )
-    assert spec is not None and spec.loader is not None
-    sender = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sender)
+    sender = import_script(scenes_dir() / "justin_sender.py")
     scene = load_scene("justin")
     layout = MotionPackets(scene, amplitude=0.0).structure
     packets = [layout.decode(p) for p in itertools.islice(sender.packets(scene), 20)]

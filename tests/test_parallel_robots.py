@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from types import ModuleType
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, import_script
 from decor_tools import labels, toggles_of, view_at
 from polling import until
 
@@ -35,10 +34,7 @@ LEGS = {
 
 @pytest.fixture(scope="module")
 def sender() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("parallel_sender", SENDER)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return import_script(SENDER)
 
 
 def flanges(scene: Scene, packet) -> np.ndarray:
