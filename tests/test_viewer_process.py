@@ -150,7 +150,7 @@ def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
     assert not first.is_open and not first.sync()
     assert again.is_open and again.url == first.url
     assert process_of(first).returncode == 0
-    with sero_mj.view("lwr_double", web=True) as other:  # another scene has a page of its own
+    with sero_mj.view("panda", web=True) as other:  # another scene has a page of its own
         assert again.is_open and other.url != again.url
     assert not other.is_open
     assert again.url is not None and answers(again.url)
