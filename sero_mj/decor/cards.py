@@ -23,7 +23,7 @@ from .picture_view import PictureView
 _Key = tuple[Kind, int]
 
 _CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
-_LEAST_GAIN = 0.05  # of a line's height: less is noise, and no reason to change places
+_LEAST_GAIN = 0.01  # of a line's height: less is noise, and no reason to change places
 _FEWEST = 8  # cards, also where they need several columns
 _GAP = 0.3  # between cards, of a line's height
 # A card takes the room of another one only if its share is larger by this factor, and this much.
