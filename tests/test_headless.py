@@ -4,15 +4,17 @@ import mujoco
 import numpy as np
 import pytest
 from decor_tools import world_of
+from PIL import Image
 
 from sero_mj.assemble.scene import Camera, Scene, View
 from sero_mj.assemble.world import World
+from sero_mj.cli import _arguments
 from sero_mj.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
 from sero_mj.decor.panels import PADDING
 from sero_mj.decor.pen import ARROW_SIZE_OF_LENGTH
 from sero_mj.errors import RenderError, UnknownName, UsageError
 from sero_mj.show.camera import bounding_sphere, find_camera
-from sero_mj.show.headless.render import HeadlessRenderer
+from sero_mj.show.headless.render import QUALITIES, HeadlessRenderer, render_picture
 
 pytestmark = pytest.mark.gl
 
@@ -207,3 +209,58 @@ def test_sizes_out_of_range_are_refused(world) -> None:
 def test_an_odd_picture_size_works(world) -> None:
     with HeadlessRenderer(world, 51, 33) as renderer:
         assert renderer.render(world.make_data()).shape == (33, 51, 3)
+
+
+def mixed_colours(picture: np.ndarray) -> int:
+    """How many colours a picture has: samples of a pixel mix those on both sides of an edge."""
+    return len(np.unique(picture.reshape(-1, 3), axis=0))
+
+
+def test_a_draft_has_no_shadows_and_hard_edges(world) -> None:
+    pictures = {}
+    for quality in ("normal", "draft"):
+        with HeadlessRenderer(world, *SIZE, quality=quality) as renderer:
+            renderer.toggles.legend = False
+            pictures[quality] = renderer.render(world.make_data())
+    is_shadow = pictures["draft"].mean(axis=2) > 1.2 * pictures["normal"].mean(axis=2)
+    assert is_shadow.mean() > 0.005
+    assert mixed_colours(pictures["draft"]) < 0.5 * mixed_colours(pictures["normal"])
+
+
+def test_a_fine_picture_is_smoother_and_has_the_same_size_panels_and_text(world) -> None:
+    pictures, panels = {}, {}
+    for quality in ("normal", "fine"):
+        with HeadlessRenderer(world, *SIZE, quality=quality) as renderer:
+            renderer.toggles.cards[:] = True
+            pictures[quality] = renderer.render(world.make_data())
+            panels[quality] = renderer.decor.panels
+    centres = [np.concatenate([each.centres for each in panels[q]]) for q in ("normal", "fine")]
+    assert np.array_equal(*centres)
+    fine, normal = pictures["fine"], pictures["normal"]
+    assert fine.shape == normal.shape
+    assert np.abs(fine.astype(float) - normal).mean() < 3.0  # the same picture
+    assert mixed_colours(fine) > 1.2 * mixed_colours(normal)
+
+
+@pytest.mark.parametrize(("quality", "dpi"), [("normal", None), ("fine", 300)])
+def test_a_fine_picture_says_its_resolution(quality, dpi, lwr, tmp_path) -> None:
+    file = tmp_path / "lwr.png"
+    render_picture(Scene(robots=[lwr]), file, size=(120, 90), quality=quality)
+    with Image.open(file) as picture:
+        assert picture.size == (120, 90)
+        assert (dpi is None) == ("dpi" not in picture.info)
+        assert dpi is None or picture.info["dpi"] == pytest.approx((dpi, dpi), abs=0.1)
+
+
+def test_an_unknown_quality_is_refused_and_commands_know_all(world) -> None:
+    with pytest.raises(RenderError, match="found quality 'best'; expected draft, normal, fine"):
+        HeadlessRenderer(world, 64, 48, quality="best")  # type: ignore[arg-type]
+    assert _arguments.QUALITIES == QUALITIES
+
+
+def test_what_is_rendered_leaves_the_model_as_it_was(world) -> None:
+    quality = world.model.vis.quality
+    before = quality.offsamples, world.model.vis.global_.offwidth
+    with HeadlessRenderer(world, 64, 48, quality="draft") as renderer:
+        renderer.render(world.make_data())
+    assert (quality.offsamples, world.model.vis.global_.offwidth) == before

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # Subparsers have no public type.
 Commands = Any
 LOOKS = ("light", "dark")
+QUALITIES = ("draft", "normal", "fine")
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -150,6 +151,20 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         type=not_negative,
         metavar="S",
         help="where in the recording to begin (default: its first packet)",
+    )
+
+
+def add_picture_options(parser: argparse.ArgumentParser) -> None:
+    """Adds `--size` and `--quality` of pictures and films."""
+    parser.add_argument(
+        "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
+    )
+    parser.add_argument(
+        "--quality",
+        choices=QUALITIES,
+        default="normal",
+        help="draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is "
+        "software; fine: for print, with 300 dots per inch",
     )
 
 

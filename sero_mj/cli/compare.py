@@ -13,11 +13,11 @@ from ..errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
+    add_picture_options,
     check_ending,
     not_negative,
     read_recorded_run,
     read_scene,
-    size,
 )
 
 if TYPE_CHECKING:
@@ -66,9 +66,7 @@ def add_to(commands: Commands) -> None:
         "--render", type=Path, metavar="OUT.mp4",
         help="a film of A with arrows on the difference, and a transparent double for B",
     )  # fmt: skip
-    parser.add_argument(
-        "--size", type=size, default=(1280, 800), metavar="WxH", help="of the film, pixels"
-    )
+    add_picture_options(parser)
     parser.add_argument(
         "--tolerance-torque", type=not_negative, metavar="NM",
         help="exit with 1 where measured torques differ by more, Nm (N)",
@@ -164,6 +162,7 @@ def _film(pair: Pair, a: RunLog, options: argparse.Namespace) -> None:
         quiet=options.quiet,
         duration=float(pair.times[-1] - pair.times[0]),
         size=options.size,
+        quality=options.quality,
         camera=None,
         wait=0.0,
         clicks=[],

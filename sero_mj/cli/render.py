@@ -12,11 +12,11 @@ from ..errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
+    add_picture_options,
     add_scene_options,
     not_negative,
     positive,
     read_shown_scene,
-    size,
 )
 
 if TYPE_CHECKING:
@@ -52,9 +52,7 @@ def add_to(commands: Commands) -> None:
         metavar="OUT",
         help="a picture: .png, .jpg, .webp; or a film: .mp4, .webm, .gif",
     )
-    parser.add_argument(
-        "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
-    )
+    add_picture_options(parser)
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="length of a film in s (default 5)"
     )
@@ -117,6 +115,7 @@ def run(options: argparse.Namespace) -> int:
             camera=options.camera,
             wait=options.wait,
             clicks=options.clicks,
+            quality=options.quality,
         )
     else:
         from ..show.headless.render import render_picture
@@ -128,6 +127,7 @@ def run(options: argparse.Namespace) -> int:
             camera=options.camera,
             wait=options.wait,
             clicks=options.clicks,
+            quality=options.quality,
         )
     for name in silent:
         print(

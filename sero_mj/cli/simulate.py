@@ -13,6 +13,7 @@ from ..errors import SimulationError, UsageError
 from ._arguments import (
     Commands,
     add_command,
+    add_picture_options,
     add_set_option,
     check_ending,
     named_settings,
@@ -20,7 +21,6 @@ from ._arguments import (
     overrides,
     positive,
     seed,
-    size,
 )
 from ._sending import Sender, add_sink_options, in_real_time
 from .render import check_picture_or_film, film_with_progress
@@ -61,9 +61,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--at", type=not_negative, metavar="S", help="time of a picture (default: the end)"
     )
-    parser.add_argument(
-        "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
-    )
+    add_picture_options(parser)
     parser.add_argument(
         "--fps", type=positive, metavar="N", help="frames per second (default 30; of a GIF 20)"
     )
@@ -200,13 +198,16 @@ def _render(simulation: Simulation, options: argparse.Namespace) -> None:
     if check_picture_or_film("--render", options.render):
         film_with_progress(
             scene, options.render, quiet=options.quiet, duration=max(simulation.time, 1e-3),
-            fps=options.fps, size=options.size, camera=options.camera,
+            fps=options.fps, size=options.size, camera=options.camera, quality=options.quality,
         )  # fmt: skip
         return
     at = simulation.time if options.at is None else options.at
     if at > simulation.time:
         raise UsageError(f"--at {at:g}: the run ends at {simulation.time:g} s")
-    render_picture(scene, options.render, size=options.size, camera=options.camera, at=at)
+    render_picture(
+        scene, options.render,
+        size=options.size, camera=options.camera, at=at, quality=options.quality,
+    )  # fmt: skip
 
 
 def _print(

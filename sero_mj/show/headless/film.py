@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import av
 import numpy as np
@@ -62,19 +63,21 @@ def check_writable(path: Path) -> None:
         raise RenderError(f"cannot write {path}: it is a folder, or its folder is read-only")
 
 
-def save_picture(path: Path, pixels: Pixels) -> None:
+def save_picture(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
     """Writes a picture in the format of the file name extension.
 
     Args:
         path: the file; its folder is created if necessary.
         pixels: (height, width, 3), uint8.
+        dpi: dots per inch that the file says; WebP cannot.
 
     Raises:
         RenderError: the file cannot be written, or the format is unknown.
     """
     check_writable(path)
+    resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
     try:
-        Image.fromarray(pixels).save(path)
+        Image.fromarray(pixels).save(path, **resolution)
     except (OSError, ValueError) as error:
         raise RenderError(f"cannot write {path}: {error}") from error
 

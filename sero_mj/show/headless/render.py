@@ -14,10 +14,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 from ...assemble.scene import Scene
 from ...assemble.world_view import WorldView
@@ -39,6 +40,11 @@ from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save
 log = logging.getLogger(__name__)
 
 MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
+# `draft` has neither shadows nor multisampling; `fine` is drawn larger and reduced, for print.
+Quality = Literal["draft", "normal", "fine"]
+QUALITIES: tuple[str, ...] = get_args(Quality)
+_SUPERSAMPLING = 2  # a side, of `fine`
+_PRINT_DPI = 300
 
 
 def check_size(what: str, width: int, height: int) -> None:
@@ -57,24 +63,28 @@ def check_size(what: str, width: int, height: int) -> None:
 
 
 @contextmanager
-def offscreen_size(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
-    """Sets the offscreen buffer size of the OpenGL contexts that are created in this context.
+def offscreen_size(
+    model: mujoco.MjModel, width: int, height: int, samples: int | None = None
+) -> Iterator[None]:
+    """Sets the offscreen buffer of the OpenGL contexts that are created in this context.
 
-    MuJoCo reads the size from the model. The model is restored afterwards, since it may be the
-    user's.
+    MuJoCo reads it from the model. The model is restored afterwards, since it may be the user's.
 
     Args:
         model: changed temporarily.
         width: pixels.
         height: pixels.
+        samples: of every pixel; None for the model's.
     """
-    size = model.vis.global_
-    before = size.offwidth, size.offheight
+    size, quality = model.vis.global_, model.vis.quality
+    before = size.offwidth, size.offheight, quality.offsamples
     size.offwidth, size.offheight = width, height
+    if samples is not None:
+        quality.offsamples = samples
     try:
         yield
     finally:
-        size.offwidth, size.offheight = before
+        size.offwidth, size.offheight, quality.offsamples = before
 
 
 DEFAULT_SIZE = (1280, 800)
@@ -88,6 +98,7 @@ class HeadlessRenderer:
         width: of the picture, pixels.
         height: of the picture, pixels.
         camera: see `find_camera`.
+        quality: `draft` is quick where OpenGL is software, `fine` is for print.
 
     Attributes:
         world: the world.
@@ -96,7 +107,7 @@ class HeadlessRenderer:
         size: width and height, pixels.
 
     Raises:
-        RenderError: no OpenGL, or the size is out of range.
+        RenderError: no OpenGL, the size is out of range, or there is no such quality.
         UnknownName: no camera of that name.
     """
 
@@ -106,13 +117,20 @@ class HeadlessRenderer:
         width: int = DEFAULT_SIZE[0],
         height: int = DEFAULT_SIZE[1],
         camera: str | None = None,
+        quality: Quality = "normal",
     ) -> None:
-        check_size("picture", width, height)
+        if quality not in QUALITIES:
+            raise RenderError(f"found quality {quality!r}; expected {', '.join(QUALITIES)}")
+        self._scale = _SUPERSAMPLING if quality == "fine" else 1
+        check_size("picture", width * self._scale, height * self._scale)
         self.world = world
         self.camera = find_camera(world, camera)
         self.size = (width, height)
         self.decor = SceneDecor(world, with_text=False)
-        self._renderer = _make_renderer(world, width, height)
+        samples = 0 if quality == "draft" else None
+        self._renderer = _make_renderer(world, width * self._scale, height * self._scale, samples)
+        if quality == "draft":
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         # A new renderer's OpenGL context is the current one.
         self._surroundings = added_surroundings(world, self._renderer._mjr_context)
         self._typesetter = Typesetter(line_height(world, height))
@@ -137,7 +155,13 @@ class HeadlessRenderer:
             picture (height, width, 3), uint8; a notebook displays it.
         """
         self.decor.draw(data, self._look(data), self._renderer.scene)
-        pixels: Pixels = self._renderer.render(out=out)
+        pixels: Pixels
+        if self._scale == 1:
+            pixels = self._renderer.render(out=out)
+        else:  # panels are laid out for, and set into, the picture in its own size
+            large = Image.fromarray(self._renderer.render())
+            pixels = np.empty((*self.size[::-1], 3), np.uint8) if out is None else out
+            pixels[:] = np.asarray(large.reduce(self._scale))
         compose(pixels, self._typesetter.place(self.decor.panels))
         return pixels if out is not None else pixels.view(Picture)
 
@@ -199,11 +223,11 @@ class HeadlessRenderer:
         self.close()
 
 
-def _make_renderer(world: WorldView, width: int, height: int) -> Any:
+def _make_renderer(world: WorldView, width: int, height: int, samples: int | None) -> Any:
     model = world.model
     adopt_backend()
     try:
-        with offscreen_size(model, width, height):
+        with offscreen_size(model, width, height, samples):
             return mujoco.Renderer(model, height, width)
     except Exception as error:  # every GL backend raises errors of its own
         raise RenderError(
@@ -228,6 +252,7 @@ def render_picture(
     wait: float = 2.0,
     clicks: Sequence[Click] = (),
     at: float = 0.0,
+    quality: Quality = "normal",
 ) -> list[str]:
     """Renders a picture of the current state of a scene.
 
@@ -239,6 +264,7 @@ def render_picture(
         wait: maximum time to wait for the first packet of every source, s.
         clicks: clicks to perform before rendering.
         at: time of recordings and simulations, s after their start.
+        quality: see `HeadlessRenderer`; a fine picture says that it has 300 dots per inch.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
@@ -248,11 +274,12 @@ def render_picture(
     """
     with Mirror(scene) as mirror:
         check_writable(Path(path))
-        with HeadlessRenderer(mirror.world, *size, camera) as renderer:
+        with HeadlessRenderer(mirror.world, *size, camera, quality) as renderer:
             silent = mirror.wait(wait)
             mirror.wait_fresh(min(wait, _NEXT_WITHIN), at)
             _click(renderer, mirror.data, clicks)
-            save_picture(Path(path), renderer.render(mirror.data))
+            dpi = _PRINT_DPI if quality == "fine" else None
+            save_picture(Path(path), renderer.render(mirror.data), dpi)
     return silent
 
 
@@ -266,6 +293,7 @@ def render_film(
     camera: str | None = None,
     wait: float = 2.0,
     clicks: Sequence[Click] = (),
+    quality: Quality = "normal",
     on_progress: OnProgress | None = None,
 ) -> list[str]:
     """Renders a film of a scene, in real time when it has live sources.
@@ -279,6 +307,7 @@ def render_film(
         camera: see `find_camera`.
         wait: maximum time to wait for the first packet of every source, s.
         clicks: clicks to perform before the first frame.
+        quality: see `HeadlessRenderer`.
         on_progress: called with the number of rendered frames and of all frames.
 
     Returns:
@@ -299,7 +328,7 @@ def render_film(
         data = world.make_data()
         with (
             FilmWriter(Path(path), *size, fps) as film,
-            HeadlessRenderer(world, *size, camera) as renderer,
+            HeadlessRenderer(world, *size, camera, quality) as renderer,
         ):
             silent = mirror.wait(wait)
             pixels = np.empty((size[1], size[0], 3), np.uint8)
