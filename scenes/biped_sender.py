@@ -3,13 +3,11 @@
 Who sends the angles of legs that stand also says where the pelvis is: a viewer that mirrors cannot
 know which foot carries. Here both soles stay where they are. Torques are those with which the legs
 carry the weight of the trunk, each its share; their own weight is left out.
-
-python biped_sender.py [seconds [port]]
 """
 
+import argparse
 import math
 import struct
-import sys
 
 import numpy as np
 
@@ -55,17 +53,20 @@ def carrying(leg, angles, force):
 
 def main():
     """Sends packets until Ctrl-C, or for so many seconds."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("seconds", nargs="?", type=float, help="without an end when left out")
+    parser.add_argument("port", nargs="?", type=int, help="the scene's when left out")
+    options = parser.parse_args()
     scene = load_scene("biped")
     (source,) = scene.sources.values()
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else None
-    port = int(sys.argv[2]) if len(sys.argv) > 2 else source["port"]
+    port = options.port or source["port"]
 
     def packet(t):
         values = stand(scene.robots, t)
         return struct.pack(f"<{len(values)}d", *values)
 
     with UdpSink("127.0.0.1", port) as sink:
-        send(paced(packet, RATE, seconds), sink)
+        send(paced(packet, RATE, options.seconds), sink)
 
 
 if __name__ == "__main__":

@@ -3,12 +3,10 @@
 The platform goes along a figure of eight and turns on its way. Each wheel is steered to where the
 platform makes it go, and rolls as far as it goes there; arms, torso, head and fingers move as with
 `sero-mj send`.
-
-python justin_sender.py [seconds [port]]
 """
 
+import argparse
 import math
-import sys
 
 import numpy as np
 
@@ -78,12 +76,15 @@ def packets(scene):
 
 def main():
     """Sends packets until Ctrl-C, or for so many seconds."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("seconds", nargs="?", type=float, help="without an end when left out")
+    parser.add_argument("port", nargs="?", type=int, help="the scene's when left out")
+    options = parser.parse_args()
     scene = load_scene("justin")
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else None
-    port = int(sys.argv[2]) if len(sys.argv) > 2 else scene.sources["udp"]["port"]
+    port = options.port or scene.sources["udp"]["port"]
     stream = packets(scene)
     with UdpSink("127.0.0.1", port) as sink:
-        send(paced(lambda t: next(stream), RATE, seconds), sink)
+        send(paced(lambda t: next(stream), RATE, options.seconds), sink)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,11 @@
 A parallel robot is drawn by serial legs that meet at their flanges. Whoever sends joint angles has
 to close the legs, as a parallel robot's controller does: here is the inverse kinematics of both in
 closed form, and the efforts of the driven joints from statics. The scene says where legs stand.
-
-python parallel_sender.py five_bar|stewart [seconds [port]]
 """
 
+import argparse
 import math
 import struct
-import sys
 
 import numpy as np
 
@@ -98,20 +96,23 @@ def universal_joint(first, second):
 
 def main():
     """Sends packets until Ctrl-C, or for so many seconds."""
-    if len(sys.argv) < 2 or sys.argv[1] not in ("five_bar", "stewart"):
-        sys.exit(__doc__)
-    scene = load_scene(sys.argv[1])
-    pose = {"five_bar": five_bar, "stewart": stewart}[sys.argv[1]]
+    poses = {"five_bar": five_bar, "stewart": stewart}
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", choices=poses)
+    parser.add_argument("seconds", nargs="?", type=float, help="without an end when left out")
+    parser.add_argument("port", nargs="?", type=int, help="the scene's when left out")
+    options = parser.parse_args()
+    scene = load_scene(options.scene)
+    pose = poses[options.scene]
     (source,) = scene.sources.values()
-    seconds = float(sys.argv[2]) if len(sys.argv) > 2 else None
-    port = int(sys.argv[3]) if len(sys.argv) > 3 else source["port"]
+    port = options.port or source["port"]
 
     def packet(t):
         values = pose(scene.robots, t)
         return struct.pack(f"<{len(values)}d", *values)
 
     with UdpSink("127.0.0.1", port) as sink:
-        send(paced(packet, RATE, seconds), sink)
+        send(paced(packet, RATE, options.seconds), sink)
 
 
 if __name__ == "__main__":

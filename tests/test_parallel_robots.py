@@ -138,7 +138,7 @@ def test_the_sender_moves_the_shipped_scene_and_its_legs_stay_closed(name):
         assert isinstance(source, UdpReceiver)
         command = [sys.executable, str(SENDER), name, "0.5", str(source.port)]
         with subprocess.Popen(command, cwd=ROOT) as process:
-            for _ in range(20):
+            for _ in range(5):
                 assert until(mirror.advance, 20.0)
                 for leg in list(LEGS[name])[1:]:
                     assert flange_difference(mirror.world, mirror.data, leg)[0] < 1e-6

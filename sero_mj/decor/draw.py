@@ -101,9 +101,10 @@ class Decor:
             )
             frame.corners += note
         notes = self._staleness.panels(pen, data, view, stale)
+        labels = [*frame.panels, *notes]
         for corner in frame.corners:
-            notes = [move_clear(note, corner, view.height) for note in notes]
-        panels = [*frame.corners, *cards, *frame.panels, *notes]
+            labels = [move_clear(label, corner, view.height) for label in labels]
+        panels = [*frame.corners, *cards, *labels]
         # Text first: where the capacity is exceeded, arrows are dropped and not text.
         panels += _hover_panel(toggles, view, panels)
         self.panels = draw_panels(pen, view, panels, _LIGHTER[look])

@@ -27,7 +27,7 @@ _WORDS = {
     "singularity": ("towards the singularity", "at it"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
-_MOST_NAMES = 3  # of robots before a note, and of arrows before their scale
+_LONGEST_NAMES = 24  # characters, of robots before a note, and of arrows before their scale
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
@@ -142,8 +142,9 @@ def _notes(world: WorldView) -> list[bytes]:
 
 
 def _whose(names: list[str], what: str) -> str:
-    """Returns the names, or how many there are of what."""
-    return ", ".join(names) if len(names) <= _MOST_NAMES else f"{len(names)} {what}"
+    """Returns the names, or how many there are of what where they are too long together."""
+    listed = ", ".join(names)
+    return listed if len(names) == 1 or len(listed) <= _LONGEST_NAMES else f"{len(names)} {what}"
 
 
 def _bars(panels: Panels, view: PictureView) -> Array:
