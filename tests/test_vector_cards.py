@@ -322,6 +322,12 @@ def test_a_note_is_not_written_over_a_corner() -> None:
     assert move_clear(note, legend, 320.0).centres.tolist() == [[150.0, 85.0]]
     assert move_clear(panels(150, 280, 100, 20), faults, 320.0).centres.tolist() == [[150.0, 255.0]]
     assert move_clear(panels(300, 60, 100, 20), legend, 320.0).centres.tolist() == [[300.0, 60.0]]
+    # Of two panels the lower one is the wider: above it there is room, beside the upper one.
+    two = Panels(
+        np.array([[100.0, 55.0], [130.0, 15.0]]), np.array([[180.0, 30.0], [240.0, 30.0]]), []
+    )
+    assert move_clear(panels(245, 20, 90, 20), two, 320.0).centres.tolist() == [[245.0, 40.0]]
+    assert move_clear(panels(150, 20, 90, 20), two, 320.0).centres.tolist() == [[150.0, 80.0]]
 
 
 def test_a_card_needs_no_robot() -> None:

@@ -388,15 +388,17 @@ def move_clear(panels: Panels, corner: Panels, height: float) -> Panels:
 
     Args:
         panels: to be moved up or down.
-        corner: what is in the corner.
+        corner: what is in the corner, one panel over the other.
         height: of the picture, pixels.
     """
-    low, high = bounds(corner)
     centres, half = panels.centres.copy(), panels.sizes / 2
-    over = ((centres + half > low) & (centres - half < high)).all(axis=1)
-    is_lower = low[1] + high[1] < height
-    away = high[1] + half[:, 1] if is_lower else low[1] - half[:, 1]
-    centres[over, 1] = away[over]
+    low, high = corner.centres - corner.sizes / 2, corner.centres + corner.sizes / 2
+    is_lower = low[:, 1] + high[:, 1] < height
+    # From the picture's edge inwards, so that what leaves one panel is then moved off the next.
+    for k in np.argsort(np.where(is_lower, low[:, 1], height - high[:, 1])):
+        over = ((centres + half > low[k]) & (centres - half < high[k])).all(axis=1)
+        away = high[k, 1] + half[:, 1] if is_lower[k] else low[k, 1] - half[:, 1]
+        centres[over, 1] = away[over]
     return replace(panels, centres=centres)
 
 
