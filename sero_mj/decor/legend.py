@@ -27,7 +27,7 @@ _WORDS = {
     "singularity": ("towards the singularity", "at it"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
-_LONGEST_NAMES = 24  # characters, of robots before a note, and of arrows before their scale
+_LONGEST_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
