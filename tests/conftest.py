@@ -28,6 +28,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
+from sero_mj.study.workers import available_cpus
 
 settings.register_profile("quarter", max_examples=25)
 settings.register_profile("thorough", max_examples=100)
@@ -91,6 +92,13 @@ class _GroupsByFile(LoadScopeScheduling):
         if name.startswith(_SCREENS):
             return "screens"
         return "ports" if name.startswith(_PORTS) else nodeid
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    # Who works a browser or a window waits for it: a quarter of the time both cores were idle.
+    is_all = not config.option.markexpr
+    return available_cpus() + is_all
 
 
 @pytest.hookimpl(optionalhook=True)
