@@ -32,27 +32,25 @@ def add_sink_options(parser: Any) -> None:
 
 def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
     """Whether packets go to shared memory: by `--shm`, or for a source that reads it."""
-    from ..receive.shm import ShmReader
-
-    return options.shm is not None or (isinstance(source, ShmReader) and options.port is None)
+    return options.shm is not None or (source.memory is not None and options.port is None)
 
 
 def make_sink(
     options: argparse.Namespace, source: Source, structure: Structure
 ) -> UdpSink | ShmWriter:
     """Where the packets go: what the command line says, else where the source receives."""
-    from ..receive.shm import ShmReader
-    from ..receive.udp import UdpReceiver
     from ..send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
-        if not isinstance(source, ShmReader):
+        if source.memory is None:
             return ShmWriter(options.shm, structure)
         if options.host is not None:
             raise UsageError(f"source '{source.name}' is {source.about}; --host needs --port")
-        lock = source.lock if source.lock in structure.events else ""
-        return ShmWriter(options.shm or source.block, structure, lock, source.offset)
-    port = options.port or (source.udpport if isinstance(source, UdpReceiver) else 0)
+        block, lock, offset = source.memory
+        if lock not in structure.events:
+            lock = ""
+        return ShmWriter(options.shm or block, structure, lock, offset)
+    port = options.port or (0 if source.place is None else source.place[1])
     if not port and not source.is_live:
         reason = "is a recording, to which nothing can be sent; give --port, and --host"
         raise UsageError(f"source '{source.name}' of the scene {reason}")

@@ -104,6 +104,11 @@ class ShmReader(Source):
         return f"shared memory {block_path(self.block)}"
 
     @property
+    def memory(self) -> tuple[str, str, int]:
+        """Name of the block, event that locks it (or ""), and offset in bytes."""
+        return self.block, self.lock, self.offset
+
+    @property
     def trouble(self) -> str:
         """Why no packets arrive, as shown to the user; empty when unknown."""
         return self._trouble or (self._packets.trouble if self._packets is not None else "")

@@ -250,6 +250,11 @@ class Source(Declaration):
         return None
 
     @property
+    def memory(self) -> tuple[str, str, int] | None:
+        """Name of the shared memory it reads, event that locks it (or ""), and offset in bytes."""
+        return None
+
+    @property
     def trouble(self) -> str:
         """Why no packets arrive, as shown to the user; empty when unknown."""
         return ""
