@@ -164,13 +164,14 @@ def test_the_inertia_felt_in_hand_guiding_is_the_shaped_one(elastic: bool) -> No
     assert whole == pytest.approx(model.mass()[0, 0], rel=0.05)
 
 
+@pytest.mark.parametrize("elastic", [False, True])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_cartesian_stiffness_is_right_in_spite_of_friction(axis: int) -> None:
+def test_cartesian_stiffness_is_right_in_spite_of_friction(axis: int, elastic: bool) -> None:
     pushed = np.roll([20.0, 0.0, 0.0], axis)
     disturbances = {"p": force(*pushed, begin=0.2)}
-    made = ran(simulation(CARTESIAN, duration=2.0, disturbances=disturbances))
+    made = ran(simulation(CARTESIAN, elastic, duration=2.0, disturbances=disturbances))
     before, after = flanges(made, [199, -1])
-    assert 20.0 / (after - before)[axis] == pytest.approx(1000.0, rel=0.05)
+    assert 20.0 / (after - before)[axis] == pytest.approx(1000.0, rel=0.01)
     assert np.abs(made.log.of("lwr", "joint_velocities")[-300:]).max() < 1e-3  # no limit cycle
     error = made.log.of("lwr", "commanded_torques")[-1] - made.log.of("lwr", "torques")[-1]
     assert np.abs(error).max() < 0.02
@@ -199,6 +200,59 @@ def test_elastic_joints_hang_still_without_friction() -> None:
 def test_the_links_of_elastic_joints_are_held_at_the_target() -> None:
     made = ran(simulation(SOFT, True, duration=0.5))
     np.testing.assert_allclose(made.log.of("lwr", "joint_angles")[-1], HOME, atol=1e-9)
+
+
+def test_joint_stiffness_is_felt_at_the_links_of_elastic_joints() -> None:
+    pushed, stiffness = np.array([6.0, -5.0, 8.0]), 2000.0
+    made = ran(
+        simulation(
+            {**SOFT, "stiffness": stiffness}, True, dynamics=FRICTIONLESS,
+            duration=2.0, disturbances={"p": force(*pushed, begin=0.2)},
+        )
+    )  # fmt: skip
+    before, after = made.log.of("lwr", "joint_angles")[[199, -1]]
+    model = made.robot_model(made.robots["lwr"])
+    model.update(after, np.zeros(7))
+    torques = model.jacobian()[:3].T @ pushed
+    np.testing.assert_allclose((after - before) * stiffness, torques, atol=1e-3)
+
+
+def test_springs_as_stiff_as_the_elastic_joints_are_refused() -> None:
+    found = problems({**SOFT, "stiffness": 4500.0}, True)
+    assert (
+        "controllers.lwr.stiffness: joint A4: found 4500 Nm/rad; expected at most 4000, 80 % of "
+        "that of the elastic joint" in found
+    )
+    assert "joint A3" not in found
+
+
+def test_a_stiff_position_controller_before_the_loop_is_full_state_feedback() -> None:
+    """Against the closed form of u = -Kp theta - Kd dtheta - Kt tau - Ks dtau."""
+    stiffness, joint, ratio, damping, target = 2000.0, 8000.0, 4.0, 0.7, 0.01
+    robot = single(elastic=True, damping=damping, bandwidth=20000.0, friction_bandwidth=0.0)
+    scenario = Scenario(
+        Scene(robots=[robot], floor=False),
+        controllers={"one": {"kind": "joint_position", "stiffness": stiffness}},
+        targets={"one": {"kind": "constant", "angles": [target]}},
+        timestep=4e-5, physics_timestep=2e-5, torque_control=True, duration=0.3,
+    )  # fmt: skip
+    angles = ran(Simulation(scenario)).log.of("one", "joint_angles")[:, 0]
+    shaped = MOTOR / ratio
+    outer = 2.0 * np.sqrt(stiffness * (LINK + shaped))
+    late = 2.0 * damping * np.sqrt(shaped / joint)
+    gains = np.array([ratio * stiffness, ratio * outer, ratio - 1.0, ratio * late])
+    # Of [theta, dtheta, tau, dtau]: tau'' = K (theta'' - q''), q'' = tau / M.
+    motor = -gains / MOTOR - np.array([0, 0, 1 / MOTOR, 0])
+    link = np.array([0, 0, 1 / LINK, 0])
+    slope = np.array([[0, 1.0, 0, 0], motor, [0, 0, 0, 1.0], joint * (motor - link)])
+    values, vectors = np.linalg.eig(slope)
+    assert (values.real < -2.0).all()
+    times = 4e-5 * np.arange(len(angles))
+    start = np.linalg.solve(vectors, [-target, 0, 0, 0])
+    state = (vectors @ (start[:, None] * np.exp(values[:, None] * times))).real
+    expected = target + state[0] - state[2] / joint
+    assert np.abs(angles - expected).max() < 0.002 * target
+    assert np.ptp(angles) > 0.95 * target
 
 
 @pytest.mark.parametrize("elastic", [False, True])

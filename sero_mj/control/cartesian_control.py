@@ -13,6 +13,7 @@ from ..declaration import numbers
 from ..frames import Array
 from .controller import (
     DEFAULT_RATIO,
+    SOFTEST,
     ControllerDeclaration,
     PerJoint,
     Ratio,
@@ -175,8 +176,19 @@ class CartesianImpedanceController:
         self._force, self._pull_of_turn = self._pull[:3], self._pull[3:]
         self._halves = self._spring_wrench[:3], self._spring_wrench[3:]
         self._torque_vector = self._torque[1:]
+        self._compliance: Array | None = None  # of elastic joints, see `hold_links`
+        self._rest, self._bends = np.zeros((2, n))
+        self._share = 1.0
         self._rotation_back, self._turn = np.zeros((2, 3, 3))
         self._turn_numbers: Array = self._turn.reshape(9)
+
+    def hold_links(self, joint_stiffness: Array) -> Array:
+        """See `LinkHolder`; the null space's spring, which is soft, stays in series with the joints.
+
+        Where the flange's springs are nearly as stiff as the joints behind it, a share of them does.
+        """
+        self._compliance = 1.0 / joint_stiffness
+        return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
@@ -209,6 +221,9 @@ class CartesianImpedanceController:
             inner += target.torques
         model.gravity(self._gravity)
         self._torque_terms.dot(self._torque_gains, out)
+        if self._compliance is not None:
+            multiply(self._spring_wrench.dot(self._J, self._bends), self._share, self._rest)
+            self._rest += self._gravity
 
     def spring_wrench(self, target: Target) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
@@ -292,3 +307,7 @@ class CartesianImpedanceController:
         self._null_damping[:] = 2.0 * self._null_ratio * np.sqrt(inertia * stiffness)
         n = self.model.n
         np.fill_diagonal(self._null_gains[:, n:], -self._null_damping)
+        if self._compliance is not None:
+            root = jacobian * np.sqrt(self._compliance)
+            most = float(np.linalg.eigvalsh(root.T @ self._in_world(rotation) @ root)[-1])
+            self._share = min(1.0, SOFTEST / max(most, SOFTEST))

@@ -50,6 +50,9 @@ PerJoint = Annotated[Array, BeforeValidator(_one_or_more)]
 MaybePerJoint = Annotated[Array | None, BeforeValidator(_one_or_more)]
 Ratio = Annotated[PerJoint, within(0.0, 2.0, "(a ratio; 1 is critical damping)")]
 DEFAULT_RATIO: Array = np.array([0.7])
+# Of the stiffness of elastic joints: what a spring before them may have. `HangingLinks` is a
+# contraction by this factor in every step.
+SOFTEST = 0.8
 
 
 class Sensed:
@@ -173,6 +176,10 @@ class Target:
 class Controller(Protocol):
     """Computes torques: one of the shipped controllers, or any object with this method.
 
+    Where joints are elastic and behind a torque loop, the links' resting places are found from the
+    torques that the controller would command at rest; those of one without `hold_links` (see
+    `LinkHolder`) are taken to be gravity's.
+
     ```python
     class Wave:
         def torques(self, sensed, target, out):
@@ -187,6 +194,20 @@ class Controller(Protocol):
             sensed: what the sensors say; not to be changed.
             target: what is asked for; not to be changed.
             out: (n,), Nm or N, to be written; holds the last step's.
+        """
+
+
+class LinkHolder(Controller, Protocol):
+    """A controller that says where the links of elastic joints would rest; all shipped ones do."""
+
+    def hold_links(self, joint_stiffness: Array) -> Array:
+        """Prepares for elastic joints, once.
+
+        Args:
+            joint_stiffness: (n,), Nm/rad or N/m.
+
+        Returns:
+            (n,), Nm or N: what it commands at rest, written at every step.
         """
 
 
@@ -207,7 +228,7 @@ class ControllerDeclaration(Declaration, ABC):
     torque_rate_limits: MaybePerJoint = None
 
     @abstractmethod
-    def make(self, model: RobotModel, timestep: float) -> Controller:
+    def make(self, model: RobotModel, timestep: float) -> LinkHolder:
         """The controller, without torque limits.
 
         Args:

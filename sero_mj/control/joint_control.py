@@ -12,6 +12,7 @@ from ..errors import DeclarationError, Problem
 from ..frames import Array
 from .controller import (
     DEFAULT_RATIO,
+    SOFTEST,
     ControllerDeclaration,
     PerJoint,
     Ratio,
@@ -67,11 +68,15 @@ class JointImpedance(ControllerDeclaration):
     """Every joint is a spring and a damper about the target's angles.
 
     Attributes:
+        at_links: whether the stiffness is what one feels at the links of elastic joints, behind a
+            torque loop; else it is that of their motors.
         stiffness: Nm/rad per joint, 0 to 5000 as on the KUKA LWR.
         damping: ratio per joint; 0.7 overshoots by 4.6 %, 1 not at all.
         feed_forward: whether the torques that the target's motion takes are added.
         damping_every: s between two designs of the damping matrix.
     """
+
+    at_links: ClassVar[bool] = True
 
     kind: Literal["joint_impedance"] = "joint_impedance"
     stiffness: Annotated[
@@ -91,11 +96,17 @@ class JointImpedance(ControllerDeclaration):
             timestep,
             feed_forward=self.feed_forward,
             damping_every=self.damping_every,
+            at_links=self.at_links,
         )
 
 
 class JointPosition(JointImpedance):
     """Follows the target's angles as a stiff impedance, with the torques that its motion takes.
+
+    Behind a torque loop, elastic joints are under full state feedback: with the loop's B, Bt and T
+    (`torque_loop`), gains are B / Bt K of the motors' positions, B / Bt D of their velocities,
+    B / Bt - 1 of the joint torques and B / Bt T of the torques' derivatives. The links are where
+    the motors are but for the deflection by what the motion takes, which is allowed for.
 
     Attributes:
         stiffness: Nm/rad per joint.
@@ -103,6 +114,8 @@ class JointPosition(JointImpedance):
         feed_forward: as for `JointImpedance`.
         damping_every: as for `JointImpedance`.
     """
+
+    at_links: ClassVar[bool] = False
 
     kind: Literal["joint_position"] = "joint_position"  # type: ignore[assignment]
     stiffness: Annotated[PerJoint, within(1.0, 1e6, "Nm/rad")] = np.array([10000.0])
@@ -135,6 +148,12 @@ class GravityCompensator:
         self._own = torques if torques is not None and torques.any() else None
         self._feed_forward, self._compensate = feed_forward, compensate_gravity
         self._resisting: Array = np.zeros(model.n)
+        self._rest: Array | None = None
+
+    def hold_links(self, joint_stiffness: Array) -> Array:
+        """See `LinkHolder`."""
+        self._rest = np.zeros_like(joint_stiffness)
+        return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
@@ -147,6 +166,8 @@ class GravityCompensator:
             np.add(out, self._own, out)
         if self._feed_forward:
             np.add(out, target.torques, out)
+        if self._rest is not None:
+            self._rest[...] = out
         if self._damping is not None:
             np.multiply(self._damping, sensed.motor_velocities, self._resisting)
             np.subtract(out, self._resisting, out)
@@ -164,7 +185,8 @@ class JointImpedanceController:
     included, every `damping_every`, and held: any positive semidefinite D takes energy.
 
     Where joints are elastic, q and dq are the motors', and the links hang below their targets by
-    what gravity bends.
+    what gravity bends; behind a torque loop q is where the links come to rest (`HangingLinks`), so
+    that K is what one feels at the links.
 
     Args:
         model: for itself.
@@ -173,6 +195,7 @@ class JointImpedanceController:
         timestep: s between two calls.
         feed_forward: whether the torques of the target's motion are added.
         damping_every: s.
+        at_links: whether K is meant at the links of elastic joints, or at their motors.
     """
 
     def __init__(
@@ -184,8 +207,11 @@ class JointImpedanceController:
         *,
         feed_forward: bool = False,
         damping_every: float = 0.04,
+        at_links: bool = True,
     ) -> None:
         n = model.n
+        self._at_links = at_links
+        self._rest: Array | None = None
         self.model = model
         self.stiffness: Array = np.diag(stiffness)
         self._ratio = damping
@@ -203,6 +229,26 @@ class JointImpedanceController:
         self._terms: Array = np.zeros(len(gains) * n)
         self._error, self._own = self._terms[: 2 * n], self._terms[2 * n : 3 * n]
         self._less, self._accelerations = self._terms[3 * n : 4 * n], self._terms[4 * n :]
+
+    def hold_links(self, joint_stiffness: Array) -> Array:
+        """See `LinkHolder`.
+
+        Raises:
+            DeclarationError: K is too close to the stiffness of the joints themselves.
+        """
+        own, most = np.diagonal(self.stiffness), SOFTEST * joint_stiffness
+        problems = [
+            Problem(
+                "stiffness",
+                f"joint {self.model.joint_names[i]}: found {own[i]:g} Nm/rad; expected at most "
+                f"{most[i]:g}, {100 * SOFTEST:g} % of that of the elastic joint",
+            )
+            for i in np.flatnonzero(own > most).tolist()
+        ]
+        if self._at_links and problems:
+            raise DeclarationError(problems)
+        self._rest = np.zeros_like(joint_stiffness)
+        return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
@@ -222,6 +268,15 @@ class JointImpedanceController:
         self._gains.dot(self._terms, out)
         if target.has_torques:
             np.add(out, target.torques, out)
+        if self._rest is not None:
+            self._write_rest(self._rest)
+
+    def _write_rest(self, rest: Array) -> None:
+        np.copyto(rest, self._own)
+        if self._feed_forward:
+            rest -= self._less
+        if self._at_links:
+            rest += self.stiffness.dot(self._error[: len(rest)])
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long; see `LimitedController.check`."""

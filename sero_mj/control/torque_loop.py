@@ -21,8 +21,8 @@ read through one as well, whose lag is allowed for in T; where joints are rigid,
 error tau - u goes through it. Drives saturate last, and the observer knows what they gave.
 
 To the controller the robot has the inertia M + diag(Bt), so its gains are designed with that; with
-it, a stiff joint impedance is position control with full state feedback (motor position, torque,
-and their derivatives).
+it, a stiff joint impedance (`JointPosition`) is position control with full state feedback: of motor
+position, torque, and their derivatives.
 
 Source: Albu-Schäffer, Ott, Hirzinger, A Unified Passivity-based Control Framework for Position,
 Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007; Le Tien, Albu-Schäffer,
@@ -194,24 +194,35 @@ class TorqueLoop:
 
 
 class HangingLinks:
-    """Where the links of elastic joints hang, at rest and with nothing from outside.
+    """Where the links of elastic joints come to rest, with nothing from outside but what holds.
 
-    With q^ such that K (theta - q^) = g(q^), a controller that takes q^ for its angles compensates
-    gravity exactly at rest, and holds the links, not the motors, at its target. It is a function
+    With q^ such that K (theta - q^) = l(q^), where l are the torques that the controller commands at
+    rest (gravity and springs), a controller that takes q^ for its angles compensates gravity exactly
+    at rest, and its springs are felt at the links, not in series with the joints. q^ is a function
     of the motors' angles alone, so it leaves a passive controller passive (Albu-Schäffer, Ott,
-    Hirzinger 2007). The fixed point is a contraction for joints that are stiffer than gravity,
-    and goes on from the last step's.
+    Hirzinger 2007). The fixed point is a contraction where joints are stiffer than springs and
+    gravity, and goes on from the last step's.
 
     Args:
-        model: for itself.
         stiffness: K, (n,), Nm/rad (N/m).
+        at_rest: l, (n,), Nm or N, to be read at every step; None for gravity.
+        model: for itself.
         angles: (n,), rad or m, of the links at first.
     """
 
-    def __init__(self, model: RobotModel, stiffness: Array, angles: Array) -> None:
-        self._model, self._compliance = model, 1.0 / stiffness
+    def __init__(
+        self, stiffness: Array, at_rest: Array | None, model: RobotModel, angles: Array
+    ) -> None:
+        self._compliance = 1.0 / stiffness
         self._angles: Array = np.array(angles, float)
-        self._rest: Array = np.zeros(model.n)
+        self._model, self._at_rest = model, at_rest
+        self._still: Array = np.zeros(model.n)
+        if at_rest is not None:
+            at_rest[...] = self._gravity()
+
+    def _gravity(self) -> Array:
+        self._model.update(self._angles, self._still)
+        return self._model.gravity()
 
     def link_angles(self, motor_angles: Array) -> Array:
         """q^, (n,), rad or m; the same array every time.
@@ -219,8 +230,8 @@ class HangingLinks:
         Args:
             motor_angles: theta, (n,), rad or m.
         """
-        self._model.update(self._angles, self._rest)
-        np.multiply(self._model.gravity(), self._compliance, out=self._angles)
+        torques = self._gravity() if self._at_rest is None else self._at_rest
+        np.multiply(torques, self._compliance, out=self._angles)
         return np.subtract(motor_angles, self._angles, out=self._angles)
 
 

@@ -37,6 +37,7 @@ T = TypeVar("T")
 
 # s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
 OBSERVED_EVERY = 0.01
+_ROUNDS = 30  # of `HangingLinks`: what is left of the first is less than 0.2 %
 _MOVE = 1e-5  # rad and rad/s, between which controllers are linear
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
@@ -404,9 +405,13 @@ class ControlledRobot:
                 (sensed.motor_velocities, plant.motor_velocities[joints]),
             ]
         self._hanging = None
+        self._joint_stiffness: Array | None = None
         if robot.elastic_joints and simulation.drives is not None and simulation.drives.loop:
-            stiffness = simulation.drives.gains[name].stiffness
-            self._hanging = HangingLinks(simulation.robot_model(robot), stiffness, robot.home)
+            self._joint_stiffness = stiffness = simulation.drives.gains[name].stiffness
+            hold_links = getattr(self.controller.controller, "hold_links", None)
+            at_rest = hold_links(stiffness) if hold_links is not None else None
+            model = simulation.robot_model(robot)
+            self._hanging = HangingLinks(stiffness, at_rest, model, robot.home)
         self._target = Target(robot.n)
         self._target.posture[:] = robot.home
         self._target.has_torques = False  # no target motion has any
@@ -454,11 +459,20 @@ class ControlledRobot:
             target.angles[:] = target.posture[:] = angles
             target.pose[:] = model.flange()
             target.has_torques = False
+            stiffness = self._joint_stiffness
+            bends: Array = np.zeros((2, n))  # of elastic joints: at first, and now; else zero
+            if stiffness is not None:
+                at_rest = controller.hold_links(stiffness)
+                bends[:] = model.gravity() / stiffness
             for k, joint in product(range(2), range(n)):
                 for torque, move in zip(torques, (_MOVE, -_MOVE), strict=True):
-                    sensed.values[:2] = angles, np.zeros(n)
-                    sensed.values[k, joint] += move
-                    controller.torques(sensed, target, torque)
+                    for _ in range(_ROUNDS if stiffness is not None and k == 0 else 1):
+                        sensed.values[:2] = angles + bends[0] - bends[1], np.zeros(n)
+                        sensed.values[k, joint] += move
+                        controller.torques(sensed, target, torque)
+                        if stiffness is not None:
+                            bends[1] = at_rest / stiffness
+                    bends[1] = bends[0]
                 slopes[k, :, joint] = (torques[1] - torques[0]) / (2 * _MOVE)
             values, vectors = np.linalg.eigh((slopes[0] + slopes[0].T) / 2)
             slopes[0] = (vectors * np.maximum(values, 0.0)) @ vectors.T
