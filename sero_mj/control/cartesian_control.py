@@ -183,9 +183,9 @@ class CartesianImpedanceController:
         self._turn_numbers: Array = self._turn.reshape(9)
 
     def hold_links(self, joint_stiffness: Array) -> Array:
-        """See `LinkHolder`; the null space's spring, which is soft, stays in series with the joints.
+        """See `LinkHolder`; the null space's soft spring stays in series with the joints.
 
-        Where the flange's springs are nearly as stiff as the joints behind it, a share of them does.
+        So does a share of the flange's, where they are nearly as stiff as the joints behind it.
         """
         self._compliance = 1.0 / joint_stiffness
         return self._rest

@@ -196,12 +196,12 @@ class TorqueLoop:
 class HangingLinks:
     """Where the links of elastic joints come to rest, with nothing from outside but what holds.
 
-    With q^ such that K (theta - q^) = l(q^), where l are the torques that the controller commands at
-    rest (gravity and springs), a controller that takes q^ for its angles compensates gravity exactly
-    at rest, and its springs are felt at the links, not in series with the joints. q^ is a function
-    of the motors' angles alone, so it leaves a passive controller passive (Albu-Schäffer, Ott,
-    Hirzinger 2007). The fixed point is a contraction where joints are stiffer than springs and
-    gravity, and goes on from the last step's.
+    With q^ such that K (theta - q^) = l(q^), where l are the torques that the controller commands
+    at rest (gravity and springs), a controller that takes q^ for its angles compensates gravity
+    exactly at rest, and its springs are felt at the links, not in series with the joints. q^ is a
+    function of the motors' angles alone, so it leaves a passive controller passive
+    (Albu-Schäffer, Ott, Hirzinger 2007). The fixed point is a contraction where joints are stiffer
+    than springs and gravity, and goes on from the last step's.
 
     Args:
         stiffness: K, (n,), Nm/rad (N/m).
