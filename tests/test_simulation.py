@@ -141,7 +141,7 @@ def found(fault: dict[str, Any], **fields: Any) -> list[tuple[str, str]]:
         scenario(
             faults={"it": {"begin": 1.0, **fault}}, targets=swing, duration=2.0,
             monitor={"torque_error": 0.05, "external_torque": 0.05, "position_error": 0.03},
-            **fields,
+            runaway_speed=0.0, **fields,
         )
     )  # fmt: skip
     assert all(finding.time > 1.0 for finding in simulation.findings())
@@ -221,6 +221,51 @@ def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
     assert seen[-1][1] == simulation.step + 1
     assert np.isfinite(simulation.log.of("lwr", "joint_angles")).all()
     assert len(simulation.log.times) == simulation.step + 1
+
+
+@pytest.mark.parametrize(("share", "elastic"), [(3.0, False), (2.0, False), (3.0, True)])
+def test_a_joint_that_runs_away_ends_the_run_with_joint_and_time(
+    share: float, elastic: bool
+) -> None:
+    wrong_sign = {"kind": "controller", "joints": ["A3"], "begin": 0.2}
+    simulation = Simulation(
+        scenario(
+            faults={"it": wrong_sign}, targets={"lwr": {"kind": "sine", "amplitude_deg": 10.0,
+            "frequency": 0.5}}, duration=2.0, elastic=elastic, runaway_speed=share,
+        )
+    )  # fmt: skip
+    with pytest.raises(SimulationError) as caught:
+        simulation.advance(simulation.steps)
+    assert (caught.value.joint, caught.value.time) == ("lwr/A3", simulation.time)
+    speeds = np.abs(simulation.log.of("lwr", "actual_velocities")[:, 3])
+    limit = np.deg2rad(112.5)
+    if not elastic:  # there it is the motor
+        assert speeds[-1] > share * limit and (speeds[:-1] <= share * limit).all()
+    assert f"more than {share:g} times its velocity limit, 1.963 rad/s" in str(caught.value)
+    assert "or another run.runaway_speed (0 for none)" in str(caught.value)
+
+
+def test_a_motor_that_runs_away_ends_the_run_while_its_link_does_not() -> None:
+    simulation = Simulation(scenario(duration=0.1, elastic=True))
+    joints = simulation.plant.joints
+    simulation.plant.data.qvel[joints.motor_dofs][6] = -31.0
+    simulation.plant.data.qvel[joints.sensor_dofs[6]] = 31.0  # the spring: the link stands still
+    with pytest.raises(SimulationError, match=r"^lwr/A6 at 0\.001.* s: found \d+\.\d+ rad/s"):
+        simulation.advance(100)
+    assert np.abs(simulation.log.of("lwr", "actual_velocities")).max() < 3 * np.deg2rad(112.5)
+
+
+def test_joints_without_a_limit_run_away_at_three_times_twenty_rad_per_second() -> None:
+    def spun(speed: float, **fields: Any) -> Simulation:
+        free = lwr(velocity_limits=None)
+        simulation = Simulation(scenario(robots=[free], duration=0.01, **fields))
+        simulation.plant.data.qvel[simulation.plant.joints.motor_dofs][6] = speed
+        return simulation
+
+    spun(58.0).advance(1)
+    with pytest.raises(SimulationError, match="more than 3 times 20 rad/s, which stands for a vel"):
+        spun(64.0).advance(1)
+    spun(64.0, runaway_speed=0.0).advance(1)
 
 
 def test_the_log_says_what_its_columns_are() -> None:

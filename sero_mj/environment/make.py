@@ -84,6 +84,7 @@ class RobotSettings(Settings):
             duration=steps * self.control_timestep,
             timestep=self.timestep,
             show_targets=False,
+            runaway_speed=0.0,  # agents that still learn fling robots about
             name=name,
         )
 

@@ -19,9 +19,7 @@ from ..assemble.robot import SerialRobot
 from ..declaration import Declaration
 from ..errors import SimulationError
 from ..frames import Array, frame, rotation_angle
-from ..runs.measures import MEASURES
 from ..runs.run_log import RunLog
-from ..simulate.expect import Expect
 from ..simulate.plant import Plant
 from ..simulate.simulation import Simulation
 
@@ -380,26 +378,4 @@ class ExpectationsEpisode(Episode):
         log = RunLog.from_rows(  # the first row is what drift counts from
             simulation.layout, simulation.rows[[0, simulation.step]], simulation.robots
         )
-        return float(np.mean([_share(each, log) for each in active]))
-
-
-def _share(expect: Expect, log: RunLog) -> float:
-    """How far a measure is from what is expected, 1 to 0, in the last row of a log."""
-    assert expect.measure is not None
-    measure = MEASURES[expect.measure][1]
-    found = [1.0]
-    named = expect.robot or expect.object
-    for robot in log.robots if named is None else [named]:
-        values = np.abs(measure(log, robot)[-1])
-        if expect.joints and len(values) > 1:
-            names = log.robots[robot].names
-            values = values[[k for k, name in enumerate(names) if name in expect.joints]]
-        if not len(values):
-            continue
-        if expect.below is not None:
-            value = float(values.max())
-            found.append(1.0 if value < expect.below else max(expect.below, 0.0) / value)
-        if expect.above is not None:
-            value = float(values.min() if expect.of == "min" else values.max())
-            found.append(1.0 if value > expect.above else value / expect.above)
-    return min(found)
+        return float(np.mean([each.share(log) for each in active]))

@@ -61,6 +61,11 @@ def _orientation_error(log: RunLog, robot: str) -> Array:
     return np.asarray(np.arctan2(np.linalg.norm(sin, axis=1), cos)[:, None])
 
 
+def _flange_travel(log: RunLog, robot: str) -> Array:
+    at = _flange(log, robot, _actual(log, robot, "angles"))[:, :3, 3]
+    return np.asarray(np.linalg.norm(at - at[0], axis=1)[:, None])
+
+
 def _torque_share(log: RunLog, robot: str) -> Array:
     return np.asarray(log.of(robot, "commanded_torques") / log.torque_limits(robot))
 
@@ -102,6 +107,7 @@ MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "velocity_error": ("rad/s", _velocity_error),
     "flange_error": ("m", _flange_error),
     "orientation_error": ("rad", _orientation_error),
+    "flange_travel": ("m", _flange_travel),
     "velocity": ("rad/s", lambda log, robot: _actual(log, robot, "velocities")),
     "angle": ("rad", lambda log, robot: _actual(log, robot, "angles")),
     "drift": ("rad", _drift),
@@ -116,7 +122,14 @@ MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "displacement": ("m", _displacement),
     "tilt": ("rad", _tilt),
 }
+# Those with a number for every joint; others have one for each robot, or object.
+PER_JOINT = (
+    "position_error", "velocity_error", "velocity", "angle", "drift", "torque", "commanded_torque",
+    "torque_error", "torque_share", "external_torque", "saturated",
+)  # fmt: skip
+# Those with a sign; others are sizes.
+SIGNED = (*(name for name in PER_JOINT if name != "saturated"), "height")
 # Those of what is free: a base, or an object.
 OF_FREE = ("height", "displacement", "tilt")
-# Those that ask for a target, and those that only robots with obstacles have.
+# Those that ask for a target.
 NEED_TARGET = ("position_error", "velocity_error", "flange_error", "orientation_error")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 from ..assemble.scene import Scene
 from ..declaration import Declaration, Name
 from ..errors import DeclarationError, Problem, did_you_mean
-from ..frames import Array
-from ..runs.measures import MEASURES, NEED_TARGET, OF_FREE
+from ..frames import Array, Bools
+from ..runs.measures import MEASURES, NEED_TARGET, OF_FREE, PER_JOINT, SIGNED
 from ..runs.monitor import KINDS, Finding
 from ..runs.run_log import RunLog
 from .disturbances import Disturbance, Fault
@@ -58,16 +58,23 @@ class Outcome:
 class Expect(Declaration):
     """A number that must stay within bounds, or a fault that must be found (or must not).
 
+    A measure is a number for every joint, or for every robot, at every time. `of` makes one number
+    of all times, and `holds_at` says at how many joints and robots this one must be within bounds.
+
     Attributes:
         measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`, ...
         robot: whose; all robots when None.
         object: a free object, whose `height`, `displacement` or `tilt` it is.
         joints: names; all when empty.
-        below: what its size must be below, at every joint.
-        above: what its size must be above, at one joint at least.
+        signed: whether the measure has its sign; its size counts when not.
+        of: `max`, `rms`, `mean`, `min` or `final`: what of it counts.
+        below: what this must be below.
+        above: what this must be above.
+        holds_at: where it must be: at `all` joints of all robots (the default of `below` alone), at
+            `any` one of them, or of `each_robot` at one joint at least. Required for `above` where
+            there are several.
         after: from this time on, s.
         before: until this time, s.
-        of: `max`, `rms`, `mean`, `min` or `final`: what of it counts.
         finds: a kind of fault that the monitor must find, in one of the joints.
         within: s after the disturbance or fault `cause` (or after `after`) at the latest.
         cause: name of the disturbance or fault.
@@ -78,11 +85,13 @@ class Expect(Declaration):
     robot: Name | None = None
     object: Name | None = None
     joints: list[str] = Field(default_factory=list)
+    signed: bool = False
+    of: Literal["max", "rms", "mean", "min", "final"] = "max"
     below: float | None = None
     above: float | None = None
+    holds_at: Literal["all", "any", "each_robot"] | None = None
     after: float = Field(0.0, ge=0)
     before: float | None = None
-    of: Literal["max", "rms", "mean", "min", "final"] = "max"
     finds: str | None = None
     within: float | None = Field(None, gt=0)
     cause: str | None = None
@@ -97,7 +106,7 @@ class Expect(Declaration):
             found = " and ".join(asked) or "none of them"
             raise ValueError(f"found {found}; expected one of measure, finds, finds_nothing")
         if self.measure is None:
-            for key in ("below", "above", "of"):
+            for key in ("below", "above", "of", "signed", "holds_at"):
                 if key in self.model_fields_set:
                     raise ValueError(f"{key}: is for a measure; found {asked[0]}")
         elif self.finds is None and (self.within is not None or self.cause is not None):
@@ -110,7 +119,8 @@ class Expect(Declaration):
             value = getattr(self, key)
             if value is not None and value not in known:
                 raise ValueError(f"{key}: no '{value}'{did_you_mean(value, known)}")
-        self._check_free()
+        self._check_sign()
+        self._check_whose()
         for kind in self.finds_nothing if isinstance(self.finds_nothing, list) else []:
             if kind not in KINDS:
                 raise ValueError(f"finds_nothing: no '{kind}'{did_you_mean(kind, list(KINDS))}")
@@ -118,8 +128,27 @@ class Expect(Declaration):
             raise ValueError(f"before: found {self.before:g}; expected more than {self.after:g} s")
         return self
 
-    def _check_free(self) -> None:
-        """Looks whether measures of what is free, and no others, say of what."""
+    def _check_sign(self) -> None:
+        """Looks whether what is signed has a sign, and whether bounds of sizes can be kept."""
+        if self.signed and self.measure not in SIGNED:
+            raise ValueError(f"signed: is for {', '.join(SIGNED)}; found {self.measure}")
+        if self.signed and self.of == "rms":
+            raise ValueError("signed: found of = 'rms', which has no sign; expected mean, say")
+        if self.measure is None or self.signed:
+            return
+        for key, value, wrong in (
+            ("below", self.below, self.below is not None and self.below <= 0),
+            ("above", self.above, self.above is not None and self.above < 0),
+        ):
+            if wrong:
+                near = "; expected signed = true, or a size" if self.measure in SIGNED else ""
+                raise ValueError(f"{key}: found {value:g}, but no size is below 0{near}")
+
+    def _check_whose(self) -> None:
+        """Looks whether a measure is one of the joints, robot or object that are named."""
+        if self.joints and self.measure is not None and self.measure not in PER_JOINT:
+            whole = "an object" if self.object is not None else "a robot as a whole"
+            raise ValueError(f"joints: found {self.measure}, of {whole}; expected no joints")
         if self.measure in OF_FREE and (self.robot is None) == (self.object is None):
             found = "none of them" if self.robot is None else "robot and object"
             raise ValueError(
@@ -158,6 +187,7 @@ class Expect(Declaration):
                 for robot in self._robots(list(robots))
                 if robot in robots and not scenario.has_target(robot)
             ]
+        problems += self._ambiguous(scenario.scene)
         if self.measure == "contact_force" and not scenario.has_surroundings:
             message = "has nothing to touch; expected an object or another robot in the scene"
             problems.append(Problem("measure", message))
@@ -166,6 +196,27 @@ class Expect(Declaration):
             problems.append(Problem("after", message))
         if problems:
             raise DeclarationError(problems)
+
+    def _ambiguous(self, scene: Scene) -> list[Problem]:
+        """Returns that it has to say at how many joints or robots a number is to be above."""
+        if self.above is None or self.holds_at is not None or self.object is not None:
+            return []
+        robots = [name for name in self._robots(list(scene.robots)) if name in scene.robots]
+        places = [
+            joint
+            for name in robots
+            for joint in (scene.robots[name].names if self.measure in PER_JOINT else [name])
+            if self.measure not in PER_JOINT or not self.joints or joint in self.joints
+        ]
+        if len(places) < 2:
+            return []
+        what = "joints" if self.measure in PER_JOINT else "robots"
+        each = ", 'each_robot' (at one joint of each)" if len(robots) > 1 else ""
+        message = (
+            f"is required with above, for {len(places)} {what}; expected 'all'{each} or 'any' "
+            "(at one of them, as it was)"
+        )
+        return [Problem("holds_at", message)]
 
     def _not_free(self, scene: Scene) -> list[Problem]:
         """Returns that what must be free for this measure is fixed, or is not there."""
@@ -238,38 +289,86 @@ class Expect(Declaration):
 
     def _judge_measure(self, name: str, log: RunLog) -> Outcome:
         assert self.measure is not None
-        unit, compute = MEASURES[self.measure]
-        rows = log.times >= self.after - 1e-9
-        if self.before is not None:
-            rows &= log.times <= self.before + 1e-9
-        worst, place = -np.inf, ""
+        end = np.inf if self.before is None else self.before
+        rows = (log.times >= self.after - 1e-9) & (log.times <= end + 1e-9)
         reaches_end = log.times[-1] >= (self.after if self.before is None else self.before) - 1e-6
-        whose = self._robots(list(log.robots)) if self.object is None else [self.object]
-        for robot in whose:
-            values = np.abs(compute(log, robot)[rows])
-            names = log.robots[robot].names if values.shape[1] > 1 else [""]
-            chosen = [k for k, joint in enumerate(names)
-                      if not self.joints or joint in self.joints or not joint]  # fmt: skip
-            if not len(values) or not chosen:  # the run ended before
-                continue
-            reduced = _REDUCE[self.of](values[:, chosen])
-            k = int(np.argmax(reduced))
-            if reduced[k] > worst:
-                worst = float(reduced[k])
-                place = "/".join(filter(None, (robot, names[chosen[k]])))
-        holds = bool(place) and reaches_end
-        holds &= self.below is None or worst < self.below
-        holds &= self.above is None or worst > self.above
-        given = (("below", self.below), ("above", self.above))
-        bounds = [f"{word} {bound:g}" for word, bound in given if bound is not None]
-        of = "" if self.of == "max" else f"{self.of} "
-        what = f"{of}{self.measure.replace('_', ' ')}"
-        if not place:
+        bounds = " and ".join(
+            f"{word} {bound:g}"
+            for word, bound in (("below", self.below), ("above", self.above))
+            if bound is not None
+        )
+        what = f"{'' if self.of == 'max' else f'{self.of} '}{self.measure.replace('_', ' ')}"
+        if not rows.any():
             text = f"{what}: the run ended at {log.times[-1]:g} s, before it counts"
-            return Outcome(name, False, f"{text}; expected {' and '.join(bounds)}", np.nan)
-        text = f"{what} {worst:.4g} {unit} at {place}"
+            return Outcome(name, False, f"{text}; expected {bounds}", np.nan)
+        # Of every robot the place that decides, and of these the one that does.
+        deciding = []
+        for whose, names, values in self._values(log, rows):
+            reduced = _REDUCE[self.of](values)
+            k = self._deciding(reduced, any_of_them=self.holds_at in ("any", "each_robot"))
+            deciding.append((float(reduced[k]), "/".join(filter(None, (whose, names[k])))))
+        k = self._deciding(np.array([value for value, _ in deciding]), self.holds_at == "any")
+        value, place = deciding[k]
+        holds = reaches_end and bool(self._margins(np.array(value)) > 0)
         ended = "" if reaches_end else "; the run ended before"
-        return Outcome(name, bool(holds), f"{text}, expected {' and '.join(bounds)}{ended}", worst)
+        text = f"{what} {value:.4g} {MEASURES[self.measure][0]} at {place}, expected {bounds}"
+        return Outcome(name, holds, f"{text}{self._where}{ended}", value)
+
+    def _values(self, log: RunLog, rows: Bools | slice) -> Iterator[tuple[str, list[str], Array]]:
+        """Of every robot, or of the object: its name, its joints, and its values (T, joints)."""
+        assert self.measure is not None
+        whose = self._robots(list(log.robots)) if self.object is None else [self.object]
+        for each in whose:
+            values = MEASURES[self.measure][1](log, each)[rows]
+            values = values if self.signed else np.abs(values)
+            names = [""]
+            if self.measure in PER_JOINT:
+                names = log.robots[each].names
+                chosen = [k for k, name in enumerate(names)
+                          if not self.joints or name in self.joints]  # fmt: skip
+                names, values = [names[k] for k in chosen], values[:, chosen]
+            if names:
+                yield each, names, values
+
+    def _margins(self, values: Array) -> Array:
+        """How far values are within the bounds; below 0 where they are not, NaN where unknown."""
+        high = np.inf if self.below is None else self.below - values
+        low = np.inf if self.above is None else values - self.above
+        return np.minimum(high, low)
+
+    def _deciding(self, values: Array, any_of_them: bool) -> int:
+        """Which of values decides: the best where one is enough, else the worst."""
+        margins = self._margins(values)
+        margins = np.where(np.isnan(margins), -np.inf, margins)
+        return int(np.argmax(margins) if any_of_them else np.argmin(margins))
+
+    @property
+    def _where(self) -> str:
+        what = "joint" if self.measure in PER_JOINT else "robot"
+        return {
+            "any": f" at one {what} at least", "each_robot": f" at one {what} of each robot"
+        }.get(self.holds_at or "", "")  # fmt: skip
+
+    def share(self, log: RunLog) -> float:
+        """How far the measure is within its bounds in the last row of a log.
+
+        Args:
+            log: its first row is what drift counts from.
+
+        Returns:
+            1 while it is within, `below / value` or `value / above` beyond, 0 at least.
+        """
+        robots = []
+        for _, _, values in self._values(log, slice(-1, None)):
+            beyond = np.ones(values.shape[1])
+            if self.below is not None:
+                excess, size = np.maximum(values[0] - self.below, 0.0), abs(self.below)
+                beyond = np.where(excess > 0, size / (size + excess), beyond)
+            if self.above is not None:
+                lack, size = np.maximum(self.above - values[0], 0.0), max(abs(self.above), 1e-12)
+                beyond = np.minimum(beyond, np.maximum(1.0 - lack / size, 0.0))
+            robots.append(beyond.max() if self.holds_at in ("any", "each_robot") else beyond.min())
+        return float(max(robots) if self.holds_at == "any" else min(robots))
 
 
 _REDUCE: dict[str, Callable[[Array], Array]] = {

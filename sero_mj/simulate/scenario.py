@@ -76,6 +76,9 @@ class Run(Declaration):
         show_targets: whether transparent doubles show where robots are commanded to be.
         show_paths: whether rows of doubles show the way there.
         observer_gain: of the momentum observer, 1/s.
+        runaway_speed: how many times its velocity limit a joint, or its motor, has to move for the
+            run to end, with the joint and the time; 0 for never. A joint without a limit counts as
+            one with 20 rad/s, or 5 m/s.
     """
 
     duration: float = Field(5.0, gt=0, le=1e5)
@@ -88,6 +91,7 @@ class Run(Declaration):
     show_targets: bool = True
     show_paths: bool = False
     observer_gain: float = Field(OBSERVER_GAIN, gt=0, le=1e4)
+    runaway_speed: float = Field(3.0, ge=0, le=1e6)
 
     @model_validator(mode="after")
     def _rates_fit(self) -> Run:

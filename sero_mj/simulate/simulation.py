@@ -21,7 +21,7 @@ from ..control.plan import Plan, make_plan
 from ..control.robot_model import RobotModel
 from ..control.torque_loop import HangingLinks
 from ..control.whole_body import WholeBody
-from ..errors import DeclarationError, Problem, collect
+from ..errors import DeclarationError, Problem, SimulationError, collect
 from ..frames import Array, frame, rotation_from_quat
 from ..receive.structure import Structure
 from ..runs.monitor import Finding
@@ -39,6 +39,8 @@ T = TypeVar("T")
 OBSERVED_EVERY = 0.01
 _ROUNDS = 30  # of `HangingLinks`: what is left of the first is less than 0.2 %
 _MOVE = 1e-5  # rad and rad/s, between which controllers are linear
+# rad/s and m/s, what counts as the velocity limit of a joint that has none: as fast as any drives.
+_UNDECLARED_SPEED = {"revolute": 20.0, "prismatic": 5.0}
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
 
@@ -98,6 +100,7 @@ class Simulation:
         if run.torque_control or run.substeps > 1 or run.drive_delay or scenario.amplifies:
             with _located_in(scenario.scene):
                 self.drives = Drives(self.plant, self.robots, run)
+        self._limit_speeds()
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
@@ -126,6 +129,42 @@ class Simulation:
         if self.drives is not None:
             self.drives.reset()
         self._begin(joint_angles)
+
+    def _limit_speeds(self) -> None:
+        """Finds at which speeds a joint has run away."""
+        limits = [
+            [_UNDECLARED_SPEED[kind] for kind in robot.types]
+            if robot.velocity_limits is None
+            else robot.velocity_limits
+            for robot in self.robots.values()
+        ]
+        share = self.scenario.run.runaway_speed
+        self._fastest: Array = np.concatenate(limits) * (share or np.inf)
+        # While all speeds together, squared, are below this none can be above its own limit.
+        self._surely_slow = float(self._fastest.min()) ** 2
+        self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
+
+    def _stop_runaway(self, k: int) -> None:
+        """Ends the run if a joint, or the motor of an elastic one, has run away in row k."""
+        speeds = np.abs(self._actual[k, 1])
+        if self._motor_speeds is not None:
+            speeds = np.maximum(speeds, np.abs(self._motor_speeds))
+        if not (speeds > self._fastest).any():
+            return
+        joints = [(robot, j) for robot in self.robots.values() for j in range(robot.n)]
+        row = int(np.argmax(speeds / self._fastest))
+        robot, joint = joints[row]
+        share, kind = self.scenario.run.runaway_speed, robot.types[joint]
+        unit = "rad/s" if kind == "revolute" else "m/s"
+        limit = f"{self._fastest[row] / share:.4g} {unit}"
+        named = f"its velocity limit, {limit}"
+        if robot.velocity_limits is None:
+            named = f"{limit}, which stands for a velocity limit where none is declared"
+        reason = (
+            f"found {speeds[row]:.4g} {unit}, more than {share:g} times {named}: it runs away; "
+            "expected other gains or torques, or another run.runaway_speed (0 for none)"
+        )
+        raise SimulationError(self.time, f"{robot.name}/{robot.names[joint]}", reason)
 
     def _check_gains(self, start: Array) -> None:
         """Refuses gains, of controllers and of the torque loop, that the time steps cannot hold."""
@@ -280,12 +319,14 @@ class Simulation:
         times, with pushes, physics and sensors; the log. The observer takes several steps at once.
 
         Raises:
-            SimulationError: it cannot go on; the log ends with the step before.
+            SimulationError: it cannot go on, and the log ends with the step before; or a joint has
+                run away, and the log ends there.
         """
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
         whole_body, free = self.whole_body, self._free
         measured, actual, driven = self._measured, self._actual, self._driven
         (commanded, _), every = self._drive, self._observed_every
+        slow, motor_speeds = self._surely_slow, self._motor_speeds
         move = plant.step if self.drives is None else self.drives.step
         first, stop = self.step + 1, min(to_step, self.steps) + 1
         times = self.rows[first - 1 : stop - 1, 0].tolist()
@@ -310,6 +351,11 @@ class Simulation:
                         estimate = robot.observe(measured[k - every + 1 : k + 1])
                         self._estimated[k : k + every, robot.joints] = estimate
                 self.step = k
+                speeds = actual[k, 1]
+                if speeds.dot(speeds) > slow or (
+                    motor_speeds is not None and motor_speeds.dot(motor_speeds) > slow
+                ):
+                    self._stop_runaway(k)
         finally:
             written = driven[first : self.step + 1]
             written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
