@@ -171,7 +171,8 @@ Vector = Annotated[Array, of_shape(None)]
 Point = Annotated[Array, of_shape(3)]
 Rgba = Annotated[Array, of_shape(4), AfterValidator(_in_range)]
 Name = Annotated[str, AfterValidator(is_name)]
-Frame = Annotated[Array, BeforeValidator(_frame)]
+# 4 x 4 numbers, or a table of xyz and an orientation.
+Frame = Annotated[Array, BeforeValidator(_frame, json_schema_input_type=list[Any] | dict[str, Any])]
 
 
 def _problems(detail: ErrorDetails, kind: type[Declaration]) -> list[Problem]:

@@ -19,7 +19,8 @@ from sero_mj.cli import main
 from sero_mj.cli._arguments import overrides
 from sero_mj.paths import find_scene
 
-COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep"]
+COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep",
+            "new", "schema"]  # fmt: skip
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:

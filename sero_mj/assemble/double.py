@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from ..declaration import Declaration, Name, Rgba, Vector, of_shape
 from ..frames import Array
-from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
+from .robot_parts import ArrowQuantity, BillboardLines
 
 # Green for commanded positions, as in the paper's section 4.2.
 COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
@@ -64,9 +64,7 @@ class Double(Declaration):
     show_arrows: bool = False
     arrow_quantity: ArrowQuantity | None = None
     show_billboards: bool = False
-    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(as_billboard_lines)] = (
-        None
-    )
+    billboard_lines: BillboardLines = None
     torques: Vector | None = None
     commanded_torques: Vector | None = None
     joint_accelerations: Vector | None = None

@@ -11,13 +11,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated
 
-from pydantic import BeforeValidator, Field, PrivateAttr
+from pydantic import Field, PrivateAttr
 
 from ..declaration import Declaration, Name
 from ..errors import Problem, did_you_mean
-from .robot_parts import ArrowQuantity, BillboardLine, as_billboard_lines
+from .robot_parts import ArrowQuantity, BillboardLines
 
 _MOST_MEMBERS = 400  # of a group
 _MOST_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
@@ -65,9 +64,7 @@ class Group(Declaration):
     arrow_width_scale: float | None = Field(None, gt=0)
     show_billboards: bool | None = None
     billboard_scale: float | None = Field(None, gt=0, le=0.5)
-    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(as_billboard_lines)] = (
-        None
-    )
+    billboard_lines: BillboardLines = None
     elastic_joints: bool | None = None
 
     # Files and keys of its tables, where it has a model; for problems found later.

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
-    BeforeValidator,
     Field,
     PrivateAttr,
     ValidationInfo,
@@ -28,16 +27,15 @@ from .robot_parts import (
     IN_DEGREES,
     PER_JOINT,
     ArrowQuantity,
-    BillboardLine,
+    BillboardLines,
     Children,
     Columns,
     JointNames,
     Limits,
     LinkMesh,
+    LinkMeshes,
     OwnInputs,
     Ranges,
-    as_billboard_lines,
-    as_link_meshes,
     check_colors,
     check_line_values,
     dh_rows,
@@ -144,7 +142,7 @@ class SerialRobot(Declaration):
     acceleration_limits: Limits = None
     directory: str = ""
     colors: dict[str, Rgba] = {}
-    filenames: list[Annotated[list[LinkMesh], BeforeValidator(as_link_meshes)]] = []
+    filenames: list[LinkMeshes] = []
     mesh_scale: float = Field(1.0, gt=0)
     mount: str | None = None
     mirrored: bool = False
@@ -171,9 +169,7 @@ class SerialRobot(Declaration):
     billboard_scale: float = Field(0.05, gt=0, le=0.5)
     billboard_values: Vector | None = None
     inputs: OwnInputs = []
-    billboard_lines: Annotated[list[BillboardLine] | None, BeforeValidator(as_billboard_lines)] = (
-        None
-    )
+    billboard_lines: BillboardLines = None
     flange_tolerance: float = Field(0.001, gt=0)
     flange_tolerance_deg: float = Field(0.5, gt=0)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from ..declaration import Declaration, Name, of_shape
 from ..errors import DeclarationError, Problem, did_you_mean, nearest
@@ -145,11 +145,23 @@ def as_link_meshes(value: Any) -> Any:
     return value
 
 
+LinkMeshes = Annotated[
+    list[LinkMesh],
+    BeforeValidator(as_link_meshes, json_schema_input_type=str | LinkMesh | list[str | LinkMesh]),
+]
+
+
 def as_billboard_lines(value: Any) -> Any:
     """Converts every line from the name of a value, or from a table."""
     if isinstance(value, list):
         return [{"value": line} if isinstance(line, str) else line for line in value]
     return value
+
+
+BillboardLines = Annotated[
+    list[BillboardLine] | None,
+    BeforeValidator(as_billboard_lines, json_schema_input_type=list[str | BillboardLine]),
+]
 
 
 def check_colors(links: list[list[LinkMesh]], colors: Mapping[str, Any]) -> None:

@@ -57,7 +57,9 @@ class UdpReceiver(Source):
     udpport: int = Field(0, alias="port", ge=0, le=65535)
     host: str = "127.0.0.1"
     interface: str = ""
-    sender: Annotated[list[str], BeforeValidator(_as_list)] = []
+    sender: Annotated[
+        list[str], BeforeValidator(_as_list, json_schema_input_type=str | list[str])
+    ] = []
     buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
     _socket: socket.socket | None = PrivateAttr(None)

@@ -1,0 +1,161 @@
+"""`sero-mj new`: a commented robot file and a scene that mirrors it, to start from."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from pathlib import Path
+
+from .. import paths
+from ..declaration import is_name
+from ..errors import UsageError
+from ._arguments import Commands, add_command, check_whole
+from .schema import schema_text
+
+_EPILOG = """\
+examples:
+  sero-mj new my_robot                 my_robot/robot.toml of 6 joints, and my_robot.toml, its scene
+  sero-mj new gripper --joints 2
+  sero-mj new my_lwr --like lwr        a copy of a shipped robot, to be changed
+
+Both files begin with a line by which editors complete and check their keys (sero-mj schema).
+Nothing that is there is written over.
+"""
+_MOST_JOINTS = 64
+_FIRST, _LONGEST, _SHORTER = 0.34, 0.4, 0.85  # m, and ratio of one arm to the one before
+_STRONGEST, _WEAKER = 150.0, 0.7  # Nm, and ratio of one joint to the one before
+_BENT = (0.5, 1.1, 0.7)  # rad, of every second joint: an arm that is not stretched
+
+_ROBOT = """\
+#:schema ./robot.schema.json
+# {name}: change what is here; `sero-mj list --fields` has all keys, docs/robots.md explains them.
+description = "{name}, {n} joints"
+
+# One row for every joint: alpha (deg), a (m), theta (deg), d (m). Of the two conventions, "craig"
+# (modified) turns and moves along x first, "standard" along z first.
+dh_convention = "craig"
+dh_params_deg = [
+{rows}
+]
+# joint_types = ["revolute", "prismatic", ...]   # all are revolute
+flange_frame = {{ xyz = [0.0, 0.0, 0.1] }}         # from the last joint's frame, m
+
+position_limits_deg = [
+{limits}
+]
+velocity_limits_deg = [{velocities}]
+torque_limits = [{torques}]   # Nm; at these arrows have their full width
+
+joint_angles = [{angles}]   # rad, until something is received
+
+# Without files, links get shapes that follow the table. With files, one for the base and one for
+# every joint, each in the frame of its row:
+# directory = "meshes"
+# filenames = ["base.stl", "link1.stl", ...]
+# mesh_scale = 0.001                             # for files in mm
+
+# What is simulated has masses, friction and motors as well; estimated where they are not given:
+# [dynamics]
+# masses = [...]                                 # kg, of the base and the links
+"""
+
+_SCENE = """\
+#:schema ./{name}/scene.schema.json
+# Shows {name} as its packets say: {n} joint angles (rad) and {n} torques (Nm), 8 bytes each.
+description = "{name} from packets of {n} angles and {n} torques"
+
+[robots.{name}]
+model = "{name}"                   # the folder beside this file
+show_arrows = true
+
+[sources.udp]
+kind = "udp"
+port = 32000
+structure = "{n}F{n}F"             # `sero-mj structure {n}F{n}F` says what stands where
+
+[routes]
+"{name}.joint_angles" = "udp.values0"
+"{name}.torques" = "udp.values1"
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    about = "write a robot file and a scene to start from"
+    parser = add_command(commands, "new", run, about, _EPILOG)
+    parser.add_argument("name", metavar="NAME", help="of the robot")
+    parser.add_argument("--joints", type=_joints, metavar="N", help="how many (default 6)")
+    parser.add_argument("--like", metavar="ROBOT", help="copy a shipped robot, or one of a folder")
+
+
+def _joints(text: str) -> int:
+    return check_whole(text, f"a whole number from 1 to {_MOST_JOINTS}", 1, _MOST_JOINTS)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes the files; returns 0."""
+    from ..assemble.robot import SerialRobot
+
+    name = options.name
+    try:
+        is_name(name)
+    except ValueError as error:
+        raise UsageError(f"NAME: {error}") from None
+    if options.like is not None and options.joints is not None:
+        raise UsageError("--joints and --like: a copy has the joints of its robot; choose")
+    folder, scene = Path(name), Path(f"{name}.toml")
+    for path in (folder, scene):
+        if path.exists():
+            raise UsageError(f"{path} is there already; choose another name")
+    robot = folder / "robot.toml"
+    if options.like is None:
+        folder.mkdir()
+        robot.write_text(robot_text(name, options.joints or 6), encoding="utf-8")
+    else:
+        _copy(paths.find_model(options.like), robot)
+    n = SerialRobot.from_model(str(robot)).n
+    scene.write_text(_SCENE.format(name=name, n=n), encoding="utf-8")
+    for kind in ("robot", "scene"):
+        (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
+    print(f"{robot}: the robot\n{scene}: a scene that mirrors it")
+    print(f"next, in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
+    return 0
+
+
+def _copy(model: Path, to: Path) -> None:
+    """Copies a robot's file and all that is in folders beside it."""
+    to.parent.mkdir()
+    for each in model.parent.iterdir():
+        if each.is_dir() and not each.name.startswith(("_", ".")):
+            shutil.copytree(each, to.parent / each.name)
+    lines = model.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [line for line in lines if not line.startswith("#:schema")]
+    to.write_text("".join(["#:schema ./robot.schema.json\n", *kept]), encoding="utf-8")
+
+
+def robot_text(name: str, n: int) -> str:
+    """A robot file for an arm whose joints turn about its links and across them by turns.
+
+    Args:
+        name: of the robot.
+        n: number of its joints.
+    """
+    rows, limits, velocities, torques, angles = [], [], [], [], []
+    for k in range(n):
+        is_across, arm = k % 2 == 1, _LONGEST * _SHORTER ** (k // 2 - 1)
+        alpha = 0.0 if k == 0 else (-90.0 if is_across else 90.0)
+        d = 0.0 if is_across else _FIRST if k == 0 else arm
+        rows.append(f"  [{alpha:5.1f}, 0.0, 0.0, {d:.3f}],   # joint {k + 1}")
+        limits.append("  [-120, 120]," if is_across else "  [-170, 170],")
+        velocities.append(f"{100 + 10 * min(k, 8)}")
+        torques.append(f"{_STRONGEST * _WEAKER**k:.3g}")
+        angles.append(f"{_BENT[k // 2 % len(_BENT)] if is_across else 0.0}")
+    return _ROBOT.format(
+        name=name,
+        n=n,
+        rows="\n".join(rows),
+        limits="\n".join(limits),
+        velocities=", ".join(velocities),
+        torques=", ".join(torques),
+        angles=", ".join(angles),
+    )

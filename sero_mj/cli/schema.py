@@ -1,0 +1,253 @@
+"""`sero-mj schema`: JSON schemas of robot, scene, group and scenario files, for editors."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ._arguments import Commands, add_command
+from .listing import field_rows
+
+if TYPE_CHECKING:
+    from ..declaration import Declaration
+
+KINDS = ("robot", "group", "scene", "scenario")
+Schema = dict[str, Any]
+
+_EPILOG = """\
+examples:
+  sero-mj schema scene                        prints it
+  sero-mj schema scenario -o scenario.json    for the files beside it, whose first line is then
+                                              #:schema ./scenario.json
+
+Visual Studio Code with the extension Even Better TOML, and every other editor with Taplo, then
+complete keys, say what they mean, and underline what is wrong. `sero-mj new` writes such a line.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    about = "write the JSON schema of a kind of file, for editors"
+    parser = add_command(commands, "schema", run, about, _EPILOG)
+    parser.add_argument("kind", choices=KINDS, help="of which files")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT.json", help="else it is printed")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes or prints; returns 0."""
+    text = schema_text(options.kind)
+    if options.output is None:
+        print(text, end="")
+    else:
+        options.output.parent.mkdir(parents=True, exist_ok=True)
+        options.output.write_text(text, encoding="utf-8")
+        print(options.output)
+    return 0
+
+
+def schema_text(kind: str) -> str:
+    """The schema of a kind of file, as JSON.
+
+    Args:
+        kind: `robot`, `group`, `scene` or `scenario`.
+    """
+    return json.dumps(schema_of(kind), indent=1) + "\n"
+
+
+def schema_of(kind: str) -> Schema:
+    """The schema of a kind of file.
+
+    Args:
+        kind: `robot`, `group`, `scene` or `scenario`.
+    """
+    definitions = _Definitions()
+    sections = {
+        "robot": lambda: definitions.fields("SerialRobot"),
+        "group": lambda: _group_sections(definitions),
+        "scene": lambda: _scene_sections(definitions),
+        "scenario": lambda: _scene_sections(definitions) | _scenario_sections(definitions),
+    }[kind]()
+    return {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": f"sero-mj {kind}",
+        "type": "object",
+        "additionalProperties": False,
+        "properties": sections,
+        "definitions": definitions.schemas,
+    }
+
+
+class _Definitions:
+    """Schemas of all declarations, with what their fields mean.
+
+    Attributes:
+        schemas: by name of the class.
+    """
+
+    def __init__(self) -> None:
+        from pydantic import BaseModel
+        from pydantic.json_schema import models_json_schema
+
+        classes = {declaration.__name__: declaration for declaration in _declarations()}
+        models: Any = [(each, "validation") for each in classes.values()]
+        _, found = models_json_schema(
+            models, schema_generator=_generator(), ref_template="#/definitions/{model}"
+        )
+        self.schemas: dict[str, Schema] = found["$defs"]
+        for name, schema in self.schemas.items():
+            schema.pop("description", None)
+            declaration = classes.get(name)
+            if declaration is None or not issubclass(declaration, BaseModel):
+                continue
+            names = {key: field.alias or key for key, field in declaration.model_fields.items()}
+            for key, _, about in field_rows(declaration):
+                if about:
+                    schema["properties"][names[key]]["description"] = about
+
+    def fields(self, name: str, /, **changed: Schema | None) -> dict[str, Schema]:
+        """The schemas of a declaration's fields.
+
+        Args:
+            name: of the class.
+            **changed: fields that a table of a file has besides, or (None) has not.
+        """
+        fields = {**self.schemas[name]["properties"], **changed}
+        return {key: schema for key, schema in fields.items() if schema is not None}
+
+    def table(self, name: str, /, **changed: Schema | None) -> Schema:
+        """The schema of a table of a file, of which nothing is required; see `fields`."""
+        fields = self.fields(name, **changed)
+        return {"type": "object", "additionalProperties": False, "properties": fields}
+
+    def of_kind(self, kinds: Mapping[str, type[Declaration]]) -> Schema:
+        """The schema of a table that says its kind."""
+        choices = []
+        for kind, declaration in kinds.items():
+            schema = self.table(declaration.__name__, name=None, kind={"const": kind})
+            choices.append({**schema, "title": kind, "required": ["kind"]})
+        return {"type": "object", "oneOf": choices}
+
+
+def _declarations() -> list[type[Declaration]]:
+    from ..assemble.cartesian import ReceivedFrame, SmartArrow
+    from ..assemble.double import Double
+    from ..assemble.groups import Group
+    from ..assemble.robot import SerialRobot
+    from ..assemble.scene import SceneToggles
+    from ..assemble.surroundings import Camera, Light, Object, View
+    from .listing import scenario_tables
+
+    of_scenes = [Group, Double, SmartArrow, ReceivedFrame, Object, Camera, Light, View]
+    of_scenarios = scenario_tables().values()
+    return [SerialRobot, SceneToggles, *of_scenes, *_sources().values(), *of_scenarios]
+
+
+def _sources() -> dict[str, type[Declaration]]:
+    from ..plugins import SOURCES, load_plugin, plugins
+
+    return {kind: load_plugin(SOURCES, kind) for kind in plugins(SOURCES)}
+
+
+def _each(schema: Schema, of: str) -> Schema:
+    """The schema of a section [of.NAME]."""
+    about = f"a table [{of}.NAME] each"
+    return {"type": "object", "additionalProperties": schema, "description": about}
+
+
+_TEXT: Schema = {"type": "string"}
+_MODEL: Schema = {"type": "string", "description": "a shipped name, a folder, or a file beside it"}
+
+
+def _group_sections(definitions: _Definitions) -> dict[str, Schema]:
+    table = definitions.table
+    # Members of groups in groups set their own fields in nested tables.
+    members: Schema = {"type": "object"}
+    group = table("Group", name=None, model=_MODEL, groups=members, objects=members)
+    group["properties"]["robots"] = {"type": ["array", "object"]}
+    group["properties"]["base_frame"] = definitions.fields("SerialRobot")["base_frame"]
+    group["properties"] |= {
+        key: definitions.fields("SerialRobot")[key] for key in ("mount", "mirrored")
+    }
+    sections = {
+        "robots": _each(table("SerialRobot", name=None, model=_MODEL), "robots"),
+        "groups": _each(group, "groups"),
+        "objects": _each(table("Object", name=None), "objects"),
+    }
+    defaults = definitions.fields("Group", name=None, robots=None)
+    return {
+        "description": _TEXT,
+        "members": {"type": "array", "items": _TEXT, "description": "order of its robots"},
+        **defaults,
+        **sections,
+    }
+
+
+def _scene_sections(definitions: _Definitions) -> dict[str, Schema]:
+    table, group = definitions.table, _group_sections(definitions)
+    route = {"type": ["string", "object"], "description": "SOURCE.EVENT, or a table with `from`"}
+    return {
+        "name": _TEXT,
+        "description": _TEXT,
+        "note": {**_TEXT, "description": "about its data, shown with the legend"},
+        "floor": {"type": "boolean"},
+        "robots": group["robots"],
+        "groups": group["groups"],
+        "sources": _each(definitions.of_kind(_sources()), "sources"),
+        "routes": {"type": "object", "additionalProperties": route,
+                   "description": '"ROBOT.INPUT" = "SOURCE.EVENT"'},
+        "doubles": _each(table("Double", name=None), "doubles"),
+        "arrows": _each(table("SmartArrow", name=None), "arrows"),
+        "frames": _each(table("ReceivedFrame", name=None), "frames"),
+        "objects": group["objects"],
+        "cameras": _each(table("Camera"), "cameras"),
+        "lights": _each(table("Light"), "lights"),
+        "view": table("View"),
+        "toggles": table("SceneToggles"),
+    }  # fmt: skip
+
+
+def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
+    from ..control.make_controller import CONTROLLERS
+    from ..control.plan import LAWS
+    from ..simulate.disturbances import DISTURBANCES, FAULTS
+    from ..simulate.sensors import SIGNALS
+
+    table, of_kind = definitions.table, definitions.of_kind
+    laws = of_kind(LAWS)
+    for law in laws["oneOf"]:
+        if law["title"] == "recorded":  # what the file says instead
+            law["properties"] |= {"file": _TEXT, "of": _TEXT}
+    sensor = table("SensorErrors")
+    sensors = {"type": "object", "additionalProperties": False,
+               "properties": dict.fromkeys(SIGNALS, sensor)}  # fmt: skip
+    return {
+        "scene": {**_TEXT, "description": "another file's scene, or a shipped one's name"},
+        "run": table("Run"),
+        "controllers": _each(of_kind(CONTROLLERS), "controllers"),
+        "targets": _each(laws, "targets"),
+        "sensors": _each(sensors, "sensors"),
+        "disturbances": _each(of_kind(DISTURBANCES), "disturbances"),
+        "faults": _each(of_kind(FAULTS), "faults"),
+        "monitor": table("Monitor"),
+        "expect": _each(table("Expect"), "expect"),
+    }
+
+
+def _generator() -> Any:
+    import numpy as np
+    from pydantic.json_schema import GenerateJsonSchema
+
+    class Generator(GenerateJsonSchema):
+        """Arrays of numpy are numbers, or lists of them; defaults that are none are left out."""
+
+        ignored_warning_kinds = {"skipped-choice", "non-serializable-default"}
+
+        def is_instance_schema(self, schema: Any) -> Schema:
+            if schema["cls"] is np.ndarray:
+                return {"type": ["number", "array"]}
+            return {"type": "object"}
+
+    return Generator

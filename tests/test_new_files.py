@@ -1,0 +1,153 @@
+"""`sero-mj new` and `sero-mj schema`: files to start from, and what editors know of all files."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from conftest import ROOT
+from test_cli import run
+
+from sero_mj import Mirror, SerialRobot, World, load_scene
+from sero_mj.cli.listing import scenario_tables
+from sero_mj.cli.schema import KINDS, schema_of
+from sero_mj.plugins import SOURCES, plugins
+
+SHIPPED = {
+    "robot": "models/*/robot.toml",
+    "group": "models/*/group.toml",
+    "scene": "scenes/*.toml",
+    "scenario": "scenes/scenarios/*.toml",
+}
+
+
+def found(kind: str, tables: dict[str, Any]) -> list[str]:
+    validator = jsonschema.Draft7Validator(schema_of(kind))
+    return [
+        f"{'.'.join(map(str, each.absolute_path))}: {each.message}"
+        for each in validator.iter_errors(tables)
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_shipped_files_are_right_by_their_schema(kind: str) -> None:
+    schema = schema_of(kind)
+    jsonschema.Draft7Validator.check_schema(schema)
+    validator = jsonschema.Draft7Validator(schema)
+    files = sorted(ROOT.glob(SHIPPED[kind]))
+    assert len(files) > 3
+    for file in files:
+        wrong = [error.message for error in validator.iter_errors(tomllib.loads(file.read_text()))]
+        assert wrong == [], file
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "expected"),
+    [
+        ("robot", 'dh_conventon = "craig"', "'dh_conventon' was unexpected"),
+        ("robot", 'dh_convention = "denavit"', "dh_convention: 'denavit' is not one of"),
+        ("robot", 'stale_after = "soon"', "stale_after: 'soon' is not of type 'number'"),
+        ("robot", "[dynamics]\nmass = [1.0]", "dynamics: Additional properties are not allowed"),
+        ("scene", "[robots.a]\nshow_axis = true", "robots.a: Additional properties"),
+        ("scene", "[sources.a]\nport = 1", "sources.a: {'port': 1} is not valid under any"),
+        ("scene", "[view]\nlook = 3", "view.look: 3 is not"),
+        ("scene", "[run]\nduration = 1", "'run' was unexpected"),
+        ("scenario", "[run]\nduration = -1.0", "run.duration: -1.0 is less than or equal to"),
+        ("scenario", '[controllers.a]\nkind = "pid"', "controllers.a: {'kind': 'pid'} is not"),
+    ],
+)
+def test_mistakes_are_found_by_it(kind: str, text: str, expected: str) -> None:
+    assert any(expected in each for each in found(kind, tomllib.loads(text)))
+
+
+def test_it_knows_every_kind_and_says_what_keys_mean() -> None:
+    schema = schema_of("scenario")
+    text = json.dumps(schema)
+    for kind in plugins(SOURCES):
+        assert json.dumps({"const": kind}) in text
+    for header in scenario_tables():
+        kind = header.partition('kind = "')[2].rstrip('"')
+        assert not kind or json.dumps({"const": kind}) in text
+    robot = schema["properties"]["robots"]["additionalProperties"]["properties"]
+    assert robot["velocity_limits"]["description"] == "(n,), rad/s or m/s."
+    assert "model" in robot and "name" not in robot
+
+
+def test_a_schema_is_printed_or_written(capsys: Any, tmp_path: Path) -> None:
+    status, out, _ = run(capsys, "schema", "robot")
+    assert status == 0 and json.loads(out) == schema_of("robot")
+    file = tmp_path / "editor" / "scene.json"
+    status, out, _ = run(capsys, "schema", "scene", "-o", str(file))
+    assert out == f"{file}\n" and json.loads(file.read_text()) == schema_of("scene")
+
+
+@pytest.mark.parametrize("n", [1, 2, 6, 7, 64])
+def test_a_new_robot_is_right_and_moves_from_packets(
+    n: int, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = run(capsys, "new", "mine", "--joints", str(n))
+    assert status == 0
+    assert out.splitlines()[-2:] == ["  sero-mj send mine.toml", "  sero-mj view mine.toml"]
+    scene = load_scene("mine.toml", {"mine.show_axes": True})
+    scene.sources["udp"]["port"] = 0
+    robot = scene.robots["mine"]
+    assert robot.n == n and len(robot.torque_limits) == n
+    with Mirror(scene) as mirror:
+        assert mirror.sources["udp"].structure == f"{n}F{n}F"
+    assert World(scene, dynamic=True).model.nv == n
+    for kind, file in (("robot", "mine/robot.toml"), ("scene", "mine.toml")):
+        text = Path(file).read_text()
+        assert found(kind, tomllib.loads(text)) == []
+        named = text.splitlines()[0].removeprefix("#:schema ")
+        assert json.loads((Path(file).parent / named).read_text()) == schema_of(kind)
+    low, high = robot.position_limits.T
+    assert ((low < robot.home) & (robot.home < high)).all()
+    reach = np.linalg.norm(robot.fwd_kin_base_to_flange(robot.home)[:3, 3])
+    assert 0.3 < reach < 3.0
+
+
+def test_a_copy_is_the_robot_it_is_like(
+    capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, "new", "ours", "--like", "lwr")[0] == 0
+    ours, lwr = SerialRobot.from_model("ours/robot.toml"), SerialRobot.from_model("lwr")
+    np.testing.assert_array_equal(ours.dh_params, lwr.dh_params)
+    assert Path("ours/meshes").is_dir() and Path(ours.directory).is_relative_to(tmp_path)
+    again = run(capsys, "new", "theirs", "--like", "ours")
+    assert again[0] == 0
+    assert Path("theirs/robot.toml").read_text().count("#:schema") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("taken",), "taken is there already; choose another name"),
+        (("scened",), "scened.toml is there already; choose another name"),
+        (("a b",), "NAME: found 'a b'; expected letters, digits, _ and -"),
+        (("../up",), "NAME: found '../up'; expected letters, digits, _ and -"),
+        (("x", "--joints", "0"), "found '0'; expected a whole number from 1 to 64"),
+        (("x", "--like", "lwrr"), "no robot model 'lwrr'; did you mean 'lwr'?"),
+        (("x", "--like", "lwr", "--joints", "3"), "a copy has the joints of its robot; choose"),
+    ],
+)
+def test_nothing_is_written_over_and_wrong_names_are_told(
+    arguments: tuple[str, ...],
+    expected: str,
+    capsys: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("taken").mkdir()
+    Path("scened.toml").write_text("")
+    before = sorted(tmp_path.rglob("*"))
+    status, _, err = run(capsys, "new", *arguments)
+    assert status == 2 and expected in err
+    assert sorted(tmp_path.rglob("*")) == before
