@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.shapes import housing_radii
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind
@@ -317,6 +318,14 @@ def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
         # The first cylinder is the pedestal's.
         assert (robot.arrow_radii > 1.5 * housings[1:]).all()
         assert ribbons(world).shape[0] == 3
+    # Axes that meet: both are clear of the larger housing, whichever row has the offset.
+    for convention, rows in (
+        ("craig", [[0, 0, 0, 0.7], [-np.pi / 2, 0, 0, 0], [0, 0.45, 0, 0]]),
+        ("standard", [[-np.pi / 2, 0, 0, 0.7], [0, 0.45, 0, 0]]),
+    ):
+        robot = SerialRobot(dh_convention=convention, dh_params=rows)
+        housings = housing_radii(robot.dh, robot.T_n_flange)
+        assert robot.arrow_radii[:2] == pytest.approx(1.7 * housings[0])
     assert SerialRobot.from_model("lwr").arrow_radii.tolist() == [0.1] * 7
     declared = SerialRobot(dh_convention="craig", arrow_radius=0.3)
     assert declared.arrow_radii.tolist() == [0.3]

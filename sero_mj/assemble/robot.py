@@ -41,11 +41,10 @@ from .robot_parts import (
     dh_rows,
     frame_labels,
 )
-from .shapes import housing_radii
+from .shapes import clear_radii, housing_radii
 from .surroundings import Object, set_directory
 
 _COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
-_CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
 
 
 class SerialRobot(Declaration):
@@ -351,7 +350,7 @@ class SerialRobot(Declaration):
         """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes."""
         if self.filenames or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
-        return _CLEAR_OF_HOUSING * housing_radii(self.dh, self.T_n_flange)
+        return clear_radii(self.dh, self.T_n_flange)
 
     @property
     def arrow_width_scales(self) -> Array:

@@ -24,6 +24,7 @@ _SMALLEST_REACH = 0.05  # m; a table of zeros still shows its joints
 # Radius of the last link over that of the first, so that nested joints share no surface.
 _TAPER = 0.55
 _HALF_HOUSING = 1.25  # half the length of a housing, in its radii
+_CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
 _SHORTEST_SEGMENT = 1e-6  # m
 
 
@@ -58,6 +59,27 @@ def housing_radii(table: DhTable, flange_frame: Array) -> Array:
     # Limited by the link length, for chains of many short links.
     radius = min(_RADIUS_OF_REACH * reach, 0.4 * longest)
     return np.asarray(radius * np.linspace(1.0, _TAPER, n))
+
+
+def clear_radii(table: DhTable, flange_frame: Array) -> Array:
+    """Returns the radius at which a ring about every joint is outside of all housings, (n,), m.
+
+    Axes that meet (of a shoulder, a wrist) have housings in one place: the ring of each is
+    outside of the largest.
+
+    Args:
+        table: n joints.
+        flange_frame: T_n_flange (4, 4).
+    """
+    radii = housing_radii(table, flange_frame)
+    frames = table.frames(np.zeros(len(table)))
+    centres = frames[1:, :3, 3]
+    if table.convention == "standard":
+        lifted = np.where(table.revolute, table.d, 0.0)[:, None]
+        centres = frames[:-1, :3, 3] + lifted * frames[:-1, :3, 2]
+    apart = np.linalg.norm(centres[:, None] - centres, axis=2)
+    is_near = apart < np.hypot(1.0, _HALF_HOUSING) * radii
+    return np.asarray(_CLEAR_OF_HOUSING * np.where(is_near, radii, 0.0).max(axis=1))
 
 
 def generate_shapes(
