@@ -6,8 +6,10 @@ import json
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.table import Table
 from runs import simulated, sine_run, two_joints
 
+from sero_mj.cli._arguments import print_table
 from sero_mj.runs.monitor import Finding
 from sero_mj.runs.run_log import RunLog
 from sero_mj.study.summary import as_json, as_table, summarise
@@ -88,3 +90,17 @@ def test_the_table_has_units_where_they_belong_and_json_has_si() -> None:
     found = json.loads(json.dumps(as_json(rows)))
     assert [row["joint"] for row in found] == ["turn", "slide"]
     assert found[0]["peak_torque"] == pytest.approx(4.0)
+
+
+def test_a_table_is_printed_whole_where_the_terminal_is_narrower(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    table = Table()
+    cells = [f"-{k}.123456 Nm" for k in range(20)]
+    for k in range(20):
+        table.add_column(f"joint {k}", no_wrap=True)
+    table.add_row(*cells)
+    print_table(table)
+    out = capsys.readouterr().out
+    assert all(cell in out for cell in cells)
+    assert "…" not in out and len({len(line) for line in out.splitlines()}) == 1

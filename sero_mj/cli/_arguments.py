@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from ..errors import DeclarationError, Problem, RecordingError, UsageError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from ..assemble.scene import Scene
     from ..record.recording import Recording
     from ..runs.run_log import RunLog
@@ -268,6 +270,16 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         scene.routes = routes_from_recording(scene.routes, name, recorded[name])
         if start is not None:
             scene.sources[name]["start"] = start
+
+
+def print_table(table: Table) -> None:
+    """Prints a table with all of its numbers, also where the terminal or pipe is narrower."""
+    from rich.console import Console
+
+    console = Console()
+    endless = console.options.update_width(10_000)
+    console.width = max(console.width, console.measure(table, options=endless).maximum)
+    console.print(table)
 
 
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:

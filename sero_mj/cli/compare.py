@@ -16,6 +16,7 @@ from ._arguments import (
     add_picture_options,
     check_ending,
     not_negative,
+    print_table,
     read_recorded_run,
     read_scene,
 )
@@ -108,9 +109,7 @@ def run(options: argparse.Namespace) -> int:
         found = {**as_json(pair, differences), "exceeded": [str(each) for each in over]}
         print(json.dumps(found, indent=2))
     elif not options.quiet:
-        from rich.console import Console
-
-        Console().print(as_table(pair, differences))
+        print_table(as_table(pair, differences))
         if pair.correlation is not None:
             print(f"offset {pair.offset:+.4f} s, correlation of the motions {pair.correlation:.3f}")
     if options.csv is not None:

@@ -20,6 +20,7 @@ from ._arguments import (
     not_negative,
     overrides,
     positive,
+    print_table,
     seed,
 )
 from ._sending import Sender, add_sink_options, in_real_time
@@ -214,8 +215,6 @@ def _print(
     simulation: Simulation, seconds: float, outcomes: list[Any], findings: list[Any], *, quiet: bool
 ) -> None:
     if not quiet:
-        from rich.console import Console
-
         from ..study.summary import as_table, summarise
 
         speed = simulation.time / seconds if seconds > 0 else float("inf")
@@ -223,7 +222,7 @@ def _print(
             f"{simulation.scenario.name}: {simulation.time:g} s in {seconds:.2f} s "
             f"({speed:.0f} times real time), {simulation.step} steps"
         )
-        Console().print(as_table(summarise(simulation.log, findings)))
+        print_table(as_table(summarise(simulation.log, findings)))
         for finding in findings[:20]:
             print(f"  found   {finding}")
         if len(findings) > 20:
