@@ -227,3 +227,38 @@ def test_a_base_is_not_free_and_mounted() -> None:
     assert str(caught.value) == (
         "free_base: found true with mount = 'a/flange'; expected one of the two"
     )
+
+
+def test_without_gravity_a_robot_floats_and_what_moves_turns_the_rest() -> None:
+    scenario = Scenario(
+        Scene(robots=walker(), floor=False),
+        controllers={"leg": {"kind": "joint_impedance", "stiffness": 20.0}},
+        targets={"leg": {"kind": "step", "amplitude": [0.8, -0.5]}},
+        gravity=[0.0, 0.0, 0.0], duration=0.5,
+    )  # fmt: skip
+    made = Simulation(scenario)
+    made.advance(made.steps)
+    assert not made.log.of("body", "commanded_torques")[0].any()
+    data, model = made.plant.data, made.plant.world.model
+    mujoco.mj_subtreeVel(model, data)
+    base = made.log.of("body", "base_frame")
+    assert np.abs(base[-1, :3, :3] - base[0, :3, :3]).max() > 5e-3  # it turns the other way
+    assert np.abs(base[-1, :3, 3] - base[0, :3, 3]).max() < 0.2
+    np.testing.assert_allclose(data.subtree_linvel[0], 0.0, atol=1e-6)
+
+
+def test_controllers_and_physics_have_the_same_gravity() -> None:
+    held = []
+    for gravity in (-G, -1.62):
+        robot = SerialRobot.from_model("lwr", joint_angles=[0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0])
+        made = Simulation(
+            Scenario(Scene(robots=[robot], floor=False), gravity=[0.0, 0.0, gravity], duration=0.2)
+        )
+        made.advance(made.steps)
+        held.append(made.log.of("lwr", "commanded_torques")[-1])
+        np.testing.assert_allclose(made.log.of("lwr", "joint_angles")[-1], robot.home, atol=1e-6)
+    np.testing.assert_allclose(held[1], held[0] * 1.62 / G, atol=1e-5)
+    with pytest.raises(DeclarationError, match="gravity: found 2; expected 3 numbers"):
+        Scenario(Scene(robots=[robot]), gravity=[0.0, 0.0])
+    with pytest.raises(DeclarationError, match="gravity: found -981; expected -100 to 100 m/s2"):
+        Scenario(Scene(robots=[robot]), gravity=[0.0, 0.0, -981.0])

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..assemble.robot import SerialRobot
+from ..assemble.robot_dynamics import GRAVITY
 from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..declaration import Declaration
+from ..frames import Array
 from .robot_model import RobotModel
 
+EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2
 _MAX_WORLDS = 8  # worlds that are remembered; a sweep over masses has a new one every time
 
 
@@ -27,27 +30,35 @@ class Compiler:
     def __init__(self) -> None:
         self._worlds: dict[object, World] = {}
 
-    def world(self, scene: Scene) -> World:
+    def world(self, scene: Scene, gravity: Array = EARTH) -> World:
         """A dynamic world with a model of its own, which may be changed.
 
         Args:
             scene: of which robots, objects and floor are looked at, and nothing else.
+            gravity: (3,), m/s2, in the world.
 
         Raises:
             DeclarationError: what MuJoCo cannot compile.
         """
         world = copy.copy(self._find(scene))
         world.model = copy.copy(world.model)
+        world.model.opt.gravity[:] = gravity
         world.scene = scene
         return world
 
-    def robot_model(self, robot: SerialRobot) -> RobotModel:
+    def robot_model(self, robot: SerialRobot, gravity: Array = EARTH) -> RobotModel:
         """What a controller knows of a robot, for it alone.
+
+        Args:
+            robot: standing in the world.
+            gravity: (3,), m/s2, in the world.
 
         Raises:
             DeclarationError: MuJoCo cannot compile the robot.
         """
-        return RobotModel.of(robot, self._find(Scene(robots=[robot], floor=False)))
+        world = self._find(Scene(robots=[robot], floor=False))
+        world.model.opt.gravity[:] = gravity
+        return RobotModel.of(robot, world)
 
     def _find(self, scene: Scene) -> World:
         key = fingerprint([scene.robots, scene.objects, scene.floor])

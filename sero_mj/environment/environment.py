@@ -141,7 +141,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         if scenario.run.torque_control:
             gains = LoopGains.of(own.torque_control, robot_dynamics(own), own.elastic_joints)
             own = gains.felt(own)
-        model = self._compiler.robot_model(own)
+        model = self._compiler.robot_model(own, scenario.run.gravity)
         self._agent = AgentController(self._action, robots[robot], model, timestep)
         self.scenario = copy.copy(scenario)
         self.scenario.controllers = {**scenario.controllers, robot: self._agent}

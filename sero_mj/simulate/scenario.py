@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from ..assemble.scene import Scene
 from ..assemble.surroundings import Object
-from ..control.controller import Controller, ControllerDeclaration
+from ..control.compiler import EARTH
+from ..control.controller import Controller, ControllerDeclaration, within
 from ..control.joint_control import GravityCompensation
 from ..control.make_controller import controller_from
 from ..control.plan import law_from
 from ..control.target_motions import Law
-from ..declaration import Declaration, by_kind
+from ..declaration import Declaration, by_kind, of_shape
 from ..errors import DeclarationError, Problem, collect, did_you_mean
 from ..frames import Array
 from ..runs.monitor import Monitor
@@ -71,6 +72,7 @@ class Run(Declaration):
         torque_control: whether joint torque control is between controllers and motors, see
             `TorqueControl`; without it commanded torques are those of the motors.
         drive_delay: s until a motor's torque acts; a multiple of the steps of the physics.
+        gravity: (3,), m/s2, in the world; zeros for robots in orbit. Controllers know it.
         seed: of everything that is random.
         elastic: whether joints are elastic, for all robots; as they are declared when None.
         show_targets: whether transparent doubles show where robots are commanded to be.
@@ -86,6 +88,7 @@ class Run(Declaration):
     physics_timestep: float | None = Field(None, ge=1e-5, le=0.05)
     torque_control: bool = False
     drive_delay: float = Field(0.0, ge=0, le=0.1)
+    gravity: Annotated[Array, of_shape(3), within(-100.0, 100.0, "m/s2")] = EARTH
     seed: int = Field(0, ge=0, lt=2**32)
     elastic: bool | None = None
     show_targets: bool = True

@@ -89,7 +89,7 @@ class Simulation:
             file=scene.file,
         )
         timestep = run.timestep / run.substeps
-        self.plant = Plant(self.compiler.world(stripped), sensors, timestep)
+        self.plant = Plant(self.compiler.world(stripped, run.gravity), sensors, timestep)
         self.plant.joints.looks_ahead = False  # controllers have models of their own
         self.whole_body = (
             WholeBody(self.plant.world) if WholeBody.is_needed(self.plant.world) else None
@@ -242,7 +242,7 @@ class Simulation:
         """
         if self.drives is not None and robot.name in self.drives.gains:
             robot = self.drives.gains[robot.name].felt(robot)
-        model = self.compiler.robot_model(robot)
+        model = self.compiler.robot_model(robot, self.scenario.run.gravity)
         if self.whole_body is not None:
             model.follow(self.whole_body.mounting(robot.name), robot.base_frame)
         return model
