@@ -244,7 +244,7 @@ def test_without_gravity_a_robot_floats_and_what_moves_turns_the_rest() -> None:
     base = made.log.of("body", "base_frame")
     assert np.abs(base[-1, :3, :3] - base[0, :3, :3]).max() > 5e-3  # it turns the other way
     assert np.abs(base[-1, :3, 3] - base[0, :3, 3]).max() < 0.2
-    np.testing.assert_allclose(data.subtree_linvel[0], 0.0, atol=1e-6)
+    np.testing.assert_allclose(data.subtree_linvel[0], 0.0, atol=2e-4)  # falling: 4.9
 
 
 def test_controllers_and_physics_have_the_same_gravity() -> None:

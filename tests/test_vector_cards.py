@@ -253,7 +253,7 @@ def test_arrows_of_one_scale_share_a_line_and_hidden_ones_have_none() -> None:
 def test_the_scale_of_many_arrows_is_not_cut_off_behind_their_names() -> None:
     names = [f"contact_force_of_finger_{k}" for k in range(6)]
     world = world_with(*(SmartArrow(name=name, at="lwr/flange") for name in names))
-    for count, listed in ((1, names[0]), (2, "2 arrows"), (6, "6 arrows")):
+    for count, listed in ((1, names[0]), (2, "arrows"), (6, "arrows")):
         found = scales(draw(world, cards=False, legend=True, vectors=np.arange(6) < count))
         assert found == [f"{listed}: 80 mm long = 20 N"]
 

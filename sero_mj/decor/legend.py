@@ -121,10 +121,10 @@ class Legend(Feature):
                 word = "wide" if arrow.is_round else "long"
                 scale = f"{size:g} mm {word} = {value:g} {arrow.unit_text}"
                 lines.setdefault(scale, []).append(name)
-        return [
-            f"{_whose(names, 'arrows')}: {scale}".encode("ascii", "replace")[:99]
-            for scale, names in lines.items()
-        ]
+        # Many are contacts' and others that come and go: those that are not seen are not counted.
+        texts = [f"{named}: {scale}" if (named := _named(names)) else f"arrows: {scale}"
+                 for scale, names in lines.items()]  # fmt: skip
+        return [text.encode("ascii", "replace")[:99] for text in texts]
 
 
 def _notes(world: WorldView) -> list[bytes]:
@@ -136,15 +136,15 @@ def _notes(world: WorldView) -> list[bytes]:
         if len(names) == len(robots):
             lines.append(note)
         elif note:
-            lines.append(f"{_whose(names, 'robots')}: {note}")
+            lines.append(f"{_named(names) or f'{len(names)} robots'}: {note}")
     unique = dict.fromkeys(line for line in lines if line)
     return [line.encode("ascii", "replace")[:99] for line in unique]
 
 
-def _whose(names: list[str], what: str) -> str:
-    """Returns the names, or how many there are of what where they are too long together."""
+def _named(names: list[str]) -> str:
+    """Returns the names; nothing where they are too long together."""
     listed = ", ".join(names)
-    return listed if len(names) == 1 or len(listed) <= _LONGEST_NAMES else f"{len(names)} {what}"
+    return listed if len(names) == 1 or len(listed) <= _LONGEST_NAMES else ""
 
 
 def _bars(panels: Panels, view: PictureView) -> Array:
