@@ -17,6 +17,7 @@ from matplotlib.text import Text
 from PIL import Image
 from runs import simulated, sine_run, two_joints
 
+from sero_mj import SerialRobot
 from sero_mj.errors import RenderError, UsageError
 from sero_mj.runs.monitor import Finding
 from sero_mj.runs.run_log import RunLog
@@ -298,3 +299,23 @@ def test_peak_and_rms_leave_out_what_is_unknown() -> None:
     assert peak(values) == 2
     assert rms(values) == pytest.approx(np.sqrt(12.5))
     assert peak(np.full(3, np.nan)) is None and np.isnan(rms(np.full(3, np.nan)))
+
+
+def test_many_joints_are_pages_or_the_most_loaded(tmp_path: Path, figures: list[Figure]) -> None:
+    robots, signals, times = {}, {}, np.arange(5) * 0.1
+    for name, n, scale in (("a", 5, 1.0), ("b", 9, 5.0), ("c", 9, 2.0)):
+        robots[name] = SerialRobot(
+            name=name, dh_convention="craig", dh_params=np.zeros((n, 4)), torque_limits=[10.0] * n
+        )
+        signals[f"{name}_torques"] = np.outer(np.ones(5), np.linspace(0.1, 1.0, n) * scale)
+    log = RunLog(robots, signals, times, "many")
+
+    def pages(file: str, **options: Any) -> list[list[str]]:
+        figures.clear()
+        plot_run(log, tmp_path / file, **options)
+        return [[row[0].texts[0].get_text() for row in each.axes] for each in figures]
+
+    assert pages("many.pdf") == [[f"J{k + 1}" for k in range(n)] for n in (5, 9, 9)]
+    assert pages("many.png") == [[f"J{k}" for k in (*range(3, 10), *range(5, 10))]]
+    asked = pages("many.png", joints=[f"J{k + 1}" for k in range(9)])
+    assert [len(page) for page in asked] == [23]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +48,9 @@ _MARKERS = {
     "velocity_limit": ">",
     "position_limit": "<",
 }
+_MOST_ROWS = 12  # of a page, unless joints or a size are given
 _CLOSE, _LEVELS = 0.1, 5  # share of the time within which marks stand beneath each other
+_Joint = tuple[str, int]  # robot, and index of the joint
 _OF_ERROR = ("torque_error", "frozen_torque")  # findings that stand beside the error
 
 
@@ -67,7 +70,8 @@ def plot_run(
 
     Args:
         logs: a run with `torques`, `commanded_torques`, or both; of several each is a page of a
-            .pdf.
+            .pdf. More than 12 joints are several pages of a .pdf; other files then have the 12 with
+            the largest share of their limits.
         path: where to: .png (300 dpi), .pdf or .svg.
         robots: which; all when None.
         joints: their names, of any of the robots; all when None.
@@ -81,22 +85,55 @@ def plot_run(
     """
     path = check_suffix(path)
     with styled():
-        figures = [
-            _draw_run(log, robots, joints, findings, spans, size_mm)
-            for log in ([logs] if isinstance(logs, RunLog) else logs)
-        ]
+        figures = []
+        for log in [logs] if isinstance(logs, RunLog) else logs:
+            chosen = _choose(log, robots, joints)
+            pages = [chosen]
+            if len(chosen) > _MOST_ROWS and joints is None and size_mm is None:
+                is_pdf = path.suffix.lower() == ".pdf"
+                pages = _by_robots(chosen) if is_pdf else [_most_loaded(log, chosen)]
+            figures += [
+                _draw_run(log, page, findings, spans, size_mm, len(chosen)) for page in pages
+            ]
         save_figures(figures, path)
+
+
+def _by_robots(chosen: Sequence[_Joint]) -> list[list[_Joint]]:
+    """Shares joints out over pages; those of a robot stay together where they fit on one."""
+    pages: list[list[_Joint]] = [[]]
+    for _, group in groupby(chosen, key=lambda each: each[0]):
+        joints = list(group)
+        if len(pages[-1]) + len(joints) > _MOST_ROWS and pages[-1]:
+            pages.append([])
+        for joint in joints:
+            if len(pages[-1]) == _MOST_ROWS:
+                pages.append([])
+            pages[-1].append(joint)
+    return pages
+
+
+def _most_loaded(log: RunLog, chosen: Sequence[_Joint]) -> list[_Joint]:
+    """Returns the joints with the largest peaks, as shares of their limits, in their order."""
+    peaks, limits = np.zeros((2, len(chosen)))
+    for i, (robot, k) in enumerate(chosen):
+        limits[i] = log.torque_limits(robot)[k]
+        for signal in ("torques", "commanded_torques"):
+            if log.has(robot, signal):
+                values = np.abs(log.of(robot, signal)[:, k])
+                peaks[i] = max(peaks[i], np.nanmax(values, initial=0.0))
+    shares = peaks / np.where(np.isfinite(limits), limits, max(peaks.max(), 1e-9))
+    kept = np.sort(np.argsort(-shares, kind="stable")[:_MOST_ROWS])
+    return [chosen[i] for i in kept]
 
 
 def _draw_run(
     log: RunLog,
-    robots: Sequence[str] | None,
-    joints: Sequence[str] | None,
+    chosen: Sequence[_Joint],
     findings: Sequence[Finding],
     spans: Sequence[Span],
     size_mm: tuple[float, float] | None,
+    count: int,
 ) -> Figure:
-    chosen = _choose(log, robots, joints)
     has_both = all(log.has(robot, signal) for robot, _ in chosen
                    for signal in ("torques", "commanded_torques"))  # fmt: skip
     several = len({robot for robot, _ in chosen}) > 1
@@ -111,7 +148,7 @@ def _draw_run(
         rows,
         columns,
         title=log.name,
-        subtitle=_about(log, has_both=has_both),
+        subtitle=_about(log, has_both=has_both) + _left_out(len(chosen), count),
         times=(float(log.times[0]), float(log.times[-1])),
         size_mm=size_mm,
     )
@@ -176,6 +213,10 @@ def _beneath(log: RunLog, robot: str, k: int, *, named: bool) -> str:
     if np.isfinite(limit) and row is not None:
         lines.append(f"peak {100.0 * abs(values[row]) / limit:.0f} %")
     return "\n".join(lines)
+
+
+def _left_out(shown: int, count: int) -> str:
+    return f"; {shown} of {count} joints" if shown < count else ""
 
 
 def _about(log: RunLog, *, has_both: bool) -> str:
