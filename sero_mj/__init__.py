@@ -67,11 +67,14 @@ if TYPE_CHECKING:
     from .simulate.sensors import Sensors as Sensors
     from .simulate.simulation import Simulation as Simulation
 
+from .environment.gymnasium_ids import register_with_gymnasium as _register_with_gymnasium
 from .show.headless.backend import choose_backend as _choose_backend
 from .show.headless.backend import has_display as _has_display
 
 if not _has_display():
     _choose_backend()
+
+_register_with_gymnasium()
 
 __version__ = "0.1.0"
 

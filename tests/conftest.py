@@ -37,7 +37,7 @@ settings.load_profile("quarter")
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
 _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups", "nbformat", "nbclient",
-    "ipykernel",
+    "ipykernel", "stable-baselines3",
 )  # fmt: skip
 # Browsers and windows take both cores; of several workers one runs them all.
 _SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer")

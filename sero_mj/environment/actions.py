@@ -18,7 +18,7 @@ from ..frames import Array
 
 Kind = Literal["torque", "impedance"]
 
-_USUAL_SPEED = {"revolute": 1.0, "prismatic": 0.25}  # rad/s, m/s; where a robot has no limits
+USUAL_SPEED = {"revolute": 1.0, "prismatic": 0.25}  # rad/s, m/s; where a robot has no limits
 
 
 class Action(ABC):
@@ -80,7 +80,10 @@ class TorqueAction(Action):
     def __init__(self, robot: SerialRobot) -> None:
         limits = robot.torque_limits
         if limits is None:
-            message = "is required for torques as actions; expected one per joint, Nm"
+            message = (
+                "is required for torques as actions; expected one per joint, Nm, or "
+                'action="impedance"'
+            )
             raise DeclarationError([Problem(f"robots.{robot.name}.torque_limits", message)])
         high = np.array(limits, np.float64)
         self.controller = Torque()
@@ -129,7 +132,7 @@ class ImpedanceAction(Action):
     ) -> None:
         speeds = robot.velocity_limits
         if speeds is None:
-            speeds = np.array([_USUAL_SPEED[kind] for kind in robot.types])
+            speeds = np.array([USUAL_SPEED[kind] for kind in robot.types])
         self._substeps = max(round(control_timestep / timestep), 1)
         self._duration = self._substeps * timestep
         most = np.asarray(speeds, np.float64) * self._duration

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from contextlib import ExitStack
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import dm_env
 import mujoco
@@ -23,9 +23,10 @@ from ..declaration import Declaration
 from ..drive.mirror import Mirror
 from ..errors import DeclarationError, Problem, SimulationError, UnknownName
 from ..frames import Array
+from ..receive.structure import Structure
 from ..runs.run_log import event_of
 from ..runs.run_source import RunSource
-from ..show.headless.render import HeadlessRenderer
+from ..show.headless.render import DEFAULT_SIZE, HeadlessRenderer
 from ..simulate.plant import Plant
 from ..simulate.scenario import Scenario
 from ..simulate.simulated_scene import with_routes
@@ -39,6 +40,9 @@ from .actions import (
     checked_action,
 )  # fmt: skip
 from .tasks import AgentRobot, Episode, Task
+
+if TYPE_CHECKING:
+    from ..show.window.host import Window
 
 # rad, m: how far springs let joints into their stops, and observations beyond their limits
 BEYOND = {"revolute": 0.2, "prismatic": 0.05}
@@ -92,6 +96,36 @@ def _usual_stiffness(robot: SerialRobot) -> Array:
     return np.where(inertia > 0, np.minimum(500.0, inertia * _FASTEST_SPRING**2), 500.0)
 
 
+class _DrivenRun:
+    """The current episode as a run that goes as far as its agent has driven it; for `RunSource`."""
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+
+    @property
+    def about(self) -> str:
+        """What it is, for people."""
+        return self._environment.simulation.about
+
+    @property
+    def structure(self) -> Structure:
+        """Of a row as a packet."""
+        return self._environment.simulation.structure
+
+    @property
+    def rows(self) -> Array:
+        """(T, width); those behind `step` have only their times."""
+        return self._environment.simulation.rows
+
+    @property
+    def step(self) -> int:
+        """The last row that is there."""
+        return self._environment.simulation.step
+
+    def advance(self, to_step: int) -> None:
+        """Does nothing: that is up to the agent."""
+
+
 class Environment(dm_env.Environment):  # type: ignore[misc]
     """Episodes of a scenario in which an agent drives one robot.
 
@@ -111,6 +145,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         scenario: as given, with the agent in the place of the robot's controller.
         simulation: the current episode; `simulation.outcomes()` says what has held.
         task: the task from episode to episode; `task.target` of `reach`, for instance.
+        seed: of everything that is random; as the settings have it, until another is set.
         episode: number of the current one, from 0; -1 before the first. Set it to k - 1 and the
             next episode is number k.
         error: what ended the last episode, or None.
@@ -150,13 +185,14 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             model.follow(self.simulation.whole_body.mounting(robot), own.base_frame)
         self._robot = AgentRobot(self.simulation, robot)
         self.task: Episode = task.make(self._robot)
-        self.episode = -1
+        self.seed, self.episode = settings.seed, -1
         self.error: SimulationError | None = None
         self._is_over = True
         self._observation: dict[str, Array] = {}
         self._find_columns(task.observed)
         self._mirror: Mirror | None = None
         self._renderer: HeadlessRenderer | None = None
+        self._window: Window | None = None
         self._shape: tuple[int, int, str | None] = (0, 0, None)
         self._open = ExitStack()
 
@@ -205,6 +241,11 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return self.plant.data
 
     @property
+    def is_over(self) -> bool:
+        """Whether no episode goes on: the next step begins one."""
+        return self._is_over
+
+    @property
     def control_timestep(self) -> float:
         """Between two actions, s."""
         return self._settings.control_timestep
@@ -213,7 +254,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         """Begins the next episode."""
         self.episode += 1
         self.error, self._is_over = None, False
-        rng = np.random.default_rng([self._settings.seed, self.episode])
+        rng = np.random.default_rng([self.seed, self.episode])
         start = np.asarray(self.robot.home, np.float64)
         if self._random_start:
             start = self._robot.free_pose(rng)
@@ -231,15 +272,14 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             seed: of the noise.
         """
         if self.scenario.disturbances or self.scenario.faults:  # these change the model
-            self.close()  # what is shown is of the simulation before
             self.simulation = Simulation(self.scenario, seed, self._compiler)
             self._robot.simulation = self.simulation
         else:
             angles = {name: robot.home for name, robot in self.simulation.robots.items()}
             angles[self._robot.name] = start
             self.simulation.restart(np.concatenate(list(angles.values())), seed)
-            if self._mirror is not None:
-                self._mirror.open()  # forgets what was shown
+        if self._mirror is not None:
+            self._mirror.open()  # forgets what was shown
 
     def step(self, action: Any) -> dm_env.TimeStep:
         """Simulates a control step; after the end of an episode the next one begins.
@@ -319,21 +359,57 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             RenderError: no OpenGL, or the size is out of range.
             UnknownName: no such camera.
         """
-        if self._mirror is None or self._renderer is None or self._shape != (height, width, camera):
+        if self._renderer is None or self._shape != (height, width, camera):
             self.close()
-            source = RunSource(run=self.simulation)
-            scene = with_routes(self.scenario, self.simulation.layout, source)
-            mirror = self._open.enter_context(Mirror(scene))
+            mirror = self._open_mirror()
             renderer = HeadlessRenderer(mirror.world, width, height, camera)
-            self._mirror, self._renderer = mirror, self._open.enter_context(renderer)
+            self._renderer = self._open.enter_context(renderer)
             self._shape = (height, width, camera)
-        mirror, renderer = self._mirror, self._renderer
+        mirror = self._show_now()
+        return self._renderer.render(mirror.data)
+
+    def show(self, camera: str | None = None) -> bool:
+        """Shows the state now in a window, with mouse and keys; at once, without waiting.
+
+        Args:
+            camera: at first, as for `render`.
+
+        Returns:
+            whether the window is open: its user has not closed it.
+
+        Raises:
+            RenderError: no display, or no OpenGL.
+            UnknownName: no such camera.
+        """
+        if self._window is None:
+            from ..show.window.host import Window
+
+            self.close()
+            mirror = self._open_mirror()
+            window = Window(mirror, size=DEFAULT_SIZE, camera=camera)
+            self._window = self._open.enter_context(window)
+            window.shows_status = False  # its clock is not the user's
+        self._show_now()
+        clock = self._window.clock
+        clock.time, clock.is_paused = self.simulation.time, True
+        return self._window.is_open and self._window.frame(wait=False)
+
+    def _open_mirror(self) -> Mirror:
+        """A mirror of the current episode, with what it shows."""
+        source = RunSource(run=_DrivenRun(self))
+        scene = with_routes(self.scenario, self.simulation.layout, source)
+        self._mirror = self._open.enter_context(Mirror(scene))
+        return self._mirror
+
+    def _show_now(self) -> Mirror:
+        """Brings the mirror to the state now."""
+        assert self._mirror is not None
         for target, values in self.task.inputs().items():
-            mirror.world.set_input(mirror.data, target, values)
-        mirror.advance(self.simulation.time)
-        return renderer.render(mirror.data)
+            self._mirror.world.set_input(self._mirror.data, target, values)
+        self._mirror.advance(self.simulation.time)
+        return self._mirror
 
     def close(self) -> None:
-        """Frees what OpenGL has."""
-        self._mirror = self._renderer = None
+        """Closes the window, and frees what OpenGL has."""
+        self._mirror = self._renderer = self._window = None
         self._open.close()
