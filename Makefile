@@ -38,6 +38,7 @@ bench: .venv/.test
 	$(BIN)/python benchmarks/plant.py
 	$(BIN)/python benchmarks/simulate.py
 	$(BIN)/python benchmarks/many.py
+	$(BIN)/python benchmarks/learn.py
 	$(BIN)/python benchmarks/web.py
 
 gallery: .venv/.run

@@ -1,9 +1,10 @@
-"""Measures environments against a bare `mj_step` loop, and sweeps in one process and in several.
+"""Measures environments: one against a bare `mj_step` loop, many against one; and sweeps likewise.
 
     .venv/bin/python benchmarks/many.py
 
-The bare loop steps the same model as often as the environment does for one action. Rows are of one
-run, the fastest of several, so that a busy machine disturbs little.
+The bare loop steps the same model as often as the environment does for one action. Many are
+stepped together, and one by itself, for a whole episode with its beginning. Rows are of one run,
+the fastest of several, so that a busy machine disturbs little.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from sero_mj.show.headless.backend import choose_backend
 
 choose_backend()
 
+import gymnasium
 import mujoco
 import numpy as np
 from rich.console import Console
@@ -32,6 +34,14 @@ ENVIRONMENTS = (
     ("impedance_push", {}),
 )
 VARIANTS = 48
+TOGETHER = (
+    ("sero_mj/lwr-reach-v0", {}),
+    ("sero_mj/lwr-reach-v0", {"action": "impedance"}),
+    ("sero_mj/lwr-hold-v0", {}),
+    ("sero_mj/lwr-hold-v0", {"action": "impedance"}),
+)
+ROBOTS = 64
+EPISODE = 250  # steps
 
 
 def best_of(call: Callable[[], int], times: int = 5) -> float:
@@ -63,6 +73,16 @@ def bare(environment: object, substeps: int) -> int:
     return 100
 
 
+def whole_episode(environment: gymnasium.Env | gymnasium.vector.VectorEnv) -> int:
+    """An episode of small actions with its beginning; returns the steps of all robots together."""
+    rng, shape = np.random.default_rng(0), environment.action_space.shape
+    actions = 0.05 * rng.uniform(-1.0, 1.0, (EPISODE, *shape))
+    environment.reset(seed=1)
+    for action in actions:
+        environment.step(action)
+    return EPISODE * (shape[0] if len(shape) > 1 else 1)
+
+
 def main() -> None:
     table = Table("environment", "action", "steps/s", "bare loop", "times its time")
     for name, options in ENVIRONMENTS:
@@ -71,6 +91,15 @@ def main() -> None:
         alone = best_of(lambda: bare(environment, 20))
         action = str(options.get("action", "torque"))
         table.add_row(name, action, f"{own:.0f}", f"{alone:.0f}", f"{alone / own:.1f}")
+    robots = Table("environment", "action", "one, steps/s", f"{ROBOTS}, steps/s", "times one")
+    for name, options in TOGETHER:
+        alone = gymnasium.make(name, **options).unwrapped
+        together = gymnasium.make_vec(name, num_envs=ROBOTS, **options)
+        own = best_of(lambda: whole_episode(alone))
+        all_ = best_of(lambda: whole_episode(together), 3)
+        together.close()
+        action = str(options.get("action", "torque"))
+        robots.add_row(name, action, f"{own:.0f}", f"{all_:.0f}", f"{all_ / own:.1f}")
     sweep = Sweep(
         find_scenario("impedance_push"),
         (Vary.parse("controllers.lwr.stiffness=log:100:5000"),),
@@ -86,6 +115,7 @@ def main() -> None:
         rates.add_row(str(jobs), f"{rate:.1f}", f"{rate / one:.1f}")
     console = Console()
     console.print(table)
+    console.print(robots)
     console.print(rates)
 
 

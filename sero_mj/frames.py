@@ -87,14 +87,15 @@ def inverse(T_a_b: Array) -> Array:
 
 def rotation_angle(rotation: Array) -> float:
     """Angle (rad) of a rotation matrix (3, 3), exact near 0 and near pi."""
-    skew = 0.5 * np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    return float(np.arctan2(np.linalg.norm(skew), 0.5 * (np.trace(rotation) - 1.0)))
+    return float(rotation_angles(rotation))
+
+
+def rotation_angles(rotations: Array) -> Array:
+    """Angles (...,), rad, of rotation matrices (..., 3, 3), exact near 0 and near pi."""
+    twice = rotations - rotations.mT
+    sine = 0.5 * np.sqrt(twice[..., 2, 1] ** 2 + twice[..., 0, 2] ** 2 + twice[..., 1, 0] ** 2)
+    cosine = 0.5 * (np.trace(rotations, axis1=-2, axis2=-1) - 1.0)
+    return np.asarray(np.arctan2(sine, cosine))
 
 
 def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:

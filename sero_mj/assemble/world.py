@@ -104,6 +104,31 @@ class World(WorldView):
         self.reset(data)
         return data
 
+    def physics_model(self) -> mujoco.MjModel:
+        """Returns a model of what moves and touches, without shapes that are only looked at.
+
+        It moves as `model` does now, with the same bodies, joints and sites, in less time.
+        """
+        spec, model = self._spec.copy(), self.model
+        touching = (model.geom_contype | model.geom_conaffinity) > 0
+        for geom, touches in zip(spec.geoms, touching.tolist(), strict=True):
+            if not touches:
+                spec.delete(geom)
+        bare = spec.compile()
+        bare.opt.disableflags = model.opt.disableflags
+        if len(set(bare.dof_treeid.tolist())) <= 1:  # no more than one island anyway
+            bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+        bare.opt.timestep, bare.opt.gravity = model.opt.timestep, model.opt.gravity
+        # What was set or changed after compiling.
+        for name in dir(model):
+            kind = name.partition("_")[0]
+            if kind not in ("dof", "jnt", "eq", "geom") and name not in _MASSES:
+                continue
+            values = getattr(model, name)
+            if name not in _PLACES and isinstance(values, np.ndarray) and values.size:
+                getattr(bare, name)[:] = values[touching] if kind == "geom" else values
+        return bare
+
     def state(self, data: mujoco.MjData) -> Any:
         """Returns the state that decor reads: `data` itself."""
         return data
@@ -303,6 +328,14 @@ def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:
     if problems:
         raise DeclarationError(scene.located(problems))
     return found
+
+
+# Fields of a model that say what bodies weigh, and those that say where something is in another.
+_MASSES = (
+    "body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe",
+    "body_invweight0",
+)  # fmt: skip
+_PLACES = ("geom_bodyid", "geom_dataid", "geom_matid", "geom_plugin")
 
 
 def _compile(spec: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:

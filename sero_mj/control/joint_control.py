@@ -310,23 +310,24 @@ def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array
     exact result.
 
     Args:
-        mass: (n, n), symmetric, positive definite.
-        stiffness: (n, n), symmetric, positive semidefinite.
+        mass: (..., n, n), symmetric, positive definite.
+        stiffness: (..., n, n), symmetric, positive semidefinite.
         ratio: damping ratio, 1 for critical damping; a number or (n,).
 
     Returns:
-        (n, n), symmetric, positive semidefinite: it can only take energy, also when it is kept
-        while the mass matrix changes.
+        (..., n, n), symmetric, positive semidefinite: it can only take energy, also when it is
+        kept while the mass matrix changes.
 
     Source: Albu-Schäffer, Ott, Frese, Hirzinger 2003, Cartesian Impedance Control of Redundant
     Robots: Recent Results with the DLR-Light-Weight-Arms, ICRA (double diagonalization design).
     """
     lower = np.linalg.cholesky(mass)
     unlower = np.linalg.inv(lower)
-    squares, vectors = np.linalg.eigh(unlower @ stiffness @ unlower.T)
+    squares, vectors = np.linalg.eigh(unlower @ stiffness @ unlower.mT)
     modes = lower @ vectors
-    matrix = (modes * (2.0 * np.sqrt(np.maximum(squares, 0.0)))) @ modes.T
-    root = np.sqrt(np.broadcast_to(ratio, len(mass)))
+    scale = 2.0 * np.sqrt(np.maximum(squares, 0.0))
+    matrix = (modes * scale[..., None, :]) @ modes.mT
+    root = np.sqrt(np.broadcast_to(ratio, mass.shape[-1]))
     return np.asarray(matrix * root * root[:, None])
 
 

@@ -118,6 +118,11 @@ class RobotModel:
         self._loads: list[tuple[Array, Array]] = []
         self._of_base: list[tuple[Array, Array, Array, Array]] = []
 
+    @property
+    def skeleton(self) -> mujoco.MjModel:
+        """The model that all is computed with: links and joints without shapes and friction."""
+        return self._model
+
     def follow(self, mounting: Mounting, T_world_base: Array) -> None:
         """Lets every `update` take over where the base is, and what the robot carries, as a load.
 

@@ -15,6 +15,7 @@ from ..control.make_controller import make_controller
 from ..control.robot_model import RobotModel
 from ..errors import DeclarationError, Problem, SimulationError
 from ..frames import Array
+from .many_laws import Law, ManyImpedances, ManyModels, ManyTargets, ManyTorques
 
 Kind = Literal["torque", "impedance"]
 
@@ -35,17 +36,27 @@ class Action(ABC):
     controller: ControllerDeclaration
 
     @abstractmethod
-    def begin(self, target: Target, angles: Array) -> None:
+    def begin(self, target: ManyTargets | Target, angles: Array, which: Any = ...) -> None:
         """Begins an episode.
 
         Args:
-            target: of the controller, which is written here from now on.
-            angles: (n,), where the robot stands.
+            target: of the controller, which is written here from now on. Of m robots (m, n) arrays.
+            angles: (n,), where the robot stands; of several robots (k, n).
+            which: of m robots those k that begin.
+        """
+
+    @abstractmethod
+    def make_law(self, models: ManyModels, timestep: float) -> Law:
+        """The controller of many robots at once.
+
+        Args:
+            models: what it knows of them.
+            timestep: s between two calls.
         """
 
     @abstractmethod
     def take(self, action: Array) -> None:
-        """Begins a control step; the action is within its bounds."""
+        """Begins a control step; the action, (n,) or (m, n), is within its bounds."""
 
     def advance(self) -> None:  # noqa: B027 - most do nothing
         """Begins a step of the simulation."""
@@ -89,10 +100,14 @@ class TorqueAction(Action):
         self.controller = Torque()
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
 
-    def begin(self, target: Target, angles: Array) -> None:
+    def begin(self, target: ManyTargets | Target, angles: Array, which: Any = ...) -> None:
         """Begins an episode without torques."""
         self._target = target
-        target.torques[:] = 0.0
+        target.torques[which] = 0.0
+
+    def make_law(self, models: ManyModels, timestep: float) -> Law:
+        """The controller of many robots at once."""
+        return ManyTorques(models)
 
     def take(self, action: Array) -> None:
         """Commands these torques."""
@@ -143,15 +158,21 @@ class ImpedanceAction(Action):
         self._step: Array = np.zeros(robot.n)
         self._goal: Array = np.zeros(robot.n)
         self._left = 0
-        self.controller = JointImpedance(stiffness=stiffness, damping=damping)
+        self.controller: JointImpedance = JointImpedance(stiffness=stiffness, damping=damping)
         self.spec = specs.BoundedArray((robot.n,), np.float64, -most, most, name="target_offsets")
 
-    def begin(self, target: Target, angles: Array) -> None:
+    def begin(self, target: ManyTargets | Target, angles: Array, which: Any = ...) -> None:
         """Begins an episode: the target is where the robot stands."""
         self._target = target
-        target.angles[:] = self._goal[:] = angles
-        target.velocities[:] = 0.0
+        if self._goal.shape != target.angles.shape:
+            self._goal, self._step = np.zeros((2, *target.angles.shape))
+        target.angles[which] = self._goal[which] = angles
+        target.velocities[which] = 0.0
         self._left = 0
+
+    def make_law(self, models: ManyModels, timestep: float) -> Law:
+        """The controller of many robots at once."""
+        return ManyImpedances(models, self.controller, timestep)
 
     def take(self, action: Array) -> None:
         """Begins a control step; the action is within its bounds."""
@@ -171,14 +192,15 @@ class ImpedanceAction(Action):
                 self._target.angles[:] = self._goal  # no error adds up
 
     def observation(self) -> dict[str, Array]:
-        """The target angles, (n,), without which the next state cannot be predicted."""
+        """The target angles, (n,) or (m, n), without which the next state cannot be predicted."""
         return {"commanded_angles": self._goal.copy()}
 
     def observation_spec(self) -> dict[str, specs.Array]:
         """Shapes and bounds of that."""
         name = "commanded_angles"
-        shape = self._goal.shape
-        return {name: specs.BoundedArray(shape, np.float64, self._low, self._high, name=name)}
+        return {
+            name: specs.BoundedArray(self.spec.shape, np.float64, self._low, self._high, name=name)
+        }
 
 
 class AgentController:
@@ -197,7 +219,7 @@ class AgentController:
     def __init__(
         self, action: Action, robot: SerialRobot, model: RobotModel, timestep: float
     ) -> None:
-        self._action, self._robot, self._model, self._timestep = action, robot, model, timestep
+        self._action, self._robot, self.model, self._timestep = action, robot, model, timestep
         self.begin(np.asarray(robot.home, np.float64))
 
     def begin(self, angles: Array) -> None:
@@ -208,7 +230,7 @@ class AgentController:
         """
         self._target = Target(self._robot.n)
         self._inner = make_controller(
-            self._action.controller, self._model, self._timestep, self._robot.torque_limits
+            self._action.controller, self.model, self._timestep, self._robot.torque_limits
         )
         self._action.begin(self._target, angles)
 
@@ -223,7 +245,12 @@ class AgentController:
 
 
 def checked_action(
-    action: Any, spec: specs.BoundedArray, robot: SerialRobot, unit: str, time: float
+    action: Any,
+    spec: specs.BoundedArray,
+    robot: SerialRobot,
+    unit: str,
+    time: float,
+    m: int | None = None,
 ) -> Array:
     """Returns an action as (n,) numbers within the bounds; what is beyond is cut off.
 
@@ -233,23 +260,28 @@ def checked_action(
         robot: for its joints' names.
         unit: for messages.
         time: s, for messages.
+        m: number of environments, where it is of many: then (m, n).
 
     Raises:
         ValueError: it is not n numbers.
         SimulationError: one of them is NaN or infinite; names the joint.
     """
+    shape = spec.shape if m is None else (m, *spec.shape)
+    numbers = " x ".join(map(str, shape))
     try:
         values = np.asarray(action, np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"action: found {action!r}; expected {spec.shape[0]} numbers") from None
-    if values.shape != spec.shape:
-        found = "x".join(map(str, values.shape)) or "one number"
-        message = f"action: found {found}; expected {spec.shape[0]} numbers, one per joint"
+        raise ValueError(f"action: found {action!r}; expected {numbers} numbers") from None
+    if values.shape != shape:
+        found = " x ".join(map(str, values.shape)) or "one number"
+        message = f"action: found {found}; expected {numbers} numbers, one per joint"
         raise ValueError(message)
     bad = ~np.isfinite(values)
     if bad.any():
-        joint = int(np.argmax(bad))
+        place = tuple(np.argwhere(bad)[0].tolist())
+        joint = place[-1]
         low, high = spec.minimum[joint], spec.maximum[joint]
-        reason = f"found an action of {values[joint]:g}; expected {low:g} to {high:g} {unit}"
+        whose = "" if m is None else f" in environment {place[0]}"
+        reason = f"found an action of {values[place]:g}{whose}; expected {low:g} to {high:g} {unit}"
         raise SimulationError(time, f"{robot.name}/{robot.names[joint]}", reason)
     return np.clip(values, spec.minimum, spec.maximum)

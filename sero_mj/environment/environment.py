@@ -18,6 +18,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import robot_dynamics
 from ..assemble.world import World
 from ..control.compiler import Compiler
+from ..control.robot_model import RobotModel
 from ..control.torque_loop import LoopGains
 from ..declaration import Declaration
 from ..drive.mirror import Mirror
@@ -143,12 +144,16 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
 
     Attributes:
         scenario: as given, with the agent in the place of the robot's controller.
+        settings: how it is driven.
+        substeps: steps of the simulation in a control step.
         simulation: the current episode; `simulation.outcomes()` says what has held.
         task: the task from episode to episode; `task.target` of `reach`, for instance.
         seed: of everything that is random; as the settings have it, until another is set.
         episode: number of the current one, from 0; -1 before the first. Set it to k - 1 and the
             next episode is number k.
         error: what ended the last episode, or None.
+        columns: of what is observed of the log, by its name in observations.
+        bounds: low and high, (n,), to which angles are cut off in observations, likewise.
 
     Raises:
         UnknownName: no such robot.
@@ -168,8 +173,8 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         robots, timestep = scenario.scene.robots, scenario.run.timestep
         if robot not in robots:
             raise UnknownName("robot", robot, robots)
-        self._settings, self._random_start = settings, random_start
-        self._substeps = settings.substeps(timestep)
+        self.settings, self._random_start = settings, random_start
+        self.substeps = settings.substeps(timestep)
         self._action = settings.make_action(robots[robot], timestep)
         self._compiler = Compiler()
         own = unmounted(robots[robot], base_frames(robots)[robot])
@@ -199,17 +204,17 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     def _find_columns(self, observed: tuple[str, ...]) -> None:
         """Finds every observed signal in the log, and the bounds of joint angles."""
         columns = self.simulation.layout.columns
-        self._columns: dict[str, slice] = {}
-        self._bounds: dict[str, tuple[Array, Array]] = {}
+        self.columns: dict[str, slice] = {}
+        self.bounds: dict[str, tuple[Array, Array]] = {}
         for name, robot in self.simulation.robots.items():
             prefix = "" if name == self._robot.name else f"{name}/"
             for signal in observed:
                 if event_of(name, signal) in columns:
-                    self._columns[f"{prefix}{signal}"] = columns[event_of(name, signal)]
+                    self.columns[f"{prefix}{signal}"] = columns[event_of(name, signal)]
             if robot.position_limits is not None:
                 slack = np.array([BEYOND[kind] for kind in robot.types])
                 low, high = robot.position_limits.T
-                self._bounds[f"{prefix}joint_angles"] = (low - slack, high + slack)
+                self.bounds[f"{prefix}joint_angles"] = (low - slack, high + slack)
 
     @property
     def robot(self) -> SerialRobot:
@@ -241,6 +246,21 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return self.plant.data
 
     @property
+    def action(self) -> Action:
+        """What the agent commands."""
+        return self._action
+
+    @property
+    def base_frame(self) -> Array:
+        """T_world_base of the agent's robot now, (4, 4), m."""
+        return self._robot.base()
+
+    @property
+    def controller_model(self) -> RobotModel:
+        """What the robot's controller knows of it."""
+        return self._agent.model
+
+    @property
     def is_over(self) -> bool:
         """Whether no episode goes on: the next step begins one."""
         return self._is_over
@@ -248,21 +268,45 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     @property
     def control_timestep(self) -> float:
         """Between two actions, s."""
-        return self._settings.control_timestep
+        return self.settings.control_timestep
 
     def reset(self) -> dm_env.TimeStep:
         """Begins the next episode."""
         self.episode += 1
         self.error, self._is_over = None, False
         rng = np.random.default_rng([self.seed, self.episode])
-        start = np.asarray(self.robot.home, np.float64)
-        if self._random_start:
-            start = self._robot.free_pose(rng)
-        self._restart(start, int(rng.integers(2**32)))
+        start, noise = self._draw_start(rng)
+        self._restart(start, noise)
         self._agent.begin(start)
         self.task.begin(rng)
         self._observation = self._observe()
         return dm_env.restart(self._observation)
+
+    def _draw_start(self, rng: np.random.Generator) -> tuple[Array, int]:
+        """Draws how an episode begins: (n,) joint angles, rad or m, and the seed of the noise."""
+        start = np.asarray(self.robot.home, np.float64)
+        if self._random_start:
+            start = self._robot.free_pose(rng)
+        return start, int(rng.integers(2**32))
+
+    def place(self, seed: int, episode: int) -> Array:
+        """Puts the plant of a robot alone where an episode begins, and begins its task.
+
+        For those who simulate elsewhere: the own episode is over.
+
+        Args:
+            seed: of everything that is random.
+            episode: number of the episode.
+
+        Returns:
+            (n,), the joint angles, rad or m.
+        """
+        self._is_over = True
+        rng = np.random.default_rng([seed, episode])
+        start, self.plant.sensors.seed = self._draw_start(rng)
+        self.plant.reset(start)
+        self.task.begin(rng)
+        return start
 
     def _restart(self, start: Array, seed: int) -> None:
         """Begins the simulation anew.
@@ -298,7 +342,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         self.task.advance()
         self._action.take(checked)
         try:
-            simulation.advance(simulation.step + self._substeps)
+            simulation.advance(simulation.step + self.substeps)
         except SimulationError as error:
             self.error, self._is_over = error, True
             # Whoever got it before may have changed it.
@@ -313,8 +357,8 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     def _observe(self) -> dict[str, Array]:
         """What is seen now, in arrays of its own."""
         row = self.simulation.rows[self.simulation.step]
-        found = {name: row[columns].copy() for name, columns in self._columns.items()}
-        for name, (low, high) in self._bounds.items():
+        found = {name: row[columns].copy() for name, columns in self.columns.items()}
+        for name, (low, high) in self.bounds.items():
             np.clip(found[name], low, high, out=found[name])
         return {**found, **self._action.observation(), **self.task.observation()}
 
@@ -333,11 +377,11 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     def observation_spec(self) -> dict[str, specs.Array]:
         """Names, shapes and bounds; rad, rad/s, Nm, m; of other robots as `ROBOT/joint_angles`."""
         found: dict[str, specs.Array] = {}
-        for name, columns in self._columns.items():
+        for name, columns in self.columns.items():
             shape = (columns.stop - columns.start,)
             found[name] = (
-                specs.BoundedArray(shape, np.float64, *self._bounds[name], name=name)
-                if name in self._bounds
+                specs.BoundedArray(shape, np.float64, *self.bounds[name], name=name)
+                if name in self.bounds
                 else specs.Array(shape, np.float64, name=name)
             )
         return {**found, **self._action.observation_spec(), **self.task.observation_spec()}

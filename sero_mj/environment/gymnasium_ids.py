@@ -17,7 +17,8 @@ from ..paths import list_models, list_scenarios
 
 NAMESPACE = "sero_mj"
 TASKS = ("reach", "hold")  # those of `make.TASKS`, which takes MuJoCo to import
-_HERE = "sero_mj.environment.gymnasium_env"
+_ONE = "sero_mj.environment.gymnasium_env:make_gymnasium_environment"
+_MANY = "sero_mj.environment.gymnasium_vector:make_gymnasium_vector"
 
 
 def register_with_gymnasium() -> None:
@@ -55,7 +56,8 @@ def register_environments() -> None:
 
     `sero_mj/ROBOT-TASK-v0` for shipped robots (`sero_mj/lwr-reach-v0`), `sero_mj/TASK-v0` for any
     robot (`robot="panda"`, a folder or a file), `sero_mj/SCENARIO-v0` for shipped scenarios, and
-    `sero_mj/scenario-v0` for any (`scenario="my.toml"`). What is registered already stays.
+    `sero_mj/scenario-v0` for any (`scenario="my.toml"`). What is registered already stays. Robots
+    with a task are stepped together in `gymnasium.make_vec`, scenarios one by one.
 
     Raises:
         ImportError: gymnasium is not installed.
@@ -72,6 +74,7 @@ def register_environments() -> None:
         if f"{NAMESPACE}/{name}-v0" not in registry:
             register(
                 id=f"{NAMESPACE}/{name}-v0",
-                entry_point=f"{_HERE}:make_gymnasium_environment",
+                entry_point=_ONE,
+                vector_entry_point=_MANY if name.endswith(TASKS) else None,
                 kwargs=options,
             )

@@ -7,7 +7,9 @@ observed, and what pictures show.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, Literal
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, ClassVar, Literal
 
 import mujoco
 import numpy as np
@@ -18,7 +20,7 @@ from ..assemble.cartesian import SmartArrow
 from ..assemble.robot import SerialRobot
 from ..declaration import Declaration
 from ..errors import SimulationError
-from ..frames import Array, frame, rotation_angle
+from ..frames import Array, frame, rotation_angles
 from ..runs.run_log import RunLog
 from ..simulate.plant import Plant
 from ..simulate.simulation import Simulation
@@ -101,8 +103,65 @@ class AgentRobot:
         raise SimulationError(0.0, robot.name, f"{reason}; expected other limits, or a start")
 
 
+class ManyStates:
+    """Where m equal robots are, as tasks see it; `AgentRobot` for one.
+
+    Args:
+        angles: (m, n), true, rad or m.
+        measured_angles: likewise, as they are measured.
+        flanges_at: T_world_flange, (m, 4, 4), m, of joint angles.
+
+    Attributes:
+        angles: as given.
+    """
+
+    def __init__(
+        self, angles: Array, measured_angles: Array, flanges_at: Callable[[Array], Array]
+    ) -> None:
+        self.angles, self._measured_angles = angles, measured_angles
+        self._flanges_at = flanges_at
+
+    @cached_property
+    def flanges(self) -> Array:
+        """T_world_flange, (m, 4, 4), m; true."""
+        return self._flanges_at(self.angles)
+
+    @cached_property
+    def measured_flanges(self) -> Array:
+        """Likewise by the measured angles."""
+        if self._measured_angles is self.angles:
+            return self.flanges
+        return self._flanges_at(self._measured_angles)
+
+
+class ManyEpisodes(ABC):
+    """A task of m robots at once, from episode to episode; `Episode` for one."""
+
+    pushes: ClassVar[bool] = False  # whether `forces` are ever anything
+
+    @abstractmethod
+    def begin(self, k: int) -> None:
+        """Begins an episode of robot k: the one that the episode for one has just begun."""
+
+    def forces(self, times: Array) -> Array:
+        """What pushes the flanges in the next control step, (m, 3), N, in the world's axes."""
+        return np.zeros((len(times), 3))
+
+    @abstractmethod
+    def rewards(self, now: ManyStates) -> Array:
+        """0 to 1, (m,)."""
+
+    @abstractmethod
+    def observations(self, now: ManyStates) -> dict[str, Array]:
+        """What agents have to know of the task, (m, ...)."""
+
+
 class Episode:
     """A task from episode to episode; by itself one in which nothing happens or is shown."""
+
+    def make_many(self, m: int) -> ManyEpisodes | None:
+        """The same of m robots at once; None where they can only be taken one by one."""
+        return None
 
     def begin(self, rng: np.random.Generator) -> None:
         """Begins an episode; the robot stands where it starts."""
@@ -145,18 +204,18 @@ class Task(Declaration, ABC):
         return []
 
 
-def closeness(distance: float, within: float, margin: float) -> float:
+def closeness(distance: Any, within: float, margin: float) -> Any:
     """1 up to `within`, then 1 / (1 + 9 ((distance - within) / margin)^2): it never gets flat.
 
     Args:
-        distance: from 0.
+        distance: from 0; a number or an array.
         within: up to which it is as good as none, in the same unit.
         margin: that far beyond the reward is 0.1.
 
     Source: Tunyasuvunakool et al. 2020, dm_control: Software and Tasks for Continuous Control,
     Software Impacts 6 (`tolerance` with a long tail).
     """
-    beyond = max(distance - within, 0.0) / margin
+    beyond = np.maximum(distance - within, 0.0) / margin
     return 1.0 / (1.0 + 9.0 * beyond * beyond)
 
 
@@ -185,6 +244,26 @@ class Reach(Task):
         """The task for a robot, to be begun."""
         return ReachEpisode(self, robot)
 
+    def rewards(self, flanges: Array, targets: Array) -> Array:
+        """0 to 1, (...,), for poses in the world, (..., 4, 4), m."""
+        away = flanges[..., :3, 3] - targets[..., :3, 3]
+        found = closeness(np.linalg.norm(away, axis=-1), self.within, self.margin)
+        if self.target == "pose":
+            angles = rotation_angles(flanges[..., :3, :3].mT @ targets[..., :3, :3])
+            found = found * closeness(angles, self.within_angle, self.margin_angle)
+        return np.asarray(found)
+
+    def observations(self, flanges: Array, targets: Array) -> dict[str, Array]:
+        """Positions (..., 3), m; for poses also quaternions (..., 4), w first."""
+        found = {
+            "flange_position": flanges[..., :3, 3].copy(),
+            "target_position": targets[..., :3, 3].copy(),
+        }
+        if self.target == "pose":
+            found["flange_quaternion"] = _quaternions(flanges)
+            found["target_quaternion"] = _quaternions(targets)
+        return found
+
 
 class ReachEpisode(Episode):
     """`Reach` from episode to episode.
@@ -199,6 +278,10 @@ class ReachEpisode(Episode):
         self.goal: Array = np.zeros(robot.declared.n)
         self.target: Array = np.eye(4)
 
+    def make_many(self, m: int) -> ManyEpisodes:
+        """The same of m robots at once."""
+        return ManyReaches(self._task, self, m)
+
     def begin(self, rng: np.random.Generator) -> None:
         """Chooses a target: where the flange is in a pose that touches nothing."""
         robot = self._robot.declared
@@ -207,27 +290,13 @@ class ReachEpisode(Episode):
 
     def reward(self) -> float:
         """0 to 1, for the state now."""
-        task, flange = self._task, self._robot.flange()
-        distance = float(np.linalg.norm(flange[:3, 3] - self.target[:3, 3]))
-        reward = closeness(distance, task.within, task.margin)
-        if task.target == "pose":
-            angle = rotation_angle(flange[:3, :3].T @ self.target[:3, :3])
-            reward *= closeness(angle, task.within_angle, task.margin_angle)
-        return reward
+        return float(self._task.rewards(self._robot.flange(), self.target))
 
     def observation(self) -> dict[str, Array]:
         """Where flange and target are, in the world, m; for poses also quaternions, w first."""
-        angles = self._robot.measured_angles
         robot = self._robot.declared
-        flange = self._robot.base() @ robot.fwd_kin_base_to_flange(angles)
-        found = {
-            "flange_position": flange[:3, 3].copy(),
-            "target_position": self.target[:3, 3].copy(),
-        }
-        if self._task.target == "pose":
-            found["flange_quaternion"] = _quaternion(flange)
-            found["target_quaternion"] = _quaternion(self.target)
-        return found
+        flange = self._robot.base() @ robot.fwd_kin_base_to_flange(self._robot.measured_angles)
+        return self._task.observations(flange, self.target)
 
     def observation_spec(self) -> dict[str, specs.Array]:
         """Shapes and bounds of that."""
@@ -245,11 +314,34 @@ class ReachEpisode(Episode):
         return {f"{self._robot.name}_{GOAL}.joint_angles": self.goal}
 
 
-def _quaternion(T: Array) -> Array:
-    """w, x, y, z with w from 0 on: one for every orientation."""
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, T[:3, :3].ravel())
-    return np.clip(quaternion if quaternion[0] >= 0 else -quaternion, -1.0, 1.0)
+class ManyReaches(ManyEpisodes):
+    """`ReachEpisode` of m robots at once."""
+
+    def __init__(self, task: Reach, one: ReachEpisode, m: int) -> None:
+        self._task, self._one = task, one
+        self.targets: Array = np.tile(np.eye(4), (m, 1, 1))
+
+    def begin(self, k: int) -> None:
+        """Begins an episode of robot k."""
+        self.targets[k] = self._one.target
+
+    def rewards(self, now: ManyStates) -> Array:
+        """0 to 1, (m,)."""
+        return self._task.rewards(now.flanges, self.targets)
+
+    def observations(self, now: ManyStates) -> dict[str, Array]:
+        """Where flanges and targets are."""
+        return self._task.observations(now.measured_flanges, self.targets)
+
+
+def _quaternions(T: Array) -> Array:
+    """w, x, y, z of poses (..., 4, 4), with w from 0 on: one for every orientation, (..., 4)."""
+    found = np.empty((*T.shape[:-2], 4))
+    for quaternion, rotation in zip(
+        found.reshape(-1, 4), T[..., :3, :3].reshape(-1, 9), strict=True
+    ):
+        mujoco.mju_mat2Quat(quaternion, rotation)
+    return np.clip(np.where(found[..., :1] >= 0, found, -found), -1.0, 1.0)
 
 
 class Hold(Task):
@@ -279,6 +371,11 @@ class Hold(Task):
         """The task for a robot, to be begun."""
         return HoldEpisode(self, robot)
 
+    def rewards(self, angles: Array, poses: Array) -> Array:
+        """0 to 1, (...,), for joint angles (..., n), rad or m."""
+        errors = np.abs(angles - poses).max(axis=-1)
+        return np.asarray(closeness(errors, self.within, self.margin))
+
     def arrows(self, robot: str) -> list[SmartArrow]:
         """The push."""
         return [SmartArrow(name="push", kind="force", at=f"{robot}/flange", expressed_in="world")]
@@ -293,6 +390,20 @@ class HoldEpisode(Episode):
         self._times: Array = np.zeros((0, 2))
         self._forces: Array = np.zeros((0, 3))
         self._force: Array = np.zeros(3)
+
+    def make_many(self, m: int) -> ManyEpisodes:
+        """The same of m robots at once."""
+        return ManyHolds(self._task, self, m)
+
+    @property
+    def pose(self) -> Array:
+        """What is to be held, (n,), rad or m."""
+        return self._pose
+
+    @property
+    def pushes(self) -> tuple[Array, Array]:
+        """When they begin and end, (k, 2), s, and their forces, (k, 3), N."""
+        return self._times, self._forces
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draws all pushes of the episode."""
@@ -318,8 +429,7 @@ class HoldEpisode(Episode):
 
     def reward(self) -> float:
         """0 to 1, for the state now."""
-        error = float(np.abs(self._robot.angles - self._pose).max())
-        return closeness(error, self._task.within, self._task.margin)
+        return float(self._task.rewards(self._robot.angles, self._pose))
 
     def observation(self) -> dict[str, Array]:
         """The pose to be held, (n,)."""
@@ -332,6 +442,43 @@ class HoldEpisode(Episode):
     def inputs(self) -> dict[str, Array]:
         """A double in the pose, and the push, (3,), N."""
         return {f"{self._robot.name}_{GOAL}.joint_angles": self._pose, "push.vector": self._force}
+
+
+class ManyHolds(ManyEpisodes):
+    """`HoldEpisode` of m robots at once."""
+
+    pushes = True
+
+    def __init__(self, task: Hold, one: HoldEpisode, m: int) -> None:
+        self._task, self._one = task, one
+        self._poses: Array = np.tile(one.pose, (m, 1))
+        # Robots have as many pushes as the one that has most; those of others last no time.
+        self._times: Array = np.zeros((m, 0, 2))
+        self._forces: Array = np.zeros((m, 0, 3))
+
+    def begin(self, k: int) -> None:
+        """Begins an episode of robot k."""
+        times, forces = self._one.pushes
+        more = len(times) - self._times.shape[1]
+        if more > 0:
+            self._times = np.pad(self._times, ((0, 0), (0, more), (0, 0)))
+            self._forces = np.pad(self._forces, ((0, 0), (0, more), (0, 0)))
+        self._poses[k], self._times[k] = self._one.pose, 0.0
+        self._times[k, : len(times)], self._forces[k, : len(times)] = times, forces
+
+    def forces(self, times: Array) -> Array:
+        """What pushes the flanges in the next control step, (m, 3), N."""
+        now = times[:, None]
+        acting = (self._times[..., 0] <= now) & (now < self._times[..., 1])
+        return np.asarray((self._forces * acting[..., None]).sum(axis=1))
+
+    def rewards(self, now: ManyStates) -> Array:
+        """0 to 1, (m,)."""
+        return self._task.rewards(now.angles, self._poses)
+
+    def observations(self, now: ManyStates) -> dict[str, Array]:
+        """The poses to be held, (m, n)."""
+        return {"hold_angles": self._poses.copy()}
 
 
 class Expectations(Task):

@@ -266,6 +266,45 @@ class JointModel:
             np.take(array, index, out=copy)
         self._readings_of.dot(self._terms, readings)
 
+    @property
+    def rubbing(self) -> Ints:
+        """Indices in `qvel` of what has Coulomb friction."""
+        return self._rubbing
+
+    @property
+    def is_coupled(self) -> bool:
+        """Whether joints follow others."""
+        return bool(len(self._coupling_rows))
+
+    @property
+    def inner_forces_count(self) -> int:
+        """Length of `inner_forces`."""
+        return len(self._coupling_rows) + len(self._rubbing)
+
+    def inner_forces(self, data: mujoco.MjData) -> Array:
+        """Forces of couplings, then of Coulomb friction, in the last step of a `data`, (k,)."""
+        forces = data.efc_force
+        friction = forces[data.ne : data.ne + len(self._rubbing)]
+        return np.hstack([forces[self._coupling_rows], friction])
+
+    def readings_of_many(
+        self, before: Array, given: Array, after: Array, inner_forces: Array
+    ) -> Array:
+        """What sensors feel in a step of m such worlds; `read` for one.
+
+        Args:
+            before: (m, nq + nv), states.
+            given: (m, n), torques of the motors in the step, Nm.
+            after: (m, nq + nv), states.
+            inner_forces: (m, k), see there.
+
+        Returns:
+            angles, velocities, torques, (m, 3n).
+        """
+        terms = np.hstack([before, given, after, inner_forces])
+        # As many products as worlds: one for all would round otherwise than that for one.
+        return np.asarray(self._readings_of @ terms[..., None])[..., 0]
+
     def read_at_rest(self, readings: Array) -> None:
         """Writes the readings at rest, before any step: torque sensors read the static load."""
         self._terms[:] = 0.0

@@ -1,0 +1,402 @@
+"""`ManyEnvironments`: m environments of a robot with a task, which are stepped together.
+
+Every thread simulates a lane of robots: MuJoCo steps all of a lane in one call, and its controllers
+are computed for all at once. (Threads that shared out every single step would wait for each other a
+thousand times a second of simulation.) What is seen and earned is that of m environments of their
+own, to rounding.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from ..errors import DeclarationError, Problem
+from ..frames import Array, Bools
+from ..runs.run_log import MEASURED
+from ..simulate.sensors import Sensors
+from .actions import checked_action
+from .environment import Environment
+from .many_laws import ManyModels, ManyTargets
+from .tasks import ManyEpisodes, ManyStates
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
+_NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
+_UNSTABLE = [
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+
+
+class ManyEnvironments:
+    """m environments of a robot alone with a task, which are stepped together.
+
+    Args:
+        environment: one of them; it begins the episodes of all, and is not to be used otherwise.
+        m: how many.
+        threads: that simulate; each has a lane of its own.
+
+    Attributes:
+        environment: as given.
+        m: as given.
+        lanes: the robots, thread by thread.
+        seeds: (m,), of everything that is random; at first the environment's and those after it.
+        episodes: (m,), number of the current episode of each, from 0; -1 before the first. Episode
+            k of a seed is that of `Environment`.
+        is_over: (m,), whether no episode goes on: the next step begins one.
+        task: what is done.
+
+    Raises:
+        DeclarationError: environments of this kind can only be stepped one by one.
+    """
+
+    def __init__(self, environment: Environment, m: int, threads: int = 1) -> None:
+        self.task = _task_of_many(environment, m)
+        self.environment, self.m = environment, m
+        self.seeds = environment.seed + np.arange(m)
+        self.episodes = np.full(m, -1)
+        self.is_over: Bools = np.ones(m, bool)
+        self._left = np.zeros(m, np.intp)  # control steps until the end of the episode
+        self._length = -(-environment.simulation.steps // environment.substeps)
+        robot = environment.robot
+        self._base, self._dh = environment.base_frame, robot.dh
+        self._T_n_flange = robot.T_n_flange
+        self._readings: Array = np.zeros((m, 3, robot.n))  # true: angles, velocities, torques
+        is_perfect = environment.plant.sensors.is_perfect
+        self._measured = self._readings if is_perfect else np.zeros_like(self._readings)
+        ends = np.linspace(0, m, min(threads, m) + 1).round().astype(int).tolist()
+        self.lanes = [
+            Lane(environment, slice(a, b), self._readings[a:b], self._measured[a:b], self.task)
+            for a, b in pairwise(ends)
+        ]
+        others = len(self.lanes) - 1
+        self._pool = ThreadPoolExecutor(others) if others else None
+        self._seen: dict[str, Array] = {}
+
+    def close(self) -> None:
+        """Ends the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def reset(self, seeds: Any | None = None) -> dict[str, Array]:
+        """Begins the next episode of every environment, or the first of new seeds, (m,).
+
+        Returns:
+            what is observed by name, (m, ...), in arrays of its own.
+        """
+        if seeds is not None:
+            self.seeds, self.episodes = np.array(seeds), np.full(self.m, -1)
+        self._begin(np.ones(self.m, bool))
+        self._seen = self._observe(self._states_now())
+        return {name: value.copy() for name, value in self._seen.items()}
+
+    def _begin(self, which: Bools) -> None:
+        """Begins the next episode of some of the environments, (m,)."""
+        self.episodes[which] += 1
+        for lane in self.lanes:
+            for k in np.flatnonzero(which[lane.rows]).tolist():
+                j = lane.rows.start + k
+                self.environment.place(int(self.seeds[j]), int(self.episodes[j]))
+                lane.place(k)
+                self.task.begin(j)
+            lane.begin(which[lane.rows])
+        self._left[which] = self._length
+        self.is_over[which] = False
+
+    def step(self, actions: Any) -> tuple[dict[str, Array], Array, Bools, Bools]:
+        """Simulates a control step; where an episode is over the next one begins instead.
+
+        Args:
+            actions: (m, n), see `Environment.action_spec`.
+
+        Returns:
+            observations by name, (m, ...), rewards, and where the motion has become unstable, and
+            where the episode has come to its end, (m,) each: arrays of its own.
+
+        Raises:
+            ValueError: it is not m times n numbers.
+            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
+        """
+        environment, goes_on = self.environment, ~self.is_over
+        spec, unit, time = environment.action_spec(), environment.action.unit, self._time
+        checked = checked_action(actions, spec, environment.robot, unit, float(time[0]), self.m)
+        rewards: Array = np.zeros(self.m)
+        unstable: Bools = np.zeros(self.m, bool)
+        if goes_on.any():
+            unstable = self._simulate(checked, goes_on, self.task.forces(time))
+            self._left -= goes_on
+        if not goes_on.all():
+            self._begin(~goes_on)
+        now = self._states_now()
+        earns = goes_on & ~unstable
+        rewards[earns] = self.task.rewards(now)[earns]
+        seen = self._observe(now)
+        if unstable.any():
+            for name, value in seen.items():
+                value[unstable] = self._seen[name][unstable]
+        at_end = earns & (self._left == 0)
+        self.is_over = unstable | at_end
+        self._seen = seen
+        return {name: value.copy() for name, value in seen.items()}, rewards, unstable, at_end
+
+    @property
+    def _time(self) -> Array:
+        """Since the start of the episode, (m,), s."""
+        return np.concatenate([lane.batch.bind("time") for lane in self.lanes])
+
+    def _simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
+        """Simulates a control step of some environments; returns where it has become unstable."""
+        first, *others = self.lanes
+
+        def simulate(lane: Lane) -> Bools:
+            return lane.simulate(actions[lane.rows], which[lane.rows], forces[lane.rows])
+
+        if self._pool is None:
+            return simulate(first)
+        waited = [self._pool.submit(simulate, lane) for lane in others]
+        return np.concatenate([simulate(first), *(each.result() for each in waited)])
+
+    def _states_now(self) -> ManyStates:
+        """Where the robots are."""
+        is_perfect = self._measured is self._readings
+        angles = self._readings[:, 0]
+        measured = angles if is_perfect else self._measured[:, 0]
+        return ManyStates(angles, measured, self._flanges_at)
+
+    def _flanges_at(self, angles: Array) -> Array:
+        """T_world_flange of joint angles (m, n), (m, 4, 4), m."""
+        return np.asarray(self._base @ (self._dh.frames(angles)[:, -1] @ self._T_n_flange))
+
+    def _observe(self, now: ManyStates) -> dict[str, Array]:
+        """What is seen now, (m, ...), in arrays of its own."""
+        environment = self.environment
+        found = {
+            name: self._measured[:, MEASURED.index(name)].copy() for name in environment.columns
+        }
+        for name, (low, high) in environment.bounds.items():
+            np.clip(found[name], low, high, out=found[name])
+        commanded = [lane.action.observation() for lane in self.lanes]
+        for name in commanded[0]:
+            found[name] = np.concatenate([each[name] for each in commanded])
+        return {**found, **self.task.observations(now)}
+
+
+class Lane:
+    """The robots that one thread simulates.
+
+    Args:
+        environment: one of them.
+        rows: which of all robots they are, one after the other.
+        readings: (m, 3, n), of these: true angles, velocities and torques; to be written.
+        measured: likewise, as they are measured; the same array where sensors have no errors.
+        task: what is done.
+
+    Attributes:
+        rows: as given.
+        batch: MuJoCo's simulations.
+        action: what agents command.
+    """
+
+    def __init__(
+        self,
+        environment: Environment,
+        rows: slice,
+        readings: Array,
+        measured: Array,
+        task: ManyEpisodes,
+    ) -> None:
+        m, n = len(readings), environment.robot.n
+        self.rows, self._readings, self._measured = rows, readings, measured
+        self._environment, self._plant = environment, environment.plant
+        self._substeps, self._has_pushes = environment.substeps, task.pushes
+        self._joints = joints = self._plant.joints
+        model = environment.world.physics_model()
+        # Where pushes act is known from the end of the step before, if data are kept.
+        self.batch = Batch(model, m, 1, persistent=self._has_pushes)
+        self._stage = _VELOCITY if self._has_pushes else _NOTHING
+        self._states: Array = self.batch.state[:, 1 : 1 + model.nq + model.nv]
+        self._constrained: Array = self.batch.bind("qfrc_constraint")
+        self._constraints, self._frictions = self.batch.bind("nefc"), self.batch.bind("nf")
+        self._scratch = mujoco.MjData(model)
+        angles, velocities = np.arange(model.nq), model.nq + np.arange(model.nv)
+        motors = np.hstack([angles[joints.motor_positions], velocities[joints.motor_dofs]])
+        self._motors = _Columns(self._states, motors)
+        drives = np.arange(model.nv)[joints.motor_dofs]
+        self._drive = _Columns(self.batch.bind("qfrc_applied"), drives)
+        self._given = self._drive.read()  # torques of the motors in the last step, (m, n)
+        self._sensors: list[Sensors] = []
+        if not self._plant.sensors.is_perfect:
+            self._sensors = [environment.scenario.make_sensors(0) for _ in range(m)]
+        timestep = self._plant.timestep
+        self.action = environment.settings.make_action(environment.robot, timestep)
+        self._law = self.action.make_law(ManyModels(environment.controller_model, m), timestep)
+        self._targets = ManyTargets(m, n)
+        limits = environment.robot.torque_limits
+        self._high: Array = np.full(n, np.inf) if limits is None else np.array(limits, np.float64)
+        self._low: Array = -self._high
+        self._asked: Array = np.zeros((m, n))
+        if self._has_pushes:
+            self._find_flange()
+
+    def _find_flange(self) -> None:
+        """Finds where pushes act."""
+        world = self._environment.world
+        frame = world.frames.names.index(f"{self._environment.robot.name}/flange")
+        self._site = int(world.frames.site[frame])
+        self._body = int(world.model.site_bodyid[self._site])
+        self._points: Array = self.batch.bind("site_xpos")
+        self._centers: Array = self.batch.bind("xipos")
+        self._pushes: Array = self.batch.bind("xfrc_applied")
+
+    def place(self, k: int) -> None:
+        """Puts robot k where that of the environment is."""
+        plant = self._plant
+        mujoco.mj_getState(plant.model, plant.data, self.batch.state[k], _STATE)
+        self._readings[k] = plant.actual
+        if self._sensors:
+            self._sensors[k].seed = plant.sensors.seed
+            self._sensors[k].reset(plant.actual)
+            self._measured[k] = self._sensors[k].measured
+
+    def begin(self, which: Bools) -> None:
+        """Begins an episode of some of the robots, which have been placed, (m,)."""
+        if not which.any():
+            return
+        if self._has_pushes:
+            self.batch.forward(which, stage=_VELOCITY)
+        self.action.begin(self._targets, self._readings[which, 0], which)
+        self._law.begin(which)
+
+    def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
+        """Simulates a control step of some of the robots.
+
+        Args:
+            actions: (m, n), within their bounds.
+            which: (m,), of which robots.
+            forces: (m, 3), that push the flanges meanwhile, N, in the world's axes.
+
+        Returns:
+            where the motion has become unstable, (m,); there `readings` are as they were.
+        """
+        batch, joints, law, action = self.batch, self._joints, self._law, self.action
+        targets, asked, given, readings = self._targets, self._asked, self._given, self._readings
+        if self._has_pushes:
+            self._begin_pushes(forces)
+        action.take(actions)
+        good = before = batch.state.copy()
+        warnings, unstable = batch.warning, np.zeros(len(which), bool)
+        # Motors of elastic joints have encoders of their own, without errors; others the links'.
+        sensed = self._measured.reshape(len(which), -1)[:, : targets.state.shape[1]]
+        is_sensed = bool(self._sensors) and not joints.elastic
+        ids = None if which.all() else np.flatnonzero(which)
+        for k in range(self._substeps):
+            action.advance()
+            law.torques(sensed if is_sensed else self._motors.read(), targets, asked)
+            np.minimum(np.maximum(asked, self._low, out=given), self._high, out=given)
+            self._drive.write(given)
+            if self._has_pushes:
+                self._push()
+            is_read = k == self._substeps - 1 or bool(self._sensors)
+            if is_read:
+                before = batch.state.copy()
+            batch.step(ids, stage=self._stage)
+            if warnings.any():
+                broken = warnings[:, _UNSTABLE].any(axis=(1, 2))
+                unstable |= broken
+                batch.state[broken] = good[broken]  # there they wait
+                warnings[:] = 0
+                which = which & ~broken
+                ids = np.flatnonzero(which)
+            if is_read:
+                readings[which] = self._read(before, which)[which]
+            for each in np.flatnonzero(which) if self._sensors else ():
+                self._measured[each] = self._sensors[each].measure(readings[each])
+        return unstable
+
+    def _begin_pushes(self, forces: Array) -> None:
+        """Lets forces at the flanges, (m, 3), act in the next control step."""
+        self._pushes[:, self._body, :3] = forces
+        x, y, z = forces.T
+        zero = np.zeros(len(forces))
+        # arm x force is this matrix times the arm.
+        rows = [[zero, z, -y], [-z, zero, x], [y, -x, zero]]
+        self._turning = np.moveaxis(np.array(rows), 2, 0).copy()
+
+    def _push(self) -> None:
+        """Lets the forces act at where the flanges are now."""
+        arms = self._points[:, self._site] - self._centers[:, self._body]
+        self._pushes[:, self._body, 3:] = np.matmul(self._turning, arms[..., None])[..., 0]
+
+    def _read(self, before: Array, which: Bools) -> Array:
+        """What sensors without errors read after a step, (m, 3, n).
+
+        Args:
+            before: the states before it.
+            which: robots of which it was made.
+        """
+        joints, model = self._joints, self.batch.model
+        inner = self._constrained[:, joints.rubbing]
+        hidden = which & (self._constraints != self._frictions)
+        if hidden.any():  # friction acts among other constraints, which a batch does not tell
+            if joints.is_coupled:
+                inner = np.zeros((len(which), joints.inner_forces_count))
+            for k in np.flatnonzero(hidden).tolist():
+                mujoco.mj_setState(model, self._scratch, before[k], _STATE)
+                mujoco.mj_step(model, self._scratch)
+                inner[k] = joints.inner_forces(self._scratch)
+        states = before[:, 1 : 1 + model.nq + model.nv]
+        found = joints.readings_of_many(states, self._given, self._states, inner)
+        return found.reshape(self._readings.shape)
+
+
+class _Columns:
+    """Some columns of an array: a view where they are in a row, else copied.
+
+    Args:
+        array: (m, k).
+        columns: which of it, (c,).
+    """
+
+    def __init__(self, array: Array, columns: Any) -> None:
+        self._array, self._columns = array, columns
+        first, last = int(columns[0]), int(columns[-1])
+        is_row = np.array_equal(columns, np.arange(first, last + 1))
+        self._view: Array | None = array[:, first : last + 1] if is_row else None
+
+    def read(self) -> Array:
+        """The columns, (m, c): the view, or a copy."""
+        return self._array[:, self._columns] if self._view is None else self._view
+
+    def write(self, values: Array) -> None:
+        """Writes the columns, (m, c); nothing is left to do where the values are the view."""
+        if self._view is None:
+            self._array[:, self._columns] = values
+
+
+def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
+    """The task of m robots; raises DeclarationError where they can only be taken one by one."""
+    simulation, scenario = environment.simulation, environment.scenario
+    task = environment.task.make_many(m)
+    reason = None
+    if len(simulation.robots) > 1 or simulation.whole_body is not None:
+        reason = "found robots that carry others, or whose base moves; expected one robot"
+    elif simulation.drives is not None:
+        reason = "found drives with a rate or a delay of their own; expected none"
+    elif scenario.disturbances or scenario.faults or task is None:
+        reason = "found a scenario; expected a robot with a task"
+    elif scenario.run.runaway_speed:
+        reason = "found run.runaway_speed; expected 0, for none"
+    if reason is not None or task is None:
+        advice = "; such environments are stepped one by one: vectorization_mode='sync'"
+        raise DeclarationError([Problem("num_envs", f"{reason}{advice}")])
+    return task

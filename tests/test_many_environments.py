@@ -1,0 +1,222 @@
+"""Environments that are stepped together are those that are stepped one by one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import sero_mj
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.control.compiler import Compiler
+from sero_mj.control.joint_control import design_damping
+from sero_mj.environment.environment import Environment
+from sero_mj.environment.gymnasium_vector import GymnasiumVector, make_gymnasium_vector
+from sero_mj.environment.make import RobotSettings
+from sero_mj.environment.many import ManyEnvironments
+from sero_mj.environment.many_laws import ManyModels
+from sero_mj.environment.tasks import Reach
+from sero_mj.errors import DeclarationError, SimulationError
+
+# What noise, delays and quantised encoders add to the truth.
+SENSORS = {
+    "angles": {"noise": 1e-3, "resolution": 1e-4},
+    "torques": {"noise": 0.1, "delay": 2},
+    "velocity_filter": 100.0,
+}
+DOWN = np.array([0.0, 0.4, 0.0, 0.3, 0.0, 0.0, 0.0], np.float32)  # into stops, and onto the floor
+
+
+def vector(name: str, mode: str, many: int, **options: Any) -> Any:
+    return gymnasium.make_vec(
+        f"sero_mj/{name}-v0", num_envs=many, vectorization_mode=mode, **options
+    )
+
+
+def compare(
+    name: str, actions: np.ndarray, break_at: int | None = None, threads: int = 2, **options: Any
+) -> None:
+    """Plays the same in both ways, (steps, m, n); at a step one motion is made unstable."""
+    many = actions.shape[1]
+    together = vector(name, "vector_entry_point", many, threads=threads, **options)
+    alone = vector(name, "sync", many, **options)
+    both = [together, alone]
+    assert isinstance(together, GymnasiumVector) and len(together.many.lanes) == threads
+    assert together.observation_space == alone.observation_space
+    assert together.action_space == alone.action_space
+    found = [each.reset(seed=5) for each in both]
+    ends = 0
+    for k, action in enumerate(actions):
+        if k == break_at:
+            together.many.lanes[0].batch.bind("qvel")[1] = 1e12
+            alone.envs[1].unwrapped.environment.data.qvel[:] = 1e12
+        found += [each.step(action) for each in both]
+        (seen, *ours, infos), (expected, *theirs, their_infos) = found[-2:]
+        assert seen.keys() == expected.keys()
+        for key, values in expected.items():
+            np.testing.assert_allclose(seen[key], values, rtol=1e-12, atol=1e-12, err_msg=key)
+            assert seen[key].dtype == values.dtype
+        np.testing.assert_allclose(ours[0], theirs[0], rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(ours[1:], theirs[1:])
+        assert infos.keys() == their_infos.keys()
+        for key in infos.keys() - {"error"}:
+            np.testing.assert_array_equal(infos[key], their_infos[key])
+        terminated, truncated = ours[1:]
+        assert terminated.tolist() == [k == break_at and i == 1 for i in range(many)]
+        ends += int(truncated.sum())
+    assert ends
+    for each in both:
+        each.close()
+
+
+def random_actions(steps: int, many: int, n: int = 7) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-1.0, 1.0, (steps, many, n)).astype(np.float32)
+
+
+# Next to each other they differ in what is computed: what acts, what is sensed, what is coupled.
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("lwr-reach", {}),
+        ("lwr-reach", {"action": "impedance", "target": "pose"}),
+        ("lwr-reach", {"sensors": SENSORS}),
+        ("lwr-reach", {"action": "impedance", "robot": {"elastic_joints": True}}),
+        ("lwr-hold", {"most_force": 80.0, "every": 0.05}),
+        ("hit_finger-hold", {"action": "impedance", "every": 0.05}),  # coupled joints
+        ("scara-reach", {"action": "impedance"}),  # it slides; has no limits
+    ],
+)
+def test_a_batch_is_so_many_single_ones_across_ends_of_episodes(
+    name: str, options: dict[str, Any]
+) -> None:
+    n = SerialRobot.from_model(name.partition("-")[0]).n
+    compare(name, random_actions(8, 3, n), time_limit=0.08, **options)
+
+
+def test_one_that_becomes_unstable_is_terminated_and_begun_again_by_itself() -> None:
+    compare("lwr-reach", random_actions(9, 3), 3, threads=1, time_limit=0.12, action="impedance")
+
+
+def test_torques_are_measured_as_well_where_a_robot_lies_on_the_floor() -> None:
+    options: dict[str, Any] = {"time_limit": 1.0, "control_timestep": 0.05}
+    compare("lwr-reach", np.tile(DOWN, (21, 4, 1)), **options)
+    environment = sero_mj.make_environment("lwr/reach", **options)
+    many = ManyEnvironments(environment, 4)
+    many.reset(5 + np.arange(4))
+    batch = many.lanes[0].batch
+    touches = False
+    for _ in range(20):
+        many.step(176.0 * np.tile(DOWN, (4, 1)))
+        touches |= bool((batch.bind("nefc") > batch.bind("nf")).any())
+    assert touches  # else the test above would show nothing
+
+
+def test_seeds_are_counted_on_or_given_and_else_random() -> None:
+    make = {"time_limit": 0.1, "threads": 2}
+    envs = vector("lwr-reach", "vector_entry_point", 3, **make)
+    first = envs.reset(seed=7)[0]["target_position"]
+    np.testing.assert_array_equal(envs.reset(seed=[8, 9, 7])[0]["target_position"][2], first[0])
+    assert np.abs(envs.reset()[0]["target_position"] - first).max() > 1e-3
+    seeded = vector("lwr-reach", "vector_entry_point", 3, seed=7, **make)
+    np.testing.assert_array_equal(seeded.reset()[0]["target_position"], first)
+    one, other = (vector("lwr-reach", "vector_entry_point", 3, **make) for _ in range(2))
+    assert np.abs(one.reset()[0]["target_position"] - other.reset()[0]["target_position"]).max() > 0
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    with pytest.raises(ValueError, match=r"^seed: found 2; expected one number, or 3$"):
+        envs.reset(seed=[1, 2])
+
+
+def test_a_bad_action_moves_none_of_them() -> None:
+    envs = vector("lwr-reach", "vector_entry_point", 3, threads=2)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        envs.step(np.zeros((3, 7)))
+    envs.reset(seed=1)
+    before = [lane.batch.state.copy() for lane in envs.many.lanes]
+    actions = np.zeros((3, 7))
+    actions[2, 1] = np.nan
+    with pytest.raises(SimulationError, match=r"^lwr/A2 at 0\.0000 s: found an action of nan in "
+                       r"environment 2; expected -176 to 176 Nm$"):  # fmt: skip
+        envs.step(actions)
+    with pytest.raises(ValueError, match=r"^action: found 2 x 7; expected 3 x 7 numbers, one "):
+        envs.step(np.zeros((2, 7)))
+    for lane, state in zip(envs.many.lanes, before, strict=True):
+        np.testing.assert_array_equal(lane.batch.state, state)
+
+
+def test_scenarios_are_stepped_one_by_one() -> None:
+    envs = gymnasium.make_vec(
+        "sero_mj/impedance_push-v0", num_envs=2, control_timestep=0.2, action="impedance"
+    )
+    assert isinstance(envs, gymnasium.vector.SyncVectorEnv)
+    assert envs.reset(seed=1)[0]["torques"].shape == (2, 7)
+    with pytest.raises(DeclarationError, match=r"found a scenario; .*: vectorization_mode='sync'$"):
+        make_gymnasium_vector(2, "impedance_push")
+
+
+@pytest.mark.parametrize(
+    ("many", "options", "message"),
+    [
+        (0, {}, "num_envs: found 0; expected 1 or more"),
+        (2, {"threads": 0}, "threads: found 0; expected 1 or more"),
+        (2, {"render_mode": "rgb_array"}, "expected None, or vectorization_mode='sync'"),
+        (2, {"tim_limit": 1.0}, "tim_limit: unknown option; did you mean 'time_limit'?"),
+    ],
+)
+def test_what_is_asked_for_wrongly_is_told(
+    many: int, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        make_gymnasium_vector(many, "lwr/reach", **options)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"torque_control": True}, "found drives with a rate or a delay of their own"),
+        ({"runaway_speed": 3.0}, "found run.runaway_speed; expected 0"),
+    ],
+)
+def test_runs_that_need_more_than_steps_are_stepped_alone(
+    changes: dict[str, Any], message: str
+) -> None:
+    settings, task = RobotSettings(time_limit=0.1), Reach()
+    scenario = settings.make_scenario(SerialRobot.from_model("lwr"), task)
+    scenario.run = scenario.run.model_copy(update=changes)
+    with pytest.raises(DeclarationError, match=message):
+        ManyEnvironments(Environment(scenario, "lwr", task, settings), 2)
+
+
+def test_gravity_masses_and_damping_of_many_are_those_of_each() -> None:
+    robot = SerialRobot.from_model("lwr")
+    model = Compiler().robot_model(robot)
+    many = ManyModels(model, 5)
+    angles = np.random.default_rng(1).uniform(-2.0, 2.0, (5, 7))
+    stiffness = np.diag(np.linspace(100.0, 700.0, 7))
+    many.update(angles)
+    masses = many.masses(np.ones(5, bool))
+    damping = design_damping(masses, stiffness, 0.7)
+    for k in range(5):
+        model.update(angles[k], np.zeros(7))
+        np.testing.assert_array_equal(many.gravity[k], model.gravity())
+        np.testing.assert_array_equal(masses[k], model.mass())
+        expected = design_damping(model.mass(), stiffness, 0.7)
+        np.testing.assert_allclose(damping[k], expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(many.masses(np.arange(5) == 3)[0], masses[3])
+
+
+def test_what_is_only_looked_at_is_not_simulated_and_what_was_changed_is() -> None:
+    environment = sero_mj.make_environment("lwr/reach", time_limit=0.1)
+    environment.plant.attach_payload("lwr", mass=3.0)
+    environment.plant.set_friction("lwr", coulomb=0.5)
+    environment.model.opt.gravity[:] = [0.0, 0.0, -1.6]
+    model, bare = environment.model, environment.world.physics_model()
+    touching = (model.geom_contype | model.geom_conaffinity) > 0
+    assert bare.ngeom == touching.sum() < model.ngeom
+    for name in ("body_mass", "dof_frictionloss", "dof_armature", "jnt_range", "site_pos"):
+        np.testing.assert_array_equal(getattr(bare, name), getattr(model, name))
+    np.testing.assert_array_equal(bare.geom_solimp, model.geom_solimp[touching])
+    np.testing.assert_array_equal(bare.opt.gravity, [0.0, 0.0, -1.6])
