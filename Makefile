@@ -1,6 +1,7 @@
 # make demo   a film and a picture of an LWR mirrored from UDP packets, under out/
 # make test   the tests
 # make quick  those of logic: without windows, browsers, films and what else is slow
+# make mutations   whether every scenario notices what may be wrong in it
 # make lint   style and types
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
@@ -9,7 +10,7 @@
 
 BIN := .venv/bin
 
-.PHONY: demo test quick lint docs bench gallery wheel clean
+.PHONY: demo test quick mutations lint docs bench gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -22,6 +23,9 @@ test: .venv/.test
 
 quick: .venv/.test
 	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"
+
+mutations: .venv/.test
+	$(BIN)/python -m pytest -q -n auto --hypothesis-profile=thorough tests/test_mutations.py
 
 lint: .venv/.test
 	$(BIN)/ruff check .

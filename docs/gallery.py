@@ -123,7 +123,8 @@ SHOTS = (
         "lwr.commanded_torques": [20, -10, 15, 10, -12, 6, 5],
     }, group=FEATURES),
     Shot("singularity", "Nearness to a singularity: the arm is almost stretched",
-         "singularity_pass", at=3.0, group=FEATURES),
+         "singularity_pass", {"disturbances.elbow.force": [0.0, 1e-9, 0.0],
+                              "disturbances.elbow.show": False}, at=3.0, group=FEATURES),
     Shot("billboards", "Billboards: angles and torques at every joint", LWR, {
         "lwr.show_billboards": True, "lwr.torques": [2.1, 38.6, 4.2, -17.9, 0.6, -3.2, 0.1],
         "lwr.billboard_lines": [

@@ -185,6 +185,9 @@ def test_the_flange_travels_as_far_as_numpy_says() -> None:
     found = MEASURES["flange_travel"][1](simulation.log, "right")[3, 0]
     ends = [RIGHT.fwd_kin_base_to_flange(np.array(q))[:3, 3] for q in (RIGHT.home, at)]
     assert found == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1e-12)
+    for k, axis in enumerate("xyz"):
+        place = MEASURES[f"flange_{axis}"][1](simulation.log, "right")[3, 0]
+        assert place == pytest.approx(ends[1][k], abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -192,10 +195,11 @@ def test_the_flange_travels_as_far_as_numpy_says() -> None:
     [
         ({"below": 1.0}, 0.5),  # of the fastest joint, 2 rad/s
         ({"below": 4.0}, 1.0),
-        ({"above": 1.0, "holds_at": "any"}, 1.0),
-        ({"above": 4.0, "holds_at": "any"}, 0.5),
-        ({"above": 1.0, "holds_at": "all"}, 0.0),  # the others stand still
-        ({"above": 1.0, "holds_at": "each_robot"}, 0.5),
+        ({"of": "min", "above": 1.0, "holds_at": "any"}, 1.0),
+        ({"of": "min", "above": 4.0, "holds_at": "any"}, 0.5),
+        ({"of": "min", "above": 1.0, "holds_at": "all"}, 0.0),  # the others stand still
+        ({"of": "min", "above": 1.0, "holds_at": "each_robot"}, 0.5),
+        ({"above": 4.0, "holds_at": "any"}, 1.0),  # at any time, which need not be now
         ({"signed": True, "joints": ["A1"], "robot": "left", "below": -1.0}, 0.25),
     ],
 )

@@ -34,7 +34,7 @@ examples:
   sero-mj simulate impedance_push                      runs it, says what held and what was found
   sero-mj simulate impedance_push --render out.mp4     and films it
   sero-mj simulate my.toml --record run.mcap --plot torques.png --csv run.csv
-  sero-mj simulate impedance_push --set controllers.lwr.stiffness=200 --set run.duration=2
+  sero-mj simulate impedance_push --set controllers.lwr.stiffness=200
   sero-mj simulate impedance_push --send lwr_udp       as a robot would, in real time, for a mirror
 
 A scenario is a scene with [controllers], [targets], [disturbances], [faults], [expect]. Exits with

@@ -486,8 +486,8 @@ class Expectations(Task):
 
     The reward is the mean over what is expected of a measure at this time: 1 while it is within
     its bounds, `below / value` or `value / above` beyond them, and 1 where nothing is expected.
-    Expectations of findings, of `rms` and of `mean` are judged at the end alone, by the
-    simulation's `outcomes`.
+    Expectations of findings, of `rms` and of `mean`, and a `max` that is to be above or a `min`
+    that is to be below once, are judged at the end alone, by the simulation's `outcomes`.
     """
 
     observed: ClassVar[tuple[str, ...]] = (

@@ -66,6 +66,13 @@ def _flange_travel(log: RunLog, robot: str) -> Array:
     return np.asarray(np.linalg.norm(at - at[0], axis=1)[:, None])
 
 
+def _flange_coordinate(axis: int) -> Callable[[RunLog, str], Array]:
+    def measure(log: RunLog, robot: str) -> Array:
+        return _flange(log, robot, _actual(log, robot, "angles"))[:, axis, 3:]
+
+    return measure
+
+
 def _torque_share(log: RunLog, robot: str) -> Array:
     return np.asarray(log.of(robot, "commanded_torques") / log.torque_limits(robot))
 
@@ -108,6 +115,9 @@ MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "flange_error": ("m", _flange_error),
     "orientation_error": ("rad", _orientation_error),
     "flange_travel": ("m", _flange_travel),
+    "flange_x": ("m", _flange_coordinate(0)),
+    "flange_y": ("m", _flange_coordinate(1)),
+    "flange_z": ("m", _flange_coordinate(2)),
     "velocity": ("rad/s", lambda log, robot: _actual(log, robot, "velocities")),
     "angle": ("rad", lambda log, robot: _actual(log, robot, "angles")),
     "drift": ("rad", _drift),
@@ -128,7 +138,10 @@ PER_JOINT = (
     "torque_error", "torque_share", "external_torque", "saturated",
 )  # fmt: skip
 # Those with a sign; others are sizes.
-SIGNED = (*(name for name in PER_JOINT if name != "saturated"), "height")
+SIGNED = (
+    *(name for name in PER_JOINT if name != "saturated"), "height", "flange_x", "flange_y",
+    "flange_z",
+)  # fmt: skip
 # Those of what is free: a base, or an object.
 OF_FREE = ("height", "displacement", "tilt")
 # Those that ask for a target.

@@ -352,6 +352,8 @@ class Expect(Declaration):
     def share(self, log: RunLog) -> float:
         """How far the measure is within its bounds in the last row of a log.
 
+        Only bounds that hold at every time count: a `max` need be above, and a `min` below, once.
+
         Args:
             log: its first row is what drift counts from.
 
@@ -361,10 +363,10 @@ class Expect(Declaration):
         robots = []
         for _, _, values in self._values(log, slice(-1, None)):
             beyond = np.ones(values.shape[1])
-            if self.below is not None:
+            if self.below is not None and self.of != "min":
                 excess, size = np.maximum(values[0] - self.below, 0.0), abs(self.below)
                 beyond = np.where(excess > 0, size / (size + excess), beyond)
-            if self.above is not None:
+            if self.above is not None and self.of != "max":
                 lack, size = np.maximum(self.above - values[0], 0.0), max(abs(self.above), 1e-12)
                 beyond = np.minimum(beyond, np.maximum(1.0 - lack / size, 0.0))
             robots.append(beyond.max() if self.holds_at in ("any", "each_robot") else beyond.min())
