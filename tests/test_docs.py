@@ -30,12 +30,12 @@ SMALL, FPS = (480, 320), 10
 
 
 def shortened(text: str) -> str:
-    """A block of small pictures, films with few frames, short recordings and small sweeps."""
-    text = PICTURE.sub(r"\1 --size {}x{}".format(*SMALL), text)
+    """A block of small drafts, films with few frames, short recordings and small sweeps."""
+    text = PICTURE.sub(r"\1 --quality draft --size {}x{}".format(*SMALL), text)
     text = SAMPLES.sub("--samples 4", text)
     text = DURATION.sub("--duration 1", text)
     text = WITH_FPS.sub(rf"\1 --fps {FPS}", text)
-    return FILM_IN_PYTHON.sub(rf"\1, size={SMALL}, fps={FPS})", text)
+    return FILM_IN_PYTHON.sub(rf'\1, size={SMALL}, fps={FPS}, quality="draft")', text)
 
 
 def open_window(language: str, text: str, folder: Path, environment: dict[str, str]) -> None:
