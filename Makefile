@@ -25,7 +25,7 @@ quick: .venv/.test
 	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"
 
 mutations: .venv/.test
-	$(BIN)/python -m pytest -q -n auto --hypothesis-profile=thorough tests/test_mutations.py
+	$(BIN)/python -m pytest -q -n auto --hypothesis-profile=everything tests/test_mutations.py
 
 lint: .venv/.test
 	$(BIN)/ruff check .

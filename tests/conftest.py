@@ -2,6 +2,7 @@
 
 `--no-skips` (in `.ci/run`) makes a failure of a test that is skipped because a tool is missing.
 `--hypothesis-profile=thorough` (likewise) runs all examples of property tests; else a quarter.
+`--hypothesis-profile=everything` (in `make mutations`) tries all mutations of scenarios.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from sero_mj.study.workers import available_cpus
 
 settings.register_profile("quarter", max_examples=25)
 settings.register_profile("thorough", max_examples=100)
+settings.register_profile("everything", max_examples=400)
 settings.load_profile("quarter")
 
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
