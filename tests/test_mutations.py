@@ -477,11 +477,7 @@ def test_nothing_is_noticed_where_nothing_is_wrong(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "what"),
-    [
-        (name, what)
-        for name, mutations in MUTATIONS.items()
-        for what in list(mutations)[:TRIED]
-    ],
+    [(name, what) for name, mutations in MUTATIONS.items() for what in list(mutations)[:TRIED]],
 )
 def test_what_is_wrong_is_noticed(name: str, what: str, tmp_path: Path) -> None:
     assert noticed(mutated(name, MUTATIONS[name][what], tmp_path)), f"{name}: {what}"
