@@ -155,6 +155,11 @@ class Pair:
         """What both have."""
         return [signal for signal in COMPARED if signal in self.a and signal in self.b]
 
+    @property
+    def has_one_motion(self) -> bool:
+        """Whether both move alike by definition, as a robot and its own model."""
+        return self.a.get("joint_angles") is self.b.get("joint_angles")
+
 
 def align(
     a: RunLog, b: RunLog, robot: str | None = None, offset: float | Literal["auto"] = 0.0
@@ -206,6 +211,49 @@ def align(
         None if shift is None else shift.correlation,
         (a.name, b.name),
     )
+
+
+def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
+    """The torques that a robot was commanded, and those that were measured, as if of two runs.
+
+    Args:
+        log: a run.
+        robot: its name; the only one when None.
+
+    Raises:
+        UsageError: there is no such robot, several of which one has to be chosen, or no torques of
+            one of both kinds.
+    """
+    name = choose_robot(log, robot)
+    for signal in ("torques", "commanded_torques"):
+        if not log.has(name, signal):
+            found = f"{log.name} has no {signal} of '{name}'"
+            raise UsageError(f"{found}; expected both kinds, or another recording to compare with")
+    angles = log.of(name, "joint_angles")
+    return Pair(
+        log.robots[name],
+        log.times,
+        {"joint_angles": angles, "torques": compared_signal(log, name, "commanded_torques")},
+        {"joint_angles": angles, "torques": log.of(name, "torques")},
+        0.0,
+        None,
+        ("commanded", "measured"),
+    )
+
+
+def choose_robot(log: RunLog, name: str | None) -> str:
+    """The name of a robot in a run; of the only one when None.
+
+    Raises:
+        UsageError: there is no such robot, or one has to be chosen.
+    """
+    if name is not None and name not in log.robots:
+        near = did_you_mean(name, log.robots)
+        raise UsageError(f"--robot: no robot '{name}' in {log.name}{near}")
+    if name is None and len(log.robots) != 1:
+        has = ", ".join(log.robots) or "no robot"
+        raise UsageError(f"{log.name} has {has}; choose with --robot NAME")
+    return name or next(iter(log.robots))
 
 
 def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, str]:

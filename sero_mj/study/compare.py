@@ -19,6 +19,7 @@ from ..record.csv_files import csv_table
 from ..runs.run_log import TIME
 from ..runs.run_source import FinishedRun, RunSource
 from .align import Pair
+from .explanation import Explanation
 from .reduction import peak, rms
 
 if TYPE_CHECKING:
@@ -112,7 +113,11 @@ def exceeded(
     return found
 
 
-def as_json(pair: Pair, differences: Sequence[Difference]) -> dict[str, Any]:
+def as_json(
+    pair: Pair,
+    differences: Sequence[Difference],
+    explanations: Sequence[Explanation] | None = None,
+) -> dict[str, Any]:
     """The comparison as JSON types; unknown values are None."""
     return {
         "a": pair.names[0],
@@ -123,12 +128,18 @@ def as_json(pair: Pair, differences: Sequence[Difference]) -> dict[str, Any]:
         "begin": float(pair.times[0]),
         "end": float(pair.times[-1]),
         "rows": len(pair.times),
-        "differences": [
-            {key: None if isinstance(value, float) and np.isnan(value) else value
-             for key, value in asdict(each).items()}
-            for each in differences
+        "differences": [_plain(each) for each in differences],
+        "explanations": None if explanations is None else [
+            {**_plain(each), "text": str(each)} for each in explanations
         ],
     }  # fmt: skip
+
+
+def _plain(row: Difference | Explanation) -> dict[str, Any]:
+    return {
+        key: None if isinstance(value, float) and np.isnan(value) else value
+        for key, value in asdict(row).items()
+    }
 
 
 def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
@@ -141,6 +152,8 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.add_column("joint", no_wrap=True)
     shown = [signal for signal in _IN_TABLE if signal in pair.signals] or pair.signals
+    if pair.has_one_motion:
+        shown = [signal for signal in shown if signal != "joint_angles"]
     for signal in shown:
         units = {shown_as(unit_of(signal, kind))[1] for kind in pair.robot.types}
         unit = f", {units.pop()}" if len(units) == 1 else ""
@@ -157,6 +170,31 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
                 peak = f"{factor * each.peak:+.3g}{unit}"
                 cells += [f"{factor * each.rms:.3g}{unit}", peak, f"{each.at:.3f}"]
         table.add_row(*cells)
+    return table
+
+
+def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table:
+    """A table for the terminal: a row for every joint, and for what is found at it."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("joint", no_wrap=True)
+    table.add_column("what explains the difference")
+    table.add_column("when")
+    table.add_column("sure", justify="right")
+    told: list[Explanation] = []
+    for joint in pair.robot.names:
+        name = joint
+        for each in explanations:
+            if joint in each.joints:
+                sure = f"{100.0 * each.confidence:.0f} %"
+                text = f"{each.short}, as above" if each in told else each.text
+                table.add_row(name, text, each.when, sure)
+                name = ""
+                told.append(each)
+        if name:
+            table.add_row(name, "no difference found", "", "")
     return table
 
 

@@ -14,6 +14,7 @@ from ..frames import Array
 from ..runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
 from .compare import unit_of
+from .explanation import Explanation
 from .figure import (
     BLUE,
     FAULT,
@@ -330,6 +331,7 @@ def plot_pair(
     path: Path | str,
     *,
     joints: Sequence[str] | None = None,
+    explanations: Sequence[Explanation] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
     """Draws two runs: a row for each joint, with both torques and the differences, A less B.
@@ -340,6 +342,7 @@ def plot_pair(
         pair: the runs on one clock.
         path: where to: .png (300 dpi), .pdf or .svg.
         joints: their names; all when None.
+        explanations: of the differences; marked where they begin.
         size_mm: width and height; the width of A4 when None.
 
     Raises:
@@ -362,7 +365,7 @@ def plot_pair(
         " or ".join(angles),
     )
     columns = [(f"{what}, {unit}", 1.35), (f"{what}, A − B, {unit}", 1.0)]
-    if main == "torques" and "joint_angles" in pair.signals:
+    if main == "torques" and "joint_angles" in pair.signals and not pair.has_one_motion:
         columns.append((f"angle, A − B, {unit_of_angle}", 1.0))
     with styled():
         figure = Figure(
@@ -378,8 +381,26 @@ def plot_pair(
             _draw_difference_of_pair(figure, panels[1], pair, main, k)
             if len(panels) > 2:
                 _draw_difference_of_pair(figure, panels[2], pair, "joint_angles", k)
+            _explain(figure, panels[1], [each for each in explanations if names[k] in each.joints])
         figure.legend(_legend_of_pair(pair))
         save_figures([figure], path)
+
+
+def _explain(figure: Figure, panel: Axes, explanations: Sequence[Explanation]) -> None:
+    """Marks where differences begin, and names them in small print at the panel's lower edge."""
+    begin, end = panel.get_xlim()
+    for level, each in enumerate(explanations[:3]):
+        left = begin if each.from_start else each.begin
+        panel.axvspan(left, end if each.end is None else each.end, color=FAULT, alpha=0.10,
+                      linewidth=0.0, zorder=0.5)  # fmt: skip
+        panel.axvline(left, color=FAULT, linewidth=0.7, zorder=0.6)
+        on_the_left = left < begin + 0.5 * (end - begin)
+        panel.annotate(
+            each.short, (left, 0.0), (2.0 if on_the_left else -2.0, 2.0 + 6.5 * level),
+            xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=5.5,
+            color=FAULT, ha="left" if on_the_left else "right", va="bottom", zorder=5.0,
+            bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0.0, "pad": 0.6},
+        )  # fmt: skip
 
 
 def _shown(signal: str, joint_type: str) -> tuple[float, str]:

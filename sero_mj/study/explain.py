@@ -1,0 +1,263 @@
+"""What is wrong with a joint, by its torques: which kind of difference, how large, since when.
+
+Every kind leaves its own trace in the residuals of both sides of a joint (`TorqueResiduals`), with
+the links' torques x that the model asks for and the commanded ones u:
+
+    torque sensor   sign, gain g     link (g - 1) x      motor -(g - 1) x
+                    bias b           link b              motor -b
+                    delay d          link -d dx/dt       motor  d dx/dt
+                    noise            roughness of what is measured
+    drive           sign, gain g                         motor -(g - 1) u
+                    bias b                               motor -b
+                    delay d                              motor  d du/dt
+    joint           friction                             motor f sign(dq) + v dq
+                    stuck            the joint stands, and more acts on it than its friction holds
+    flange          payload          link: linear in ten parameters, of all joints together
+
+Each is fitted from every time on, and then up to every time. The kind, and the time, is that with
+the lowest Bayesian information criterion (Schwarz 1978); its odds against the others are the
+confidence. What is found is taken away, and what is left is looked at again. Below 0.05 % of a
+joint's torque limit nothing is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import UsageError
+from ..frames import Array, Bools
+from ..runs.run_log import RunLog
+from .explain_search import LEAST_ROWS, Search
+from .explanation import MOST_SURE, Explanation
+from .torque_residuals import TorqueResiduals, torque_residuals
+
+_STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.12, 0.03  # s
+_ENDING, _FAST = 0.6, 0.004  # s, the last of a run, and the low pass there
+_ROUGHER = 2.0  # times what was before, above which noise is told
+_FINE, _LEAST_NOISE = 2e-4, 1.5e-3  # of the torque limit
+
+
+def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
+    """Says what is wrong with a robot in a run, see `explain`.
+
+    Args:
+        log: a run.
+        robot: its name.
+        found: of the run; found here when None.
+
+    Raises:
+        UsageError: there is too little for it, or no torques.
+    """
+    found = found or torque_residuals(log, robot)
+    # A run that ends because a joint runs off ends too soon for what is seen through the low pass.
+    end = log.between(float(log.times[-1]) - _ENDING, None)
+    looped = found.torque_control
+    try:
+        ending = torque_residuals(end, robot, torque_control=looped, window=_FAST)
+    except UsageError:  # of so few rows nothing can be told
+        return explain(found)
+    return explain(found, ending)
+
+
+def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> list[Explanation]:
+    """Says what is wrong with a robot, by its commanded and measured torques and its model.
+
+    Without a model of the links (see `TorqueResiduals.has_model`) by the first two alone: then
+    payloads do not show, nor whether a bias is one of the sensor or of the drive.
+
+    Args:
+        found: of a run.
+        ending: of its last moments, through a faster low pass; for drives of the wrong sign.
+
+    Returns:
+        in the order of the joints, the most certain of a joint first; empty for no difference.
+    """
+    link = found.link if found.has_model else np.full_like(found.link, np.nan)
+    without = _outside_of_fits(found, link)
+    if ending is not None:
+        has = {each.joint for each in without}
+        of_link = ending.link if found.has_model else np.full_like(ending.link, np.nan)
+        fast = _wrong_drives(ending, of_link, _RUNS_OFF_FAST)
+        without += [each for each in fast if each.joint not in has]
+    search = Search(replace(found, link=link), without)
+    return search.explanations([*without, *_noise(found, None)])
+
+
+def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
+    """Says in what a run differs from another one; sizes are those of the first less the second.
+
+    Args:
+        a: of a run.
+        b: of another one, at the same times.
+    """
+    mine, theirs = (_outside_of_fits(each, each.link) for each in (a, b))
+    known = {(each.joint, each.part) for each in theirs}
+    told = [each for each in mine if (each.joint, each.part) not in known]
+    difference = replace(a, link=a.link - b.link, motor=a.motor - b.motor, lag=a.lag - b.lag)
+    return Search(difference, [*mine, *theirs]).explanations([*told, *_noise(a, b)])
+
+
+def explain_runs(
+    a: RunLog, b: RunLog, robots: tuple[str, str], offset: float = 0.0
+) -> list[Explanation]:
+    """Says in what a run differs from another one, see `explain_pair`.
+
+    Args:
+        a: a run.
+        b: another one.
+        robots: the robot's names in both.
+        offset: s, added to the times of `b`.
+
+    Raises:
+        UsageError: one of them has too little for it, or no torques.
+    """
+    first = torque_residuals(a, robots[0])
+    second = torque_residuals(b, robots[1], times=first.times - offset)
+    held = tuple((begin + offset, end + offset, value) for begin, end, value in second.held)
+    moved = replace(second, times=first.times, rough_times=second.rough_times + offset, held=held)
+    return explain_pair(first, moved)
+
+
+def _outside_of_fits(found: TorqueResiduals, link: Array) -> list[Explanation]:
+    """What shows by other signs than by how residuals run; one for each joint at most."""
+    told = (
+        _still_sensors(found) + _wrong_drives(found, link, _RUNS_OFF) + _still_joints(found, link)
+    )
+    return list({each.joint: each for each in reversed(told)}.values())
+
+
+def _wrong_drives(found: TorqueResiduals, link: Array, least: float) -> list[Explanation]:
+    """Drives of the wrong sign, by which a joint may have run to its stop before a fit has rows.
+
+    What is left of the torque is twice what is commanded, also where the joint stands and friction
+    may hold a part, while the torque at the links is as their motion asks for.
+    """
+    told = []
+    left = np.where(np.isfinite(found.motor), found.motor, found.lag)
+    held_away = found.slow & np.isfinite(link)  # and not by its stop
+    for joint, name in enumerate(found.robot.names):
+        asked = 2.0 * found.commanded[:, joint]
+        held = 2.0 * float(found.coulomb[joint])
+        with np.errstate(invalid="ignore"):
+            is_much = np.abs(asked) > max(5.0 * held, 0.04 * float(found.scale[joint]))
+            is_wrong = np.abs(left[:, joint] - asked) < 0.15 * np.abs(asked) + held
+            is_right = np.abs(link[:, joint]) < 0.15 * np.abs(asked)
+        first, last = _longest(is_wrong & is_much & ~held_away[:, joint])
+        way = slice(max(first - LEAST_ROWS, 0), last)  # before its stop held it
+        judged = np.isfinite(link[way, joint])
+        if (last - first) * found.step < least or not judged.any():
+            continue
+        if is_right[way][judged].mean() < 0.5:
+            continue
+        while first > 0 and abs(left[first - 1, joint]) > held + 0.01 * found.scale[joint]:
+            first -= 1
+        told.append(Explanation(
+            name, "sign", "drive", -1.0, "", np.nan, MOST_SURE, float(found.times[first]),
+            None if last >= len(found.times) - 1 else float(found.times[last - 1]),
+            False, {}, (name,),
+        ))  # fmt: skip
+    return told
+
+
+def _still_joints(found: TorqueResiduals, link: Array) -> list[Explanation]:
+    """Joints that stand although more acts on them than their friction can hold."""
+    told = []
+    for joint, name in enumerate(found.robot.names):
+        least = max(0.025 * float(found.scale[joint]), 3.0 * float(found.coulomb[joint]))
+        first, last = _longest(found.slow[:, joint] & np.isfinite(found.lag[:, joint]))
+        if (last - first) * found.step < _STANDS:
+            continue
+        lag, sensed = found.lag[first:last, joint], link[first:last, joint]
+        sensed = sensed[np.isfinite(sensed)]
+        excess = np.abs(lag) > least
+        is_sensor = len(sensed) > 0 and np.sqrt(np.mean(sensed**2)) > 0.3 * np.sqrt(np.mean(lag**2))
+        if np.ptp(lag) < least or excess.mean() < 0.3 or is_sensor:
+            continue
+        # It may have stood before without being held: as long as its friction explains that.
+        begin = first if first > 0 else int(np.argmax(excess))
+        told.append(Explanation(
+            name, "stuck", "joint", float(lag[np.argmax(np.abs(lag))]), _unit(found, joint),
+            np.nan, MOST_SURE, float(found.times[begin]),
+            None if last >= len(found.times) - 1 else float(found.times[last - 1]),
+            begin == 0, {}, (name,),
+        ))  # fmt: skip
+    return told
+
+
+def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
+    """Torque sensors that show one value although more or less of it is to be expected."""
+    told = []
+    for joint, (name, (begin, end, value)) in enumerate(
+        zip(found.robot.names, found.held, strict=True)
+    ):
+        rows = (found.times >= begin) & (found.times <= end)
+        expected = found.model[rows, joint]
+        if end - begin < _STANDS or np.ptp(expected) < 0.001 * found.scale[joint]:
+            continue
+        told.append(Explanation(
+            name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MOST_SURE, begin,
+            None if end >= found.times[-1] else end, begin <= found.times[0], {}, (name,),
+        ))  # fmt: skip
+    return told
+
+
+def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
+    """Joints whose measured torque is rough: from some time on, or more than others'."""
+    told = []
+    rough = np.maximum(a.roughness, _FINE * a.scale)
+    for joint, name in enumerate(a.robot.names):
+        scale, values = float(a.scale[joint]), rough[:, joint]
+        least = _LEAST_NOISE * scale
+        found = _rougher(np.log(values))
+        begin, size = None, 0.0
+        if found is not None and np.median(values[found:]) > least:
+            begin, size = found, float(np.median(values[found:]))
+        elif b is not None:
+            other = max(float(np.median(b.roughness[:, joint])), _FINE * scale)
+            size = float(np.median(values))
+            begin = 0 if size > max(_ROUGHER * other, least) else None
+        elif a.robot.n > 2:
+            others = np.delete(np.median(rough, axis=0), joint)
+            of_others = np.median(others), scale * np.median(others / np.delete(a.scale, joint))
+            size = float(np.median(values))
+            begin = 0 if size > max(3.0 * max(of_others), least) else None
+        if begin is None or not np.isfinite(size):
+            continue
+        told.append(Explanation(
+            name, "noise", "torque sensor", size, _unit(a, joint), np.nan, MOST_SURE,
+            float(a.rough_times[begin]) if begin else float(a.times[0]), None, begin == 0, {},
+            (name,),
+        ))  # fmt: skip
+    return told
+
+
+def _rougher(levels: Array) -> int | None:
+    """The window from which on logarithms of roughness are higher, by log `_ROUGHER` at least."""
+    count, least = len(levels), 3
+    if count < 2 * least or not np.isfinite(levels).all():
+        return None
+    splits = np.arange(least, count - least + 1)
+    errors = [((levels[:k] - levels[:k].mean()) ** 2).sum()
+              + ((levels[k:] - levels[k:].mean()) ** 2).sum() for k in splits]  # fmt: skip
+    k = int(splits[int(np.argmin(errors))])
+    before, after = levels[:k], levels[k:]
+    spread = np.sqrt(min(errors) / max(count - 2, 1)) + 0.05
+    jump = after.mean() - before.mean()
+    sure = jump > 5.0 * spread * np.sqrt(1.0 / k + 1.0 / (count - k))
+    return k if jump > np.log(_ROUGHER) and jump > 2.0 * spread and sure else None
+
+
+def _longest(rows: Bools) -> tuple[int, int]:
+    """First row of the longest stretch in which all hold, and the row behind it."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]])))
+    if not len(edges):
+        return 0, 0
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    return int(begins[longest]), int(ends[longest])
+
+
+def _unit(found: TorqueResiduals, joint: int) -> str:
+    return "Nm" if found.robot.types[joint] == "revolute" else "N"

@@ -1,0 +1,528 @@
+"""`Search`: which kinds of differences explain a robot's residuals, from when to when.
+
+See `explain` for what each kind does. All of one kind is a linear regression between two edges in
+time; sums over all rows before an edge make every pair of edges as cheap as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..frames import Array, Bools
+from .explanation import FLANGE, MOST_SURE, Explanation, Kind, Part
+from .torque_residuals import DELAYS, TorqueResiduals
+
+LEAST_EFFECT = 5e-4  # of the torque limit, root mean square while it acts
+LEAST_ROWS = 8  # of a stretch
+# Finer differences mean nothing: of the torque limit, of the torque, and of its change (by s).
+_FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
+_LEAST_SHARE = 0.08  # of the largest effect at a joint, below which others are not told
+_LEAST_SCORE = 12.0  # by which an explanation must beat none
+_ROWS_PER_FACT = 2.0  # neighbours among the rows of a low pass tell nearly the same
+_MOST_PER_JOINT = 3
+_ROUNDS = 40
+_LEAST_VARIANCE = 1e-3  # of residuals in units of their standard deviations
+# Joints that differ, from which on a payload is looked for by all but one; and how many are tried.
+_LEAST_JOINTS, _MOST_TRIED = 3, 2
+_GRID, _ROUNDS_OF_EDGES = 18, 3
+# Standard deviations of what is expected: gain, share of the torque limit, payload (SI).
+_GAIN, _SHARE = 1.0, 0.1
+_LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which one of `DELAYS` is fitted
+_MOST_GAIN = 2.6  # away from 1
+_PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
+_LEAST_MASS = 0.03  # kg
+_UNEXPLAINED = 0.002  # of the torque limit
+_PUSHED = 2  # joints that something unknown acts on, from which on it may act on others as well
+
+
+@dataclass(eq=False)
+class _Fit:
+    """What explains a joint's residuals best, or all joints' (`joint` is -1)."""
+
+    joint: int
+    kind: Kind
+    part: Part
+    columns: Array  # (2, K, n, p), in units of the residuals' standard deviations
+    priors: Array  # (p,)
+    edges: tuple[int, int]  # in half rows, see `_Edges`
+    gain: float  # by which the score is better than none's
+    parameters: Array
+    errors: Array
+    delay: float = 0.0
+    confidence: float = 0.0
+    used: Bools | None = None  # joints by which it is fitted; all when None
+
+    @property
+    def is_on_link(self) -> bool:
+        """Whether what is unexplained acts on the links."""
+        return self.part == "joint"
+
+
+class _Edges:
+    """Times between which something may act, in half rows, seen through the low pass.
+
+    Edge 0 is the start, edge 2 K - 1 the end; edge e between is at e / 2 rows. Through the low pass
+    a step is the integral of a Gaussian.
+
+    Args:
+        rows: K.
+        sharpness: rows per standard deviation of the low pass.
+    """
+
+    def __init__(self, rows: int, sharpness: float) -> None:
+        self.rows, self.end = rows, 2 * rows - 1
+        distance = np.arange(rows)[None, :] - 0.5 * np.arange(2 * rows)[:, None]
+        self._on = 0.5 * (1.0 + _erf(distance * sharpness / np.sqrt(2.0)))
+        self._on[0], self._on[-1] = 1.0, 0.0
+
+    def share(self, first: int, last: int) -> Array:
+        """How much of what acts between two edges is seen, (K,)."""
+        return np.asarray(self._on[first] - self._on[last])
+
+    def sums(self, X: Array, y: Array) -> _Sums:
+        """Normal equations between any two edges.
+
+        Args:
+            X: columns, (c, K, p).
+            y: (c, K).
+        """
+        K, p = X.shape[1:]
+        squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
+        products = np.einsum("ckp,ck->kp", X, y)
+        known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
+        # Before the last edge all is there but what is seen of what comes behind it.
+        begun, ended = self._on**2 @ squares, (1.0 - (1.0 - self._on) ** 2) @ squares
+        return _Sums(
+            begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
+        )
+
+    def best(self, scores: Any) -> tuple[int, int, float]:
+        """The edges between which something is best explained, and the score.
+
+        Args:
+            scores: of arrays of first and last edges.
+        """
+        # What ends again explains nothing by its beginning alone, so pairs are tried first.
+        grid = np.unique(np.linspace(0, self.end, _GRID).astype(int))
+        pairs = np.array([(i, j) for i in grid for j in grid if i < j]).T
+        found = scores(*pairs)
+        first, last = pairs[:, int(np.argmax(found))].tolist()
+        score = -np.inf
+        for _ in range(_ROUNDS_OF_EDGES):
+            firsts = np.arange(last)
+            found = scores(firsts, np.full(len(firsts), last))
+            first = int(np.argmax(found))
+            lasts = np.arange(first + 1, self.end + 1)
+            found = scores(np.full(len(lasts), first), lasts)
+            last = int(lasts[np.argmax(found)])
+            if found.max() <= score:
+                break
+            score = float(found.max())
+        return first, last, score
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """What `_Edges.sums` found: (E, p, p), (E, p, p), (E, p) and (E,)."""
+
+    begun: Array
+    ended: Array
+    products: Array
+    known: Array
+
+    def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
+        """Normal equations, and how many rows there are."""
+        return (
+            self.begun[first] - self.ended[last],
+            self.products[first] - self.products[last],
+            self.known[first] - self.known[last],
+        )
+
+
+def _erf(x: Array) -> Array:
+    """The error function, to 1.5e-7 (Abramowitz and Stegun 1964, 7.1.26)."""
+    t = 1.0 / (1.0 + 0.3275911 * np.abs(x))
+    terms = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)
+    tail = sum(each * t ** (k + 1) for k, each in enumerate(terms)) * np.exp(-(x**2))
+    return np.asarray(np.sign(x) * (1.0 - tail))
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A kind, and what it does to the residuals of link and motor per unit of each parameter."""
+
+    kind: Kind
+    part: Part
+    columns: Sequence[tuple[Array, Array]]  # (K, n) each
+    priors: Array  # (n, p)
+    delay: float = 0.0  # s, of columns that are about it
+
+
+class Search:
+    """Looks for explanations, the best one first."""
+
+    def __init__(self, found: TorqueResiduals, without: Sequence[Explanation]) -> None:
+        self.found = found
+        self.n = found.robot.n
+        residuals = np.stack([found.link, found.motor])
+        for each in without:  # of what is explained already nothing more is to be learnt
+            joint = found.robot.names.index(each.joint)
+            rows = found.times > each.begin - 0.15
+            if each.end is not None:
+                rows &= found.times < each.end + 0.15
+            sides = slice(None) if each.part == "torque sensor" else 1
+            residuals[sides, rows, joint] = np.nan
+        still = np.maximum(_spread(residuals), _FLOOR * found.scale)
+        moving = np.hypot(_FLOOR_SHARE * found.model, _FLOOR_TIME * found.rates)
+        self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
+        self.known = np.isfinite(residuals)
+        self.y = np.where(self.known, residuals / self.sigma, 0.0)
+        self.left = self.y.copy()
+        self.count = np.maximum(self.known.sum(axis=(0, 1)), 1)  # (n,)
+        self.facts = np.maximum(self.count / _ROWS_PER_FACT, 2.0)
+        self.edges = _Edges(len(found.times), found.step / found.width)
+        self.fits: list[_Fit] = []
+        for _ in range(_ROUNDS):
+            best = self._best()
+            if best is None:
+                break
+            self.fits.append(best)
+            self._refit()
+
+    def _candidates(self) -> list[_Candidate]:
+        found, zero = self.found, np.zeros_like(self.found.link)
+        one = np.ones_like(zero)
+        has_link = bool(self.known[0].any())
+        true, late = found.model, found.late_model
+        for fit in self.fits:  # a payload is felt by sensors as well
+            if fit.kind == "payload":
+                seen = self.edges.share(*fit.edges)[:, None]
+                extra = seen * np.nan_to_num(found.payload @ fit.parameters)
+                slope = np.gradient(extra, found.step, axis=0)
+                true, late = true + extra, late - np.array(DELAYS)[:, None, None] * slope
+        if not has_link:
+            true = found.commanded - found.lag + np.nan_to_num(found.motor)
+        # Joint torque control lets the measured torque follow, whatever the sensor shows.
+        seen_by_drive = 0.0 if found.torque_control else 1.0
+        sensor: Part = "torque sensor" if has_link else "sensor or drive"
+        torque = _SHARE * found.scale[:, None]
+        gain, factor = np.full((self.n, 1), _GAIN), np.full((self.n, 1), _LATE)
+        told: list[_Candidate] = []
+        if has_link or not found.torque_control:
+            told += [
+                _Candidate("gain", "torque sensor", [(true, -seen_by_drive * true)], gain),
+                _Candidate("bias", sensor, [(one, -seen_by_drive * one)], torque),
+            ]
+            told += [
+                _Candidate("delay", "torque sensor", [(each, -seen_by_drive * each)], factor, delay)
+                for delay, each in zip(DELAYS, late, strict=True)
+            ]
+        if self.known[1].any():
+            if not found.torque_control:
+                friction = [(zero, found.signs), (zero, found.velocities)]
+                told.append(_Candidate("friction", "joint", friction, torque.repeat(2, axis=1)))
+            told.append(_Candidate("gain", "drive", [(zero, -found.commanded)], gain))
+            told += [
+                _Candidate("delay", "drive", [(zero, -each)], factor, delay)
+                for delay, each in zip(DELAYS, found.late_commanded, strict=True)
+            ]
+            if has_link:
+                told.append(_Candidate("bias", "drive", [(zero, -one)], torque))
+        return told
+
+    def _best(self) -> _Fit | None:
+        """The next explanation: of all joints together, or of the joint that it helps most."""
+        fits = self._singles()
+        first = max(fits, key=lambda fit: fit.gain, default=None)
+        if first is None or not self.known[0].any() or self._has_payload:
+            return first
+        # Where a joint has a fault of its own, the payload is found by the others.
+        without = [None, *range(self.n)] if len(fits) >= _LEAST_JOINTS else [None]
+        sums = self._payload_sums()
+        tried = [self._payload(*sums, joint) for joint in without]
+        found = [payload for payload in tried if payload is not None]
+        found.sort(key=lambda payload: -payload.gain)
+        alternative, best, most = sum(fit.gain for fit in fits), None, 0.0
+        for payload in found[:_MOST_TRIED]:
+            self.fits.append(payload)
+            self.left -= payload.columns @ payload.parameters
+            others = self._singles()
+            total = payload.gain + sum(fit.gain for fit in others)
+            self.left += payload.columns @ payload.parameters
+            self.fits.pop()
+            # A joint may be left out for a fault of its own, not because it does not fit.
+            unfit = [fit for fit in others if fit.kind == "unexplained" and fit.is_on_link
+                     and payload.used is not None and not payload.used[fit.joint]]  # fmt: skip
+            if total > most and not unfit:
+                best, most = payload, total
+        if best is None or most <= alternative:
+            return first
+        best.confidence = _odds([most, alternative])
+        return best
+
+    @property
+    def _has_payload(self) -> bool:
+        return any(fit.kind == "payload" for fit in self.fits)
+
+    def _singles(self) -> list[_Fit]:
+        """The best explanation of every joint by itself, where there is one."""
+        candidates = self._candidates()
+        found = [self._best_of(joint, candidates) for joint in range(self.n)]
+        return [fit for fit in found if fit is not None]
+
+    def _best_of(self, joint: int, candidates: Sequence[_Candidate]) -> _Fit | None:
+        mine = [fit for fit in self.fits if fit.joint == joint]
+        total = float((self.left[:, :, joint] ** 2).sum())
+        most = _evidence(total, 0.0, self.count[joint], self.facts[joint])
+        if len(mine) >= _MOST_PER_JOINT or most < _LEAST_SCORE:
+            return None
+        told = {(fit.kind, fit.part) for fit in mine}
+        new = [each for each in candidates if (each.kind, each.part) not in told]
+        fits = [self._fitted(joint, each) for each in new]
+        fits += [self._unknown(joint, side) for side in (0, 1)]
+        known = [fit for fit in fits if fit is not None]
+        best = max(known, key=lambda fit: fit.gain, default=None)
+        if best is None or best.gain < _LEAST_SCORE or not self._matters(best):
+            return None
+        rivals = [fit.gain for fit in known if (fit.kind, fit.part) != (best.kind, best.part)]
+        best.confidence = _odds([best.gain, *rivals, 0.0])
+        return best
+
+    def _fitted(self, joint: int, candidate: _Candidate) -> _Fit | None:
+        """The stretch of time in which a kind explains most."""
+        columns = np.stack([np.stack([side[:, joint] for side in column])
+                            for column in candidate.columns], axis=-1)  # fmt: skip
+        scaled = columns / self.sigma[:, :, joint, None]
+        X = np.where(self.known[:, :, joint, None] & np.isfinite(scaled), scaled, 0.0)
+        y, priors = self.left[:, :, joint], candidate.priors[joint]
+        sums, inverse = self.edges.sums(X, y), np.diag(1.0 / priors**2)
+        total, count, facts = float((y * y).sum()), self.count[joint], self.facts[joint]
+
+        def scores(first: Any, last: Any) -> Array:
+            H, g, rows = sums.between(first, last)
+            phi = np.linalg.solve(H + inverse, g[..., None])[..., 0]
+            gains = 2.0 * np.einsum("kp,kp->k", g, phi) - np.einsum("kp,kpq,kq->k", phi, H, phi)
+            ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
+            price = (len(priors) + ends) * np.log(facts)
+            better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
+            return np.where(rows >= LEAST_ROWS, better, -np.inf)
+
+        first, last, gain = self.edges.best(scores)
+        if not gain > 0.0:
+            return None
+        H, g, _ = sums.between(first, last)
+        parameters, errors = _solved(H, g, inverse, total, int(count))
+        if candidate.kind == "gain" and abs(parameters[0]) > _MOST_GAIN:
+            return None
+        if candidate.delay and not _NEAR[0] < parameters[0] < _NEAR[1]:
+            return None
+        whole = np.zeros((*self.y.shape, len(priors)))
+        whole[:, :, joint] = X * self.edges.share(first, last)[:, None]
+        return _Fit(joint, candidate.kind, candidate.part, whole, priors, (first, last), gain,
+                    parameters, errors, candidate.delay)  # fmt: skip
+
+    def _unknown(self, joint: int, side: int) -> _Fit | None:
+        """What is far more than noise on one side of a joint, whatever its course.
+
+        It takes as many numbers as there are facts, so anything simpler that does is preferred.
+        """
+        y = self.left[side, :, joint]
+        least = _UNEXPLAINED * self.found.scale[joint] / self.sigma[side, :, joint]
+        over = np.flatnonzero(np.abs(y) > np.maximum(least, 6.0))
+        if not len(over) or over[-1] - over[0] < LEAST_ROWS // 2:
+            return None
+        rows = slice(max(int(over[0]) - 2, 0), min(int(over[-1]) + 3, len(y)))
+        total, facts = float((self.left[:, :, joint] ** 2).sum()), self.facts[joint]
+        gain = _evidence(total, total - float((y[rows] ** 2).sum()), self.count[joint], facts)
+        count = np.count_nonzero(self.known[side, rows, joint]) / _ROWS_PER_FACT
+        whole = np.zeros((*self.y.shape, 1))
+        whole[side, rows, joint, 0] = y[rows]
+        last = self.edges.end if rows.stop >= len(y) else 2 * rows.stop
+        return _Fit(joint, "unexplained", "joint" if side == 0 else "drive", whole, np.ones(1),
+                    (2 * rows.start, last), float(gain - (count + 2.0) * np.log(facts)),
+                    np.ones(1), np.array([np.nan]))  # fmt: skip
+
+    def _payload_sums(self) -> tuple[Array, list[_Sums]]:
+        """A body's torques per parameter, (K, n, 10), and normal equations joint by joint."""
+        link = self.found.payload / self.sigma[0, :, :, None]
+        link = np.where(self.known[0][..., None] & np.isfinite(link), link, 0.0)
+        sums = [self.edges.sums(link[None, :, j], self.left[:1, :, j]) for j in range(self.n)]
+        return link, sums
+
+    def _payload(self, link: Array, sums: list[_Sums], without: int | None) -> _Fit | None:
+        """A body at the flange, by all joints, or all but one."""
+        used = np.arange(self.n) != (-1 if without is None else without)
+        inverse = np.diag(1.0 / _PAYLOAD**2)
+        totals, facts = (self.left**2).sum(axis=(0, 1)), float(self.facts.sum())
+
+        def scores(first: Any, last: Any) -> Array:
+            parts = [each.between(first, last) for each in sums]
+            H = np.stack([part[0] for part in parts], axis=1)  # (k, n, 10, 10)
+            g = np.stack([part[1] for part in parts], axis=1)
+            all_H = H[:, used].sum(axis=1)
+            regular = all_H + inverse
+            phi = np.linalg.solve(regular, g[:, used].sum(axis=1)[..., None])[..., 0]
+            cut = 2.0 * np.einsum("knp,kp->kn", g, phi) - np.einsum("kp,knpq,kq->kn", phi, H, phi)
+            count = np.trace(np.linalg.solve(regular, all_H), axis1=1, axis2=2)
+            better = _evidence(totals, totals - np.minimum(cut, totals), self.count, self.facts)
+            ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
+            enough = np.asarray(last) - np.asarray(first) >= 2 * LEAST_ROWS
+            return np.where(enough, better.sum(axis=1) - (count + ends) * np.log(facts), -np.inf)
+
+        first, last, gain = self.edges.best(scores)
+        if not gain > _LEAST_SCORE:
+            return None
+        parts = [sums[j].between(first, last) for j in np.flatnonzero(used)]
+        H, g = (
+            np.sum([part[0] for part in parts], axis=0),
+            np.sum([part[1] for part in parts], axis=0),
+        )
+        parameters, errors = _solved(H, g, inverse, float(totals.sum()), int(self.count.sum()))
+        columns = np.zeros((*self.y.shape, 10))
+        columns[0] = link * self.edges.share(first, last)[:, None, None]
+        fit = _Fit(-1, "payload", "flange", columns, _PAYLOAD, (first, last), gain, parameters,
+                   errors, used=used)  # fmt: skip
+        seen = np.ix_(self.edges.share(first, last) > 0.5, used)
+        before = float((self.left[0][seen] ** 2).sum())
+        after = float(((self.left - columns @ parameters)[0][seen] ** 2).sum())
+        is_body = abs(parameters[0]) > max(_LEAST_MASS, 3.0 * errors[0]) and after < 0.4 * before
+        return fit if is_body and self._matters(fit) else None
+
+    def _effects(self, fit: _Fit) -> Array:
+        """Of a fit at every joint, root mean square while it acts, of the larger side, (n,)."""
+        effect = (fit.columns @ fit.parameters) * self.sigma
+        seen = self.edges.share(*fit.edges) > 0.5
+        known = np.maximum(self.known[:, seen].sum(axis=1), 1)
+        return np.asarray(np.sqrt((effect[:, seen] ** 2).sum(axis=1) / known).max(axis=0))
+
+    def _matters(self, fit: _Fit) -> bool:
+        """Whether it is more than nothing, and no small part of what else was found."""
+        effects = self._effects(fit)
+        if fit.joint < 0:
+            return bool((effects > LEAST_EFFECT * self.found.scale).any())
+        others = [self._effects(each)[fit.joint] for each in self.fits]
+        least = LEAST_EFFECT * self.found.scale[fit.joint]
+        return bool(effects[fit.joint] > max([least, *(_LEAST_SHARE * each for each in others)]))
+
+    def _refit(self) -> None:
+        """Fits all that was found once more, each to what the others leave, and takes it away."""
+        for _ in range(4 if len(self.fits) > 1 else 1):
+            for fit in self.fits:
+                if fit.kind == "unexplained":
+                    continue
+                others = sum(
+                    (other.columns @ other.parameters for other in self.fits if other is not fit),
+                    np.zeros_like(self.y),
+                )
+                used = np.ones(self.n, bool) if fit.used is None else fit.used
+                X = fit.columns[:, :, used].reshape(-1, fit.columns.shape[-1])
+                H = X.T @ X + np.diag(1.0 / fit.priors**2)
+                g = X.T @ (self.y - others)[:, :, used].ravel()
+                fit.parameters = np.asarray(np.linalg.solve(H, g), np.float64)
+        self.left = self.y.copy()
+        for fit in self.fits:
+            self.left -= fit.columns @ fit.parameters
+        for fit in self.fits:  # errors go by what all together leave
+            used = (np.arange(self.n) == fit.joint) | (fit.joint < 0)
+            variance = float((self.left[:, :, used] ** 2).sum()) / int(self.count[used].sum())
+            X = fit.columns.reshape(-1, fit.columns.shape[-1])
+            covariance = np.linalg.inv(X.T @ X + np.diag(1.0 / fit.priors**2))
+            if fit.kind != "unexplained":
+                scale = _ROWS_PER_FACT * max(variance, _LEAST_VARIANCE)
+                fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
+
+    def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
+        """All that was found, with what was found otherwise; joint by joint, the largest first."""
+        order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE])}
+        fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
+        fits.sort(key=lambda fit: -float(self._effects(fit).max()))
+        made = [*more, *(self._explanation(fit) for fit in fits)]
+        made.sort(key=lambda each: each.kind == "noise")  # what shakes a joint makes noise as well
+        return sorted(made, key=lambda each: order[each.joint])
+
+    def _is_large(self, fit: _Fit) -> bool:
+        """Whether it is no small part of what was found later on."""
+        if fit.joint < 0:
+            return True
+        effects = [float(self._effects(each)[fit.joint]) for each in self.fits]
+        return float(self._effects(fit)[fit.joint]) > _LEAST_SHARE * max(effects)
+
+    def _is_of_contact(self, fit: _Fit) -> bool:
+        """Whether a sensor seems wrong while something pushes other joints more."""
+        if fit.kind == "unexplained" or fit.joint < 0 or fit.part != "torque sensor":
+            return False
+        first, last = fit.edges
+        size = float((self._effects(fit) / self.found.scale)[fit.joint])
+        pushed = {
+            other.joint
+            for other in self.fits
+            if other.kind == "unexplained" and other.is_on_link and other.joint != fit.joint
+            and min(other.edges[1], last) - max(other.edges[0], first) > 0.5 * (last - first)
+            and (self._effects(other) / self.found.scale)[other.joint] > size
+        }  # fmt: skip
+        return len(pushed) >= _PUSHED
+
+    def _explanation(self, fit: _Fit) -> Explanation:
+        found, names = self.found, self.found.robot.names
+        kind, size, error = fit.kind, float(fit.parameters[0]), float(fit.errors[0])
+        turns = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
+        unit = "Nm" if turns else "N"
+        values: dict[str, float] = {}
+        felt = self._effects(fit) > LEAST_EFFECT * found.scale
+        joints = np.array(names)[felt].tolist() if fit.joint < 0 else [names[fit.joint]]
+        if kind == "gain":
+            # Of two runs the second may be the one with the wrong sign.
+            kind = "sign" if abs(size) > 1.3 else "gain"
+            size, unit = 1.0 + (size if size < 1.3 else -size), ""
+        elif kind == "delay":
+            size, error, unit = fit.delay * size, fit.delay * error, "s"
+        elif kind == "friction":
+            values = {"viscous": float(fit.parameters[1])}
+        elif kind == "payload":
+            unit, mass = "kg", fit.parameters[0]
+            values = dict(zip("xyz", (fit.parameters[1:4] / mass).tolist(), strict=True))
+        elif kind == "unexplained":
+            effect = (fit.columns[..., 0] * self.sigma)[:, :, fit.joint].ravel()
+            size = float(effect[np.argmax(np.abs(effect))])
+        first, last = fit.edges
+        return Explanation(
+            FLANGE if fit.joint < 0 else names[fit.joint], kind, fit.part, size, unit, error,
+            fit.confidence, float(found.times[0] + 0.5 * first * found.step),
+            None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
+            first == 0, values, tuple(joints),
+        )  # fmt: skip
+
+
+def _spread(residuals: Array) -> Array:
+    """Standard deviation of what differs from row to row, (2, n), whatever changes slowly."""
+    steps = np.abs(np.diff(residuals, axis=1))
+    result = np.zeros((2, residuals.shape[2]))
+    for side, joint in np.ndindex(result.shape):
+        known = steps[side, :, joint][np.isfinite(steps[side, :, joint])]
+        if len(known):
+            result[side, joint] = np.median(known) / 0.6745 / np.sqrt(2.0)
+    return result
+
+
+def _evidence(before: Any, after: Any, count: Any, facts: Any) -> Any:
+    """Twice the logarithm of the likelihood ratio of two sums of squares, the noise's as well."""
+    return facts * (np.log1p(before / count) - np.log1p(np.maximum(after, 0.0) / count))
+
+
+def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tuple[Array, Array]:
+    """Parameters of normal equations, and their standard errors."""
+    covariance = np.linalg.inv(H + inverse)
+    parameters = covariance @ g
+    rest = total - float(2.0 * g @ parameters - parameters @ H @ parameters)
+    variance = _ROWS_PER_FACT * max(rest / count, _LEAST_VARIANCE)
+    return parameters, np.sqrt(np.diag(covariance) * variance)
+
+
+def _odds(scores: Sequence[float]) -> float:
+    """Probability of the first of several, by their scores."""
+    differences = np.asarray(scores[1:], np.float64) - scores[0]
+    return min(float(1.0 / (1.0 + np.exp(0.5 * np.minimum(differences, 60.0)).sum())), MOST_SURE)

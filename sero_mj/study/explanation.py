@@ -1,0 +1,98 @@
+"""`Explanation`: a difference between torques that was found, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+Kind = Literal[
+    "sign", "gain", "bias", "delay", "friction", "noise", "payload", "stuck", "unexplained"
+]
+Part = Literal["torque sensor", "drive", "joint", "flange", "sensor or drive"]
+FLANGE = "flange"
+MOST_SURE = 0.99
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A difference that was found.
+
+    Attributes:
+        joint: its name; `flange` for a payload.
+        kind: what it is.
+        part: where it is.
+        size: the gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm),
+            noise's standard deviation (Nm), mass (kg), torque that is held (Nm), or peak (Nm).
+        unit: of it; empty for a gain.
+        error: standard error of the size; NaN where there is none.
+        confidence: 0 to 1.
+        begin: since when, s.
+        end: until when, s; None for to the end.
+        from_start: whether it has been there from the start.
+        values: further figures by name: `viscous`, `x`, `y`, `z` of a payload's centre, m.
+        joints: which it can be seen at.
+    """
+
+    joint: str
+    kind: Kind
+    part: Part
+    size: float
+    unit: str
+    error: float
+    confidence: float
+    begin: float
+    end: float | None = None
+    from_start: bool = False
+    values: Mapping[str, float] = field(default_factory=dict)
+    joints: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.text}, {self.when}"
+
+    @property
+    def text(self) -> str:
+        """What it is and how large."""
+        size, error, unit, part = self.size, self.error, self.unit, self.part
+        rate = f"{unit} s/{'rad' if unit == 'Nm' else 'm'}"
+        center = ", ".join(
+            f"{round(self.values[axis], 3) + 0.0:.3f}" for axis in "xyz" if axis in self.values
+        )
+        stuck = f"it stands against {abs(size):.3g} {unit}"
+        if part == "torque sensor":
+            stuck = f"the {part} shows {size:.4g} {unit} all the time"
+        unknown = "what does the drive do?" if part == "drive" else "contact, an unknown force?"
+        texts = {
+            "sign": f"the {part} has the wrong one (gain {size:.2f})",
+            "gain": f"{size:.3f}{_about(error)} of the {part}",
+            "bias": f"{size:+.3g}{_about(error)} {unit} of the {part}",
+            "delay": f"{1e3 * size:.1f}{_about(1e3 * error)} ms of the {part}",
+            "friction": f"{size:+.3g}{_about(error)} {unit}, "
+            f"{self.values.get('viscous', 0.0):+.2g} {rate}",
+            "noise": f"{size:.2g} {unit} of the {part}",
+            "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m of the flange",
+            "stuck": stuck,
+            "unexplained": f"up to {abs(size):.3g} {unit}; {unknown}",
+        }
+        return f"{self.kind}: {texts[self.kind]}"
+
+    @property
+    def short(self) -> str:
+        """The kind and its size, for figures."""
+        if self.kind in ("sign", "stuck", "unexplained"):
+            return f"{self.kind} ({self.part})"
+        factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
+        sign = "+" if self.kind in ("bias", "friction", "payload") else ""
+        return f"{self.kind} {factor * self.size:{sign}.3g} {unit}".strip()
+
+    @property
+    def when(self) -> str:
+        """Since when, and until when."""
+        begin = "from the start" if self.from_start else f"from {self.begin:.2f} s"
+        return begin if self.end is None else f"{begin} to {self.end:.2f} s"
+
+
+def _about(error: float) -> str:
+    return f" ± {error:.1g}" if np.isfinite(error) and error > 0 else ""

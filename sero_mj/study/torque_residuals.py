@@ -1,0 +1,475 @@
+"""`TorqueResiduals`: what a robot's motion does not account for in its torques, on both sides.
+
+The torque sensor of a joint is between its motor and its links, so that with link inertia M, motor
+inertia B (as seen at the joint) and friction tau_f of motor and gear there are two equations:
+
+    link side:   measured = M(q) ddq + C(q, dq) dq + g(q) + what the model does not know
+    motor side:  commanded - measured = B ddtheta + tau_f + what the drive does not do
+
+What is left of both without the unknown is linear in what may be wrong: payload, offset and gain of
+a sensor, friction, gain of a drive. All of it goes through one low pass (a Gaussian, which shifts
+nothing in time) and is thinned out to what that leaves: the estimates of a regression stay the
+same, and noise of differentiated angles goes.
+
+With joint torque control (see `TorqueLoop`) the commanded torque is not that of the motor: then
+B is what the motor feels like, friction is made up for, and an error of the torque sensor is felt
+on the link's side only.
+
+Source: Gautier, Dynamic identification of robots with power model, ICRA 1997 (filtering of torques
+and regressors alike); Khalil and Dombre, Modeling, Identification and Control of Robots, 2002,
+chapter 12; rigid bodies' torques as linear functions of their ten parameters: Atkeson, An,
+Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJRR 5(3), 1986.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..assemble.robot import SerialRobot
+from ..assemble.robot_dynamics import GRAVITY, robot_dynamics
+from ..control.robot_model import RobotModel
+from ..errors import UsageError
+from ..frames import Array, Bools
+from ..runs.run_log import RunLog, compared_signal
+from .align import Pair, at_times
+
+WINDOW = 0.016  # s, standard deviation of the low pass: 10 Hz
+_REACH = 4.0  # of these, to which the low pass reaches
+_EVERY = 2.0  # of these, between two rows that are kept
+MOST_ROWS = 600  # that are kept
+_MOST_READ = 120_000  # rows of a run; of longer ones every second, third, ... is used
+_LEAST_ROWS = 12  # that are kept
+_SLOW = 0.01  # rad/s or m/s, up to which Coulomb friction may hold the joint
+_TURNING = 0.999  # mean of the sign of the velocity, below which it turns
+_FULL = 0.95  # of a torque limit, from which on a drive may give no more
+_NOISE = -0.35  # correlation of second differences, below which they are noise
+_STOP = 0.005  # of a joint's range, from which on it is at an end of it
+_LEAST_SCALE = 1e-3  # Nm or N, of joints that have no limit and feel nothing
+_MOVE = 1e-4  # s, by which the Jacobian is moved to find its derivative
+
+# s, which sensors and drives may be late by.
+DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)
+PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueResiduals:
+    """Residuals of a robot's torques, and what they may consist of; NaN where nothing is known.
+
+    Attributes:
+        robot: whose.
+        times: (K,), s, at even steps.
+        link: measured less the model's torques at the links, (K, n), Nm or N.
+        motor: commanded less measured torque, less what the motor's inertia and the declared
+            friction take, (K, n); NaN as well where the joint is slow or turns.
+        lag: commanded less measured torque as they are, (K, n).
+        measured: (K, n).
+        rates: of the torque that changes faster, measured or commanded, (K, n), Nm/s.
+        model: the model's torques at the links, (K, n).
+        commanded: (K, n).
+        late_model: what changes of the model's torques when they come later, by each of `DELAYS`,
+            (D, K, n).
+        late_commanded: likewise of the commanded ones.
+        velocities: (K, n), rad/s or m/s.
+        signs: of the velocities, (K, n).
+        accelerations: (K, n).
+        slow: (K, n), where joints hardly move.
+        payload: (K, n, 10), torques by mass, first moments and inertia (about the flange, in its
+            axes) of a body that is fixed to the flange: `PARAMETERS`, SI units.
+        roughness: (W, n), of the measured torque in windows, Nm: the standard deviation of white
+            noise that would do it.
+        rough_times: (W,), s, where these windows begin.
+        held: of every joint begin (s), end (s) and value of the longest stretch in which the
+            measured torque does not change at all.
+        width: standard deviation of the low pass, s.
+        scale: (n,), torque limits, or the largest torque where there are none.
+        coulomb: (n,), declared friction, Nm.
+        viscous: (n,), Nm s/rad.
+        torque_control: whether commands go to joint torque control.
+        has_model: whether `link` means anything: the links' masses are declared, the robot stands
+            in the world and carries no other.
+    """
+
+    robot: SerialRobot
+    times: Array
+    link: Array
+    motor: Array
+    lag: Array
+    measured: Array
+    rates: Array
+    model: Array
+    commanded: Array
+    late_model: Array
+    late_commanded: Array
+    velocities: Array
+    signs: Array
+    accelerations: Array
+    slow: Bools
+    payload: Array
+    roughness: Array
+    rough_times: Array
+    held: tuple[tuple[float, float, float], ...]
+    width: float
+    scale: Array
+    coulomb: Array
+    viscous: Array
+    torque_control: bool
+    has_model: bool
+
+    @property
+    def step(self) -> float:
+        """Between two rows, s."""
+        return float(self.times[1] - self.times[0])
+
+
+def torque_residuals(
+    log: RunLog,
+    name: str,
+    *,
+    torque_control: bool | None = None,
+    times: Array | None = None,
+    most_rows: int = MOST_ROWS,
+    window: float = WINDOW,
+) -> TorqueResiduals:
+    """Finds what a robot's motion does not account for in its torques.
+
+    Args:
+        log: a run.
+        name: of the robot in it.
+        torque_control: whether its commands went to joint torque control; found out by which
+            accounts for more when None.
+        times: (K,), s, at which residuals are wanted, on the clock of the run; its own when None.
+        most_rows: how many are kept at most; of longer runs they are further apart.
+        window: standard deviation of the low pass, s.
+
+    Raises:
+        UsageError: there is no such robot, no torque that was measured, or too little of them.
+    """
+    robot = _checked(log, name)
+    rows, step = _even(log, name)
+    # Torques of a row act in the step that leads to it: the state is that of the row before.
+    q, v = rows["q"][1:-1], np.diff(rows["q"], axis=0)[:-1] / step
+    a = np.diff(rows["q"], n=2, axis=0) / step**2
+    at, measured, commanded = rows["t"][2:, 0], rows["measured"][2:], rows["commanded"][2:]
+    low_pass = _LowPass(at, step, times, most_rows, window)
+    if len(low_pass.times) < _LEAST_ROWS:
+        raise UsageError(
+            f"{log.name} has {log.times[-1] - log.times[0]:.3g} s of '{name}'; expected at least "
+            f"{_LEAST_ROWS * low_pass.step + 2 * _REACH * low_pass.width:.2g} s"
+        )
+    model = _link_torques(robot, q, v, a)
+    dynamics = robot_dynamics(robot)
+    smooth = low_pass(v + a * step)
+    speed = np.abs(smooth)
+    sign = np.sign(low_pass.fully(v + a * step))
+    sign[np.abs(low_pass.fully(v)) < _SLOW] = 0.0
+    signs = low_pass(sign)
+    with np.errstate(invalid="ignore"):
+        slow = ~(speed > _SLOW)
+        turns = slow | ~(np.abs(signs) > _TURNING)
+    acceleration = low_pass(a)
+    if robot.elastic_joints:  # the motor's, ahead of the link's by the spring's deflection
+        acceleration = acceleration + low_pass.second(measured) / dynamics.joint_stiffness
+    free = np.where(_at_stops(robot, q), np.nan, measured)
+    felt = robot.torque_control.motor_inertias
+    if felt is None:
+        felt = robot.torque_control.inertia_ratio * dynamics.motor_inertias
+    lag = commanded - measured
+    friction = dynamics.viscous_friction * smooth + dynamics.coulomb_friction * signs
+    plain = low_pass(lag) - dynamics.motor_inertias * acceleration - friction
+    with np.errstate(divide="ignore"):
+        ratio = dynamics.motor_inertias / felt
+    # What the loop asks of the drive, which saturates.
+    asked = measured + ratio * lag
+    saturated = np.abs(asked) > _FULL * _scale(robot, np.full_like(measured, np.inf))
+    looped = low_pass(np.where(saturated, np.nan, lag)) - felt * acceleration
+    for each in (plain, looped):
+        each[turns] = np.nan
+    scale = _scale(robot, measured)
+    if torque_control is None:
+        torque_control = _is_smaller(looped / scale, plain / scale)
+    rough, windows = _roughness(measured, commanded, step)
+    return TorqueResiduals(
+        robot=robot,
+        times=low_pass.times,
+        link=low_pass(free) - low_pass(model),
+        motor=looped if torque_control else plain,
+        lag=low_pass(lag),
+        measured=low_pass(measured),
+        rates=np.fmax(*(np.abs(low_pass.first(each)) for each in (measured, commanded))),
+        model=low_pass(model),
+        commanded=low_pass(commanded),
+        late_model=np.stack([low_pass(_later(model, step, each)) for each in DELAYS]),
+        late_commanded=np.stack([low_pass(_later(commanded, step, each)) for each in DELAYS]),
+        velocities=smooth,
+        signs=signs,
+        accelerations=acceleration,
+        slow=slow,
+        payload=low_pass(_payload_torques(robot, q, v, a)),
+        roughness=rough,
+        rough_times=at[1] + windows,
+        held=tuple(_held(at, each) for each in measured.T),
+        width=low_pass.width,
+        scale=scale,
+        coulomb=dynamics.coulomb_friction,
+        viscous=dynamics.viscous_friction,
+        torque_control=torque_control,
+        has_model="masses" not in dynamics.estimated and _stands_alone(robot, log),
+    )
+
+
+def pair_with_model(log: RunLog, found: TorqueResiduals) -> Pair:
+    """A robot's run and what its model would have felt, and asked for, in the same motion.
+
+    The model moves as the robot did, and its torques follow by inverse dynamics: driven by the
+    commanded torques it would leave the robot's way within a second, whatever is wrong. Both went
+    through the low pass.
+
+    Args:
+        log: a run.
+        found: of it.
+    """
+    name = found.robot.name
+    angles = at_times(log.times, log.of(name, "joint_angles"), found.times)
+    a, b = {"joint_angles": angles, "torques": found.measured}, {"joint_angles": angles}
+    b["torques"] = found.measured - found.link
+    if log.has(name, "commanded_torques"):
+        a["commanded_torques"] = found.commanded
+        b["commanded_torques"] = b["torques"] + found.lag - found.motor
+    return Pair(found.robot, found.times, a, b, 0.0, None, (log.name, "its model"))
+
+
+def _checked(log: RunLog, name: str) -> SerialRobot:
+    if name not in log.robots:
+        raise UsageError(f"no robot '{name}' in {log.name}; it has {', '.join(log.robots)}")
+    robot = log.robots[name]
+    if not log.has(name, "torques"):
+        raise UsageError(f"{log.name} has no measured torques of '{name}'; expected `torques`")
+    return robot
+
+
+def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
+    """Signals at even times, (T, n) each; NaN where there are gaps."""
+    times = log.times
+    if len(times) < 4 or log.timestep <= 0.0:
+        raise UsageError(f"{log.name} has {len(times)} rows of '{name}'; expected a run")
+    n = log.robots[name].n
+    signals = {"q": log.of(name, "joint_angles"), "measured": log.of(name, "torques")}
+    missing = np.full((len(times), n), np.nan)
+    has = log.has(name, "commanded_torques")
+    signals["commanded"] = compared_signal(log, name, "commanded_torques") if has else missing
+    signals["t"] = times[:, None]
+    thin = -(-round((times[-1] - times[0]) / log.timestep) // _MOST_READ)
+    step = log.timestep * max(thin, 1)
+    even = times[0] + step * np.arange(int((times[-1] - times[0]) / step + 1e-6) + 1)
+    if len(even) == len(times) and np.allclose(even, times, rtol=0.0, atol=1e-3 * step):
+        return signals, step
+    sampled = {key: at_times(times, values, even) for key, values in signals.items()}
+    return {**sampled, "t": even[:, None]}, step
+
+
+class _LowPass:
+    """A Gaussian low pass with its derivatives, evaluated at few times only.
+
+    Args:
+        at: (T,), s, times of the rows.
+        step: between them, s.
+        wanted: (K,), s, where it is evaluated; at even times when None.
+        most: of these.
+        window: its standard deviation, s, one row at least.
+
+    Attributes:
+        width: its standard deviation, s.
+        times: (K,), at which it is evaluated.
+        step: between these, s.
+    """
+
+    def __init__(
+        self, at: Array, step: float, wanted: Array | None, most: int, window: float
+    ) -> None:
+        self.width = max(window, step)
+        reach = int(np.ceil(_REACH * self.width / step))
+        every = max(int(_EVERY * self.width / step), -(-len(at) // most), 1)
+        self.step = every * step
+        rows = np.arange(reach, len(at) - reach, every)
+        if wanted is not None:
+            rows = np.rint((wanted - at[0]) / step).astype(int)
+        inside = (rows >= reach) & (rows < len(at) - reach)
+        self.times = at[rows] if wanted is None else wanted
+        self._rows, self._inside, self._reach = rows, inside, reach
+        z = np.arange(-reach, reach + 1) * step / self.width
+        kernel = np.exp(-0.5 * z**2)
+        self._kernel = kernel / kernel.sum()
+        first = z * kernel
+        self._first = first / (first @ (z * self.width))
+        # Of the second derivative: nothing of a constant, 2 of the square of the time.
+        second = (z**2 - 1.0) * kernel
+        second -= kernel * (second.sum() / kernel.sum())
+        self._second = second * 2.0 / (second @ (z * self.width) ** 2)
+
+    def __call__(self, values: Array) -> Array:
+        """(T, ...) to (K, ...)."""
+        return self._at_rows(values, self._kernel)
+
+    def first(self, values: Array) -> Array:
+        """The derivative by time."""
+        return self._at_rows(values, self._first)
+
+    def second(self, values: Array) -> Array:
+        """The second derivative by time."""
+        return self._at_rows(values, self._second)
+
+    def _at_rows(self, values: Array, kernel: Array) -> Array:
+        flat = values.reshape(len(values), -1)
+        result = np.full((len(self._rows), flat.shape[1]), np.nan)
+        windows = np.lib.stride_tricks.sliding_window_view(flat, len(kernel), axis=0)
+        result[self._inside] = windows[self._rows[self._inside] - self._reach] @ kernel
+        return result.reshape(len(self._rows), *values.shape[1:])
+
+    def fully(self, values: Array) -> Array:
+        """The same at every row, (T, n); at both ends what is nearest."""
+        padded = np.pad(values, ((self._reach, self._reach), (0, 0)), mode="edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, len(self._kernel), axis=0)
+        return np.asarray(windows @ self._kernel)
+
+
+def _link_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
+    """M(q) a + C(q, v) v + g(q) of the links alone, (T, n), Nm or N."""
+    model = RobotModel.of(robot.model_copy(update={"mount": None, "free_base": False}))
+    torques, less = np.zeros((len(q), robot.n)), np.zeros(robot.n)
+    for k in np.flatnonzero(np.isfinite(q + v + a).all(axis=1)):
+        model.update(q[k], v[k])
+        model.write_inverse_dynamics(v[k], a[k], torques[k], less)
+        torques[k] -= less
+    torques[~np.isfinite(q + v + a).all(axis=1)] = np.nan
+    return torques
+
+
+def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
+    """Torques at the links by the ten parameters of a body at the flange, (T, n, 10).
+
+    Of a body with mass m, first moment h = m c and inertia I about the flange's origin, that moves
+    with angular velocity w and acceleration u, the origin with acceleration s (gravity included),
+    all in the flange's axes: force m s + u x h + w x (w x h), moment h x s + I u + w x (I w).
+    """
+    table, base, flange = robot.dh, robot.base_frame, robot.T_n_flange
+
+    def jacobian(angles: Array) -> Array:
+        return table.jacobian(angles, base, flange)
+
+    J = jacobian(q)
+    change = (jacobian(q + _MOVE * v) - jacobian(q - _MOVE * v)) / (2.0 * _MOVE)
+    velocity = np.einsum("tij,tj->ti", J, v)
+    acceleration = np.einsum("tij,tj->ti", J, a) + np.einsum("tij,tj->ti", change, v)
+    acceleration[:, 2] += GRAVITY
+    R = (table.frames(q, base)[..., -1, :, :] @ flange)[:, :3, :3]
+
+    def in_flange(vectors: Array) -> Array:
+        return np.asarray(np.einsum("tji,tj->ti", R, vectors))
+
+    moving = acceleration[:, :3], acceleration[:, 3:], velocity[:, 3:]
+    s, u, w = (in_flange(each) for each in moving)
+    wrench = np.zeros((len(q), 6, 10))
+    wrench[:, :3, 0] = s
+    wrench[:, :3, 1:4] = _cross(u) + _cross(w) @ _cross(w)
+    wrench[:, 3:, 1:4] = -_cross(s)
+    wrench[:, 3:, 4:] = _tensor_times(u) + _cross(w) @ _tensor_times(w)
+    turned = np.concatenate([np.swapaxes(R, 1, 2) @ J[:, :3], np.swapaxes(R, 1, 2) @ J[:, 3:]], 1)
+    return np.asarray(np.swapaxes(turned, 1, 2) @ wrench)
+
+
+def _cross(x: Array) -> Array:
+    """The matrices of x cross, (T, 3, 3)."""
+    result = np.zeros((len(x), 3, 3))
+    result[:, 0, 1], result[:, 0, 2] = -x[:, 2], x[:, 1]
+    result[:, 1, 0], result[:, 1, 2] = x[:, 2], -x[:, 0]
+    result[:, 2, 0], result[:, 2, 1] = -x[:, 1], x[:, 0]
+    return result
+
+
+def _tensor_times(x: Array) -> Array:
+    """I x as a matrix times (Ixx, Iyy, Izz, Ixy, Ixz, Iyz), (T, 3, 6)."""
+    result = np.zeros((len(x), 3, 6))
+    for row, columns in enumerate(((0, 3, 4), (3, 1, 5), (4, 5, 2))):
+        for axis, column in enumerate(columns):
+            result[:, row, column] = x[:, axis]
+    return result
+
+
+def _roughness(measured: Array, commanded: Array, step: float) -> tuple[Array, Array]:
+    """How rough measured torques are that commands do not make so; windows of about 0.1 s.
+
+    White noise of standard deviation s has second differences of sqrt(6) s; the median of sizes is
+    0.6745 of it, and no single step counts. Neighbours among them have a correlation of -2/3; where
+    it is far from that, something swings, and is no noise.
+    """
+    bends = np.diff(measured, n=2, axis=0)
+    asked = np.diff(commanded, n=2, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.nansum(bends * asked, axis=0) / np.nansum(asked * asked, axis=0)
+    bends = bends - np.nan_to_num(np.where(np.isfinite(share), share, 0.0) * asked)
+    size = max(round(0.1 / step), 12)
+    count = max(len(bends) // size, 1)
+    stretches = bends[: count * size].reshape(count, -1, bends.shape[1])
+    rough = np.median(np.abs(stretches), axis=1) / 0.6745 / np.sqrt(6.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alike = (stretches[:, 1:] * stretches[:, :-1]).sum(axis=1) / (stretches**2).sum(axis=1)
+    rough = np.where(alike < _NOISE, rough, 0.0)
+    begins = np.asarray(np.arange(count) * (size * step), np.float64)
+    return np.asarray(rough, np.float64), begins
+
+
+def _later(values: Array, step: float, delay: float) -> Array:
+    """What changes of values (T, n) when they come later by a time, s."""
+    rows = delay / step
+    whole = int(rows)
+    padded = np.concatenate([np.repeat(values[:1], whole + 1, axis=0), values])
+    before, at = padded[: len(values)], padded[1 : len(values) + 1]
+    return np.asarray(at + (rows - whole) * (before - at) - values)
+
+
+def _held(at: Array, measured: Array) -> tuple[float, float, float]:
+    """Begin, end and value of the longest stretch in which a torque (T,) does not change."""
+    changes = np.flatnonzero(np.concatenate([[True], np.diff(measured) != 0.0, [True]]))
+    longest = int(np.argmax(np.diff(changes)))
+    begin, end = changes[longest], changes[longest + 1] - 1
+    return float(at[begin]), float(at[end]), float(measured[begin])
+
+
+def _scale(robot: SerialRobot, measured: Array) -> Array:
+    if robot.torque_limits is not None:
+        return np.asarray(robot.torque_limits, np.float64)
+    return np.asarray(np.maximum(np.nanmax(np.abs(measured), axis=0, initial=0.0), _LEAST_SCALE))
+
+
+def _stands_alone(robot: SerialRobot, log: RunLog) -> bool:
+    """Whether its links feel nothing but themselves, and its base stands still."""
+    carried = any(
+        (each.mount or "").partition("/")[0] == robot.name for each in log.robots.values()
+    )
+    return robot.mount is None and not robot.free_base and not carried and not robot.couplings
+
+
+def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
+    """Where joints are at the ends of their ranges, (K, n), at which something else holds them."""
+    if robot.position_limits is None:
+        return np.zeros(angles.shape, bool)
+    low, high = robot.position_limits.T
+    near = _STOP * (high - low)
+    with np.errstate(invalid="ignore"):
+        return np.asarray((angles < low + near) | (angles > high - near))
+
+
+def _is_smaller(a: Array, b: Array) -> bool:
+    """Whether residuals (K, n) are smaller than others at most joints, by how they differ there."""
+    known = np.isfinite(a) & np.isfinite(b)
+    joints = known.sum(axis=0) > _LEAST_ROWS
+    if not joints.any():
+        return False
+    mine, others, apart = (
+        np.nanmedian(np.where(known, np.abs(each), np.nan)[:, joints], axis=0)
+        for each in (a, b, a - b)
+    )
+    return bool(apart[mine < others].sum() > apart[mine >= others].sum())

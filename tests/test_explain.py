@@ -1,0 +1,289 @@
+from __future__ import annotations
+
+import json
+import math
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from runs import HOME, record_run, two_joints
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.cli import main
+from sero_mj.control.robot_model import RobotModel
+from sero_mj.errors import SimulationError, UsageError
+from sero_mj.runs.run_log import RunLog
+from sero_mj.simulate.external_loads import attach_payload
+from sero_mj.simulate.scenario import Scenario
+from sero_mj.simulate.simulation import Simulation
+from sero_mj.study.align import pair_with_commands
+from sero_mj.study.compare import compare_scene, explanations_table
+from sero_mj.study.explain import explain, explain_run, explain_runs
+from sero_mj.study.explain_search import _Edges, _erf
+from sero_mj.study.explanation import FLANGE, Explanation
+from sero_mj.study.torque_residuals import (
+    _link_torques,
+    _payload_torques,
+    pair_with_model,
+    torque_residuals,
+)
+
+BEGIN = 1.3
+
+
+def simulated_swing(
+    fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False
+) -> Simulation:
+    """An LWR with sensors as they are, that swings for 2.6 s, and something that goes wrong."""
+    faults, loads = json.loads(fault), json.loads(load)
+    scenario = Scenario(
+        Scene(robots=[SerialRobot.from_model("lwr", joint_angles=HOME)], floor=False),
+        controllers={"lwr": {"kind": "joint_impedance", "stiffness": 1200}},
+        targets={"lwr": {"kind": "sine", "amplitude_deg": 9.0, "frequency": 0.5}},
+        sensors={"lwr": {"angles": {"resolution": 1e-5}, "torques": {"noise": 0.03}}},
+        faults={"it": {"begin": BEGIN, **faults}} if faults else None,
+        disturbances={"load": {"begin": BEGIN, **loads}} if loads else None,
+        duration=2.6, seed=seed, torque_control=loop, name="swing",
+    )  # fmt: skip
+    simulation = Simulation(scenario)
+    with suppress(SimulationError):  # a drive of the wrong sign runs off
+        for _ in simulation.run():
+            pass
+    return simulation
+
+
+@cache
+def swing(fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False) -> RunLog:
+    """The log alone: simulations keep much memory."""
+    return simulated_swing(fault, load, seed, loop).log
+
+
+def told(log: RunLog) -> list[Explanation]:
+    return explain_run(log, "lwr")
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("loop", [False, True])
+def test_of_a_run_without_a_fault_nothing_is_told(seed: int, loop: bool) -> None:
+    found = torque_residuals(swing(seed=seed, loop=loop), "lwr")
+    assert found.torque_control is loop
+    assert explain_run(swing(seed=seed, loop=loop), "lwr", found) == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "part", "size", "tolerance"),
+    [
+        ({"kind": "sensor", "gain": -1.0}, "sign", "torque sensor", -1.0, 0.02),
+        ({"kind": "sensor", "gain": 0.8}, "gain", "torque sensor", 0.8, 0.01),
+        ({"kind": "sensor", "bias": -4.0}, "bias", "torque sensor", -4.0, 0.1),
+        ({"kind": "sensor", "delay_ms": 40}, "delay", "torque sensor", 0.040, 0.006),
+        ({"kind": "sensor", "noise": 0.6}, "noise", "torque sensor", 0.6, 0.1),
+        ({"kind": "frozen_sensor"}, "stuck", "torque sensor", None, 0.0),
+        ({"kind": "dead_sensor"}, "stuck", "torque sensor", 0.0, 0.0),
+        ({"kind": "controller", "gain": 1.3}, "gain", "drive", 1.3, 0.01),
+        ({"kind": "controller", "gain": -1.0}, "sign", "drive", -1.0, 0.1),
+        ({"kind": "friction", "added_coulomb": 1.5}, "friction", "joint", 1.5, 0.1),
+        ({"kind": "friction", "added_coulomb": 1000}, "stuck", "joint", None, 0.0),
+    ],
+)
+def test_a_fault_is_named_with_its_joint_its_size_and_its_time(
+    fault: dict[str, Any], kind: str, part: str, size: float | None, tolerance: float
+) -> None:
+    first, *_ = told(swing(json.dumps({**fault, "joints": ["A2"]})))
+    assert (first.joint, first.kind, first.part) == ("A2", kind, part), first
+    assert first.begin == pytest.approx(BEGIN, abs=0.11)
+    assert not first.from_start
+    if size is not None:
+        assert first.size == pytest.approx(size, abs=tolerance)
+    assert first.confidence > 0.9
+
+
+def test_a_payload_is_found_by_all_joints_with_its_centre_and_its_end() -> None:
+    load = {"kind": "payload", "robot": "lwr", "mass": 2.5, "end": 2.1,
+            "center_of_mass": [0.02, -0.03, 0.1]}  # fmt: skip
+    for loop in (False, True):
+        (found,) = told(swing(load=json.dumps(load), loop=loop))
+        assert (found.joint, found.kind, found.unit) == (FLANGE, "payload", "kg")
+        assert found.size == pytest.approx(2.5, abs=0.03)
+        assert [found.values[axis] for axis in "xyz"] == pytest.approx([0.02, -0.03, 0.1], abs=0.01)
+        assert (found.begin, found.end) == pytest.approx((BEGIN, 2.1), abs=0.03)
+        assert {"A2", "A3"} < set(found.joints)
+
+
+def test_several_faults_are_told_apart() -> None:
+    fault = json.dumps({"kind": "sensor", "bias": 5.0, "joints": ["A3"]})
+    load = json.dumps({"kind": "payload", "robot": "lwr", "mass": 2.0, "begin": 1.9})
+    found = {(each.joint, each.kind): each for each in told(swing(fault, load))}
+    assert set(found) == {("A3", "bias"), (FLANGE, "payload")}
+    assert found["A3", "bias"].size == pytest.approx(5.0, abs=0.1)
+    assert found[FLANGE, "payload"].size == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_push_is_no_fault_of_the_robot() -> None:
+    push = {"kind": "force", "at": "lwr/flange", "force": [0, 25, 0], "end": 2.2,
+            "profile": "half_sine"}  # fmt: skip
+    found = told(swing(load=json.dumps(push)))
+    assert {"A1", "E1"} <= {each.joint for each in found if each.kind == "unexplained"}
+    assert FLANGE not in {each.joint for each in found}
+
+
+def test_runs_are_told_apart_by_what_only_one_of_them_has() -> None:
+    fault = json.dumps({"kind": "sensor", "bias": -4.0, "joints": ["A2"]})
+    a, b = swing(fault), swing(seed=5)
+    both = "lwr", "lwr"
+    assert explain_runs(b, swing(seed=6), both) == []
+    (mine,) = explain_runs(a, b, both)
+    assert (mine.joint, mine.kind, mine.size) == ("A2", "bias", pytest.approx(-4.0, abs=0.1))
+    (theirs,) = explain_runs(b, a, both)
+    assert theirs.size == pytest.approx(4.0, abs=0.1)
+    # Begun later by another clock.
+    later = RunLog(b.robots, b.signals, b.times + 0.7, "later")
+    (moved,) = explain_runs(a, later, both, offset=-0.7)
+    assert moved.begin == pytest.approx(BEGIN, abs=0.03)
+
+
+def test_without_the_links_masses_commands_alone_still_tell() -> None:
+    found = torque_residuals(
+        swing(json.dumps({"kind": "controller", "gain": 0.7, "joints": ["A2"]})), "lwr"
+    )
+    first, *_ = explain(replace(found, has_model=False))
+    assert (first.joint, first.kind) == ("A2", "gain")
+    assert first.size == pytest.approx(0.7, abs=0.05)
+
+
+@pytest.mark.parametrize("robot", ["lwr", "stanford"])
+def test_a_bodys_torques_are_those_of_mujoco_with_it_less_without(robot: str) -> None:
+    base = np.array([[0.0, -1, 0, 0.1], [0.8, 0, 0.6, 0], [-0.6, 0, 0.8, 0.3], [0, 0, 0, 1]])
+    arm = SerialRobot.from_model(robot, name="arm", base_frame=base)
+    rng = np.random.default_rng(4)
+    q, v, a = rng.normal(0.0, 0.5, (3, 20, arm.n))
+    mass, center, tensor = 1.7, np.array([0.03, -0.02, 0.11]), np.diag([0.02, 0.03, 0.015])
+    world = World(Scene(robots=[arm], floor=False), dynamic=True)
+    attach_payload(world.model, "arm", mass, center, tensor)
+    part = world.robots["arm"]
+    joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
+    loaded = RobotModel(world.model, joints, body=part.flange_body)
+    about = tensor + mass * (center @ center * np.eye(3) - np.outer(center, center))
+    parameters = [mass, *(mass * center), *np.diag(about), about[0, 1], about[0, 2], about[1, 2]]
+    by_regressor = _link_torques(arm, q, v, a) + _payload_torques(arm, q, v, a) @ parameters
+    for k in range(20):
+        loaded.update(q[k], v[k])
+        M = loaded.mass() - np.diag(loaded.motor_inertia)
+        expected = M @ a[k] + loaded.coriolis() + loaded.gravity()
+        np.testing.assert_allclose(by_regressor[k], expected, atol=1e-6)
+
+
+def test_nothing_is_left_of_a_perfect_run() -> None:
+    log = swing()
+    exact = {key.replace("actual_angles", "joint_angles").replace("actual_torques", "torques"): v
+             for key, v in log.signals.items()
+             if "actual" in key or "commanded" in key}  # fmt: skip
+    found = torque_residuals(RunLog(log.robots, exact, log.times), "lwr")
+    assert np.nanmax(np.abs(found.link)) < 1e-6
+    assert np.nanmax(np.abs(found.motor)) < 2e-3  # Coulomb friction where joints turn
+    assert np.isfinite(found.motor).mean() > 0.7
+
+
+def test_edges_sum_up_what_direct_sums_do() -> None:
+    rng = np.random.default_rng(2)
+    edges, X, y = _Edges(30, 1.9), rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 30))
+    sums = edges.sums(X, y)
+    for first, last in ((0, 59), (0, 31), (17, 59), (14, 40)):
+        H, g, _ = sums.between(first, last)
+        seen = edges.share(first, last)
+        shown = X * seen[:, None]
+        np.testing.assert_allclose(H, np.einsum("ckp,ckq->pq", shown, shown), atol=1e-6)
+        np.testing.assert_allclose(g, np.einsum("ckp,ck->p", shown, y), atol=1e-9)
+    x = np.linspace(-3.0, 3.0, 61)
+    np.testing.assert_allclose(_erf(x), [math.erf(each) for each in x], atol=2e-7)
+
+
+def command(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", *map(str, arguments)])
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    fault = json.dumps({"kind": "sensor", "bias": -4.0, "joints": ["A2"]})
+    return record_run(simulated_swing(fault), tmp_path_factory.mktemp("recorded") / "gauge.mcap")
+
+
+def test_the_command_says_for_every_joint_what_explains_it(
+    recorded: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert command(recorded) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "commanded less measured: lwr" in out
+    assert "A1 no difference found" in out
+    assert "A2 bias: -4" in out
+    assert "Nm of the torque sensor from 1.3" in out
+    picture = tmp_path / "parts.svg"
+    assert command(recorded, "--against-model", "--plot", picture) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "gauge less its model: lwr" in out
+    assert "lwr and its model part at A2, from 1.3" in out
+    assert "inverse dynamics on the measured motion" in out
+    assert "bias -4" in picture.read_text(encoding="utf-8")
+    assert command(recorded, "--against-model", "--json") == 0
+    (found,) = json.loads(capsys.readouterr().out)["explanations"]
+    assert (found["joint"], found["kind"], found["part"]) == ("A2", "bias", "torque sensor")
+    assert found["text"].startswith("bias: -4")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["B.mcap", "--against-model"], "--against-model: found B.mcap as well; expected one"),
+        (["--offset", "1"], "--offset is for two recordings; found one"),
+        (["--robot", "lwx"], "--robot: no robot 'lwx' in gauge; did you mean 'lwr'?"),
+    ],
+)
+def test_the_command_says_what_does_not_go_together(
+    recorded: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    assert command(recorded, *arguments) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_too_little_is_an_error() -> None:
+    log = swing()
+    with pytest.raises(UsageError, match=r"swing has 0\.2 s of 'lwr'; expected at least 0\.51 s"):
+        torque_residuals(log.between(1.0, 1.2), "lwr")
+    angles = {"lwr_joint_angles": log.of("lwr", "joint_angles")}
+    silent = RunLog(log.robots, angles, log.times, "silent")
+    with pytest.raises(UsageError, match="silent has no measured torques of 'lwr'"):
+        torque_residuals(silent, "lwr")
+    with pytest.raises(UsageError, match=r"silent has no torques of 'lwr'; expected both kinds"):
+        pair_with_commands(silent)
+
+
+def test_robots_and_their_models_can_be_filmed() -> None:
+    log = swing()
+    pair = pair_with_model(log, torque_residuals(log, "lwr"))
+    scene = compare_scene(pair)
+    assert scene.routes["lwr.torques"] == "b.torques"
+    assert pair.has_one_motion
+    table = explanations_table(pair, [])
+    assert table.row_count == 7
+
+
+def test_a_robot_with_a_joint_that_slides_has_newtons() -> None:
+    robot = two_joints()
+    t = np.arange(4001) * 1e-3
+    q = np.stack([0.4 * np.sin(2.0 * t), 0.1 * np.cos(3.0 * t)], axis=1)
+    log = RunLog({"arm": robot}, {"arm_joint_angles": q, "arm_torques": q * 0.0}, t)
+    bare = torque_residuals(log, "arm")
+    torques = np.stack([np.interp(t, bare.times, bare.model[:, k]) for k in range(2)], axis=1)
+    torques[t > 2.0, 1] += 7.0
+    log = RunLog({"arm": robot}, {"arm_joint_angles": q, "arm_torques": torques}, t)
+    found = explain(replace(torque_residuals(log, "arm"), has_model=True))
+    assert [(each.joint, each.kind, each.unit) for each in found] == [("slide", "bias", "N")]
+    assert found[0].size == pytest.approx(7.0, abs=0.2)
