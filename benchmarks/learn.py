@@ -36,7 +36,7 @@ EPOCHS, BATCH = 8, 512
 DISCOUNT, TRACE = 0.96, 0.95
 CLIP = 0.2
 HIDDEN = 64
-RATE = 6e-4  # of learning, at first
+RATE, UPDATES = 6e-4, 200  # of learning at first, and until it is a tenth of that
 JUDGED_AT = 12345  # seed of the episodes that are judged
 
 Seen = dict[str, np.ndarray]
@@ -196,7 +196,7 @@ def main() -> None:
     agent = Agent(x.shape[1], 7, seed=1)
     begin, steps, updates, held = time.perf_counter(), 0, 0, 0
     is_begun = np.zeros(ROBOTS, bool)  # rows in which an episode begins: no action led there
-    while held < 2 and (passed := time.perf_counter() - begin) < 60 * minutes:
+    while held < 2 and time.perf_counter() - begin < 60 * minutes:
         kept: dict[str, list[np.ndarray]] = {
             key: [] for key in ("x", "actions", "logs", "rewards", "values", "begun", "end")
         }
@@ -222,7 +222,7 @@ def main() -> None:
         rows["advantages"], rows["returns"] = advantages, advantages + rows["values"]
         learned = {key: rows[key][goes_on] for key in ("x", "actions", "logs", "returns")}
         learned["advantages"] = advantages[goes_on]
-        agent.learn(learned, RATE * max(1.0 - passed / (60 * minutes), 0.1))
+        agent.learn(learned, RATE * max(1.0 - updates / UPDATES, 0.1))
         steps += int(goes_on.sum())
         updates += 1
         if updates % 25 == 0:
