@@ -149,7 +149,8 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
 
     span = f"{pair.times[0]:.3f} s to {pair.times[-1]:.3f} s"
     title = f"{pair.names[0]} less {pair.names[1]}: {pair.robot.name}, {span}"
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
+                  min_width=len(title))  # fmt: skip
     table.add_column("joint", no_wrap=True)
     shown = [signal for signal in _IN_TABLE if signal in pair.signals] or pair.signals
     if pair.has_one_motion:

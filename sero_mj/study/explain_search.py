@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import erf
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..frames import Array, Bools
 from .explanation import FLANGE, MOST_SURE, Explanation, Kind, Part
 from .torque_residuals import DELAYS, TorqueResiduals
 
+_erf = np.vectorize(erf)
 LEAST_EFFECT = 5e-4  # of the torque limit, root mean square while it acts
 LEAST_ROWS = 8  # of a stretch
 # Finer differences mean nothing: of the torque limit, of the torque, and of its change (by s).
@@ -141,14 +143,6 @@ class _Sums:
             self.products[first] - self.products[last],
             self.known[first] - self.known[last],
         )
-
-
-def _erf(x: Array) -> Array:
-    """The error function, to 1.5e-7 (Abramowitz and Stegun 1964, 7.1.26)."""
-    t = 1.0 / (1.0 + 0.3275911 * np.abs(x))
-    terms = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)
-    tail = sum(each * t ** (k + 1) for k, each in enumerate(terms)) * np.exp(-(x**2))
-    return np.asarray(np.sign(x) * (1.0 - tail))
 
 
 @dataclass(frozen=True, eq=False)
