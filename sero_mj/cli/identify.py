@@ -1,0 +1,93 @@
+"""`sero-mj identify`: a robot's friction, payload and torque offsets, from a recording."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from ..errors import RenderError, UsageError
+from ._arguments import (
+    Commands,
+    add_command,
+    check_ending,
+    not_negative,
+    positive,
+    print_table,
+    read_recorded_run,
+    read_scene,
+)
+
+_EPILOG = """\
+examples:
+  sero-mj identify run.mcap --robot lwr
+  sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines of a robot's file
+  sero-mj identify run.mcap --from 2 --to 12 --json
+
+Linear regression on both sides of the torque sensors: friction and motor inertia by commanded less
+measured torque, payload and offsets by measured torque less that of the robot's model, each with
+its standard error. What the motion does not tell is said, and not guessed: all joints should move,
+to and fro, slowly and faster, and the wrist far enough that gravity changes.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands, "identify", run, "estimate friction, payload and torque offsets", _EPILOG
+    )
+    parser.add_argument("recording", type=Path, metavar="RUN.mcap", help="a recording")
+    parser.add_argument("--robot", metavar="NAME", help="which robot (default: the only one)")
+    parser.add_argument(
+        "--from", type=not_negative, dest="begin", metavar="S", help="from this time on"
+    )
+    parser.add_argument("--to", type=positive, dest="end", metavar="S", help="up to this time")
+    parser.add_argument(
+        "--scene",
+        metavar="SCENE",
+        help="robots and routes, where a recording has no scene (default: what is in it)",
+    )
+    parser.add_argument("--source", metavar="NAME", help="which source (default: all)")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT.toml", help="lines of a robot's file"
+    )
+    parser.add_argument("--plot", type=Path, metavar="OUT", help="the fit: .png, .pdf or .svg")
+    parser.add_argument("--json", action="store_true", help="print what is found as JSON")
+    parser.add_argument("--quiet", action="store_true", help="no table")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Identifies; returns 0."""
+    from ..study.figure import SUFFIXES
+
+    if options.plot is not None:
+        check_ending(f"--plot {options.plot}", options.plot, SUFFIXES, ", ")
+    if options.output is not None:
+        check_ending(f"-o {options.output}", options.output, (".toml",))
+    if options.begin is not None and options.end is not None and options.end <= options.begin:
+        raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
+    from ..study.align import choose_robot
+    from ..study.identify import as_json, as_table, as_toml, identify, plot_identified, remarks
+
+    scene = None if options.scene is None else read_scene(options.scene)
+    log = read_recorded_run(options.recording, options.source, scene)
+    if options.begin is not None or options.end is not None:
+        log = log.between(options.begin, options.end)
+    found = identify(log, choose_robot(log, options.robot))
+    if options.json:
+        print(json.dumps(as_json(found), indent=2))
+    elif not options.quiet:
+        print_table(as_table(found))
+        for line in remarks(found):
+            print(line)
+        if options.output is None:
+            print()
+            print(as_toml(found), end="")
+    if options.output is not None:
+        try:
+            options.output.write_text(as_toml(found), encoding="utf-8")
+        except OSError as error:
+            raise RenderError(f"{options.output}: cannot be written: {error.strerror}") from error
+    if options.plot is not None:
+        plot_identified(found, options.plot)
+    return 0
