@@ -33,7 +33,8 @@ from .explain_search import LEAST_ROWS, Search
 from .explanation import MOST_SURE, Explanation
 from .torque_residuals import TorqueResiduals, torque_residuals
 
-_STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.12, 0.03  # s
+_STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.2, 0.03  # s
+_ONE_WAY = 0.999  # mean of the sign of its velocity
 _ENDING, _FAST = 0.6, 0.004  # s, the last of a run, and the low pass there
 _ROUGHER = 2.0  # times what was before, above which noise is told
 _FINE, _LEAST_NOISE = 2e-4, 1.5e-3  # of the torque limit
@@ -81,8 +82,9 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
         of_link = ending.link if found.has_model else np.full_like(ending.link, np.nan)
         fast = _wrong_drives(ending, of_link, _RUNS_OFF_FAST)
         without += [each for each in fast if each.joint not in has]
-    search = Search(replace(found, link=link), without)
-    return search.explanations([*without, *_noise(found, None)])
+    noise = _noise(found, None)
+    search = Search(replace(found, link=link), without, noise)
+    return search.explanations([*without, *noise])
 
 
 def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
@@ -96,7 +98,8 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
     known = {(each.joint, each.part) for each in theirs}
     told = [each for each in mine if (each.joint, each.part) not in known]
     difference = replace(a, link=a.link - b.link, motor=a.motor - b.motor, lag=a.lag - b.lag)
-    return Search(difference, [*mine, *theirs]).explanations([*told, *_noise(a, b)])
+    noise = _noise(a, b)
+    return Search(difference, [*mine, *theirs], noise).explanations([*told, *noise])
 
 
 def explain_runs(
@@ -136,7 +139,12 @@ def _wrong_drives(found: TorqueResiduals, link: Array, least: float) -> list[Exp
     """
     told = []
     left = np.where(np.isfinite(found.motor), found.motor, found.lag)
-    held_away = found.slow & np.isfinite(link)  # and not by its stop
+    # Where a joint turns, its inertia is not taken off, and where it stands, only its stop, where
+    # no link is known, may hold it. Where a loop's drive saturates it goes on in one direction.
+    has_links = np.isfinite(link).any()
+    goes_on = ~found.slow & (np.abs(found.signs) > _ONE_WAY)
+    is_judged = np.isfinite(found.motor) | goes_on
+    is_judged |= np.isnan(link) & (found.slow | has_links)
     for joint, name in enumerate(found.robot.names):
         asked = 2.0 * found.commanded[:, joint]
         held = 2.0 * float(found.coulomb[joint])
@@ -144,7 +152,7 @@ def _wrong_drives(found: TorqueResiduals, link: Array, least: float) -> list[Exp
             is_much = np.abs(asked) > max(5.0 * held, 0.04 * float(found.scale[joint]))
             is_wrong = np.abs(left[:, joint] - asked) < 0.15 * np.abs(asked) + held
             is_right = np.abs(link[:, joint]) < 0.15 * np.abs(asked)
-        first, last = _longest(is_wrong & is_much & ~held_away[:, joint])
+        first, last = _longest(is_wrong & is_much & is_judged[:, joint])
         way = slice(max(first - LEAST_ROWS, 0), last)  # before its stop held it
         judged = np.isfinite(link[way, joint])
         if (last - first) * found.step < least or not judged.any():

@@ -159,7 +159,12 @@ class _Candidate:
 class Search:
     """Looks for explanations, the best one first."""
 
-    def __init__(self, found: TorqueResiduals, without: Sequence[Explanation]) -> None:
+    def __init__(
+        self,
+        found: TorqueResiduals,
+        without: Sequence[Explanation],
+        noisy: Sequence[Explanation] = (),
+    ) -> None:
         self.found = found
         self.n = found.robot.n
         residuals = np.stack([found.link, found.motor])
@@ -173,6 +178,11 @@ class Search:
         still = np.maximum(_spread(residuals), _FLOOR * found.scale)
         moving = np.hypot(_FLOOR_SHARE * found.model, _FLOOR_TIME * found.rates)
         self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
+        for each in noisy:  # what noise does to residuals is no trace of anything else
+            joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
+            if rows.sum() > LEAST_ROWS:
+                rough = _spread(residuals[:, rows])[:, joint]
+                self.sigma[:, rows, joint] = np.hypot(self.sigma[:, rows, joint], rough[:, None])
         self.known = np.isfinite(residuals)
         self.y = np.where(self.known, residuals / self.sigma, 0.0)
         self.left = self.y.copy()
