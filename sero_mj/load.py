@@ -54,7 +54,7 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
         return Scene(robots=[load_robot(str(path), overrides)], name=path.parent.name)
     if path.name == paths.GROUP_FILE:
         own = path.resolve().parent.name
-        tables = {"name": own, "groups": {own: {"model": str(path.resolve())}}}
+        tables = {"name": own, "groups": {own: {"model": path}}}
         return _checked(*read_scene_file(path, overrides, tables=tables))
     if is_scenario(path):
         return _load_scenario(str(path), overrides)

@@ -86,7 +86,8 @@ def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
     local = (beside or Path.cwd()) / name
     for candidate in (local / file, local, models_dir() / name / file):
         if candidate.suffix == ".toml" and os.path.isfile(candidate):
-            return candidate
+            plain = Path(os.path.normpath(candidate))  # a/../b is not b where a is a link
+            return plain if plain.exists() and plain.samefile(candidate) else candidate
     _refuse_path(name, beside)
     available = [*_models_in(beside or Path.cwd(), file), *_models_in(models_dir(), file)]
     raise UnknownName(kind, name, available)

@@ -227,6 +227,36 @@ model = "hand"
     ]
 
 
+def test_models_are_found_from_any_working_directory(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed(folder, "body/group.toml", 'model = "hand"\nmount', 'model = "../hand"\nmount')
+    changed(folder, "hand/group.toml", 'shape = "box"', 'mesh = "palm.stl"')
+    changed(folder, "hand/group.toml", "size = [0.02, 0.08, 0.1]\n", "")
+    scene = f'[groups.b]\nmodel = "{folder.name}/body"\n'
+    (folder.parent / "scene.toml").write_text(scene)
+    (folder / "scene.toml").write_text('[groups.b]\nmodel = "body"\n')
+    palm = (folder / "hand").resolve()
+    ways = [
+        (folder.parent, "scene.toml"), (folder, "scene.toml"), (folder, "../scene.toml"),
+        (folder, "body/group.toml"), (folder / "body", "group.toml"),
+        (folder / "body", "../scene.toml"), (folder / "hand", "group.toml"),
+    ]  # fmt: skip
+    for place, file in ways:
+        monkeypatch.chdir(place)
+        robots = load_scene(file).robots
+        assert len(robots) == (3 if place.name == "hand" else 7), (place, file)
+        index = next(robot for name, robot in robots.items() if name.endswith("index"))
+        found = [Path(child.directory).resolve() for child in index.children]
+        assert found == [palm], (place, file)
+    monkeypatch.chdir(folder.parent)
+    changed(folder, "finger/robot.toml", "1.5707963267948966", "1.5, 3")
+    with pytest.raises(DeclarationError) as caught:
+        load_scene("scene.toml")
+    lines = {str(problem).partition(": ")[0] for problem in caught.value.problems}
+    assert lines == {f"{folder.name}/finger/robot.toml:3"}
+
+
 def test_a_model_in_itself_is_told(folder: Path) -> None:
     changed(
         folder, "hand/group.toml", "[robots.index]", '[groups.x]\nmodel = "body"\n[robots.index]'
@@ -243,4 +273,13 @@ def test_objects_need_a_robot_to_carry_them(folder: Path) -> None:
     assert (
         "hand/group.toml:1: objects.palm: no robot to carry it"
         in told(folder, '[groups.h]\nmodel = "hand"\n')[0]
+    )
+
+
+def test_a_model_in_itself_by_way_of_a_link_is_told(folder: Path) -> None:
+    (folder / "hand/again").symlink_to(folder / "hand")
+    changed(folder, "hand/group.toml", "[objects", '[groups.x]\nmodel = "again"\n[objects')
+    assert told(folder, '[groups.h]\nmodel = "hand"\n')[0] == (
+        "hand/group.toml:23: groups.x.model: models of groups are in each other in a circle: "
+        "hand in hand"
     )

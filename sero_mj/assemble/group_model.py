@@ -7,6 +7,7 @@ objects. A group with `model = "NAME"` becomes these before anything else sees i
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
@@ -170,17 +171,23 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
     Raises:
         DeclarationError: there is none, or it would be in itself.
     """
-    if not isinstance(model, str):
+    if not isinstance(model, str | Path):
         raise DeclarationError([Problem("", f"found {model!r}; expected a group's name")])
     try:
-        path = paths.find_group_model(model, beside)
+        path = model if isinstance(model, Path) else paths.find_group_model(model, beside)
     except (DeclarationError, UnknownName) as error:
         raise DeclarationError([Problem("", str(error))]) from None
-    if path in inside:
-        way = [each.parent.name for each in (*inside[inside.index(path) :], path)]
+    files = [each.resolve() for each in inside]
+    if path.resolve() in files:
+        way = [_name_of(each) for each in (*inside[files.index(path.resolve()) :], path)]
         message = f"models of groups are in each other in a circle: {' in '.join(way[::-1])}"
         raise DeclarationError([Problem("", message)])
     return path
+
+
+def _name_of(path: Path) -> str:
+    """Returns the name of a model with this file: that of its folder."""
+    return path.resolve().parent.name
 
 
 class _Members:
@@ -216,7 +223,7 @@ class _Members:
         for section, key in ((s, key) for s, keys in above.items() for key in keys):
             if key not in known[section]:
                 near = did_you_mean(key, known[section])
-                problem = Problem(f"{section}.{key}", f"{self._path.parent.name} has none{near}")
+                problem = Problem(f"{section}.{key}", f"{_name_of(self._path)} has none{near}")
                 self._found.problems.append(where(problem, self._declared))
         for key, table in known["robots"].items():
             self._add_robot(key, {**table, **above["robots"].get(key, {})})
@@ -327,12 +334,16 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -> dict[str, Any]:
     """Returns tables whose models, meshes and pieces of MJCF are found from anywhere.
 
+    A model that is there becomes the `Path` of its file, from the working directory; a name is
+    looked for beside the file that it stands in.
+
     Args:
         folder: that their names are relative to.
         tables: of a model, with its sections, or of a group in a scene.
         beside: whether models may also stand beside that folder, as models stand beside each other.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
+    whole = folder.absolute()  # names of files in it are not put behind a folder again
     for section in _SECTIONS:
         entries = found.get(section)
         for table in entries.values() if isinstance(entries, dict) else ():
@@ -341,13 +352,14 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
             if section == "groups":
                 table.update(_found_from(folder, table, beside))
             if section == "objects":
-                set_directory([table], folder)
+                set_directory([table], whole)
             if section == "robots" and isinstance(table.get("directory"), str):
-                table["directory"] = str(folder / table["directory"])
-            set_directory(table.get("children"), folder)
+                table["directory"] = str(whole / table["directory"])
+            set_directory(table.get("children"), whole)
             find = paths.find_model if section == "robots" else paths.find_group_model
-            for place in (folder, folder.parent) if beside else (folder,):
+            around = Path(os.path.normpath(folder / ".."))
+            for place in (folder, around) if beside else (folder,):
                 if isinstance(table.get("model"), str):
                     with suppress(DeclarationError, UnknownName):  # told where it is used
-                        table["model"] = str(find(table["model"], place))
+                        table["model"] = find(table["model"], place)
     return found

@@ -73,9 +73,9 @@ def group_from_model(
         UnknownName: there is no such model.
         DeclarationError: what is wrong in the files or the fields.
     """
-    path = paths.find_group_model(model).resolve()
-    entry = {"model": str(path), **fields}
-    reader = _Reader(path, {"groups": {name or path.parent.name: entry}}, ())
+    path = paths.find_group_model(model)
+    entry = {"model": path, **fields}
+    reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, ())
     robots, groups = reader.robots(), reader.groups()
     if reader.problems:
         raise DeclarationError(reader.problems)
@@ -285,10 +285,10 @@ class _Reader:
         if model is None:
             fields.setdefault("directory", str(beside))
             return build_robot(fields)
-        if not isinstance(model, str):
+        if not isinstance(model, str | Path):
             raise DeclarationError([Problem("model", f"found {model!r}; expected a robot's name")])
         try:
-            path = paths.find_model(model, beside)
+            path = model if isinstance(model, Path) else paths.find_model(model, beside)
         except (DeclarationError, UnknownName) as error:
             raise DeclarationError([Problem("model", str(error))]) from None
         return build_robot(fields, path)
