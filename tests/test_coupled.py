@@ -71,6 +71,33 @@ def test_declared_angles_may_leave_coupled_joints_out() -> None:
     )
 
 
+def test_declared_values_may_leave_coupled_joints_out() -> None:
+    own = {"torques": [5, 6], "commanded_torques": [5, 6, 7, 8], "joint_accelerations": [1, 3],
+           "billboard_values": [1, 2]}  # fmt: skip
+    robot = finger(**own)
+    robot.show_arrows = True  # checks all fields again
+    world = World(Scene(robots=[robot]))
+    data = world.make_data()
+    shown = {key: data.userdata[world.slots[f"finger.{key}"]].tolist() for key in own}
+    np.testing.assert_equal(shown, {
+        "torques": [5, 6, np.nan, np.nan], "commanded_torques": [5, 6, 7, 8],
+        "joint_accelerations": [1, 3, 6, -3], "billboard_values": [1, 2, np.nan, np.nan],
+    })  # fmt: skip
+    with pytest.raises(DeclarationError) as caught:
+        finger(torques=[1], billboard_values=[1, 2, 3, 4, 5])
+    many = "one per row of dh_params, or 2 without the coupled joints"
+    assert [str(problem) for problem in caught.value.problems] == [
+        f"torques: found 1 entries; expected 4, {many}",
+        f"billboard_values: found 5 entries; expected 4, {many}",
+    ]
+
+
+def test_a_wrong_coupling_is_told_without_what_follows_from_it() -> None:
+    with pytest.raises(DeclarationError) as caught:
+        finger(couplings={"J4": {"to": "J3", "ratioi": 2.0}}, joint_angles=[0, 0, 0], torques=[1])
+    assert str(caught.value) == "couplings.J4.ratioi: unknown key; did you mean 'ratio'?"
+
+
 def test_packets_carry_the_independent_joints_or_all() -> None:
     keys = ("joint_angles", "torques", "joint_accelerations")
     routes = {f"finger.{key}": f"udp.values{i}" for i, key in enumerate(keys)}

@@ -26,6 +26,7 @@ from .dynamics import Dynamics, TorqueControl, is_overridden, merge_tables
 from .robot_parts import (
     IN_DEGREES,
     PER_JOINT,
+    VALUE_INPUTS,
     ArrowQuantity,
     BillboardLines,
     Children,
@@ -66,7 +67,8 @@ class SerialRobot(Declaration):
         joint_types: n times `revolute` or `prismatic`.
         joint_names: n names; J1, J2, ... by default.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
-            Inputs and `joint_angles` then take values of the independent joints alone as well.
+            Inputs, and what is declared of them (`joint_angles`, `torques`, ...), then take values
+            of the independent joints alone as well; k is the number of these, else n.
         position_limits: (n, 2), lower and upper, rad or m.
         position_limits_deg: the same in degrees; converted to position_limits.
         velocity_limits: (n,), rad/s or m/s.
@@ -107,12 +109,12 @@ class SerialRobot(Declaration):
         arrow_radius: of the round arrows, m; by default large enough to clear generated shapes.
         arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
             `arrow_radius` wide at the limit, times this over its default of 0.01.
-        torques: initial measured torques, (n,), Nm or N; None for no data.
-        commanded_torques: initial commanded torques, (n,), Nm or N; None for no data.
-        joint_accelerations: initial accelerations, (n,), rad/s2 or m/s2; None for no data.
+        torques: initial measured torques, (n,) or (k,), Nm or N; None for no data.
+        commanded_torques: initial commanded torques, (n,) or (k,), Nm or N; None for no data.
+        joint_accelerations: initial accelerations, (n,) or (k,), rad/s2 or m/s2; None for no data.
         show_billboards: whether billboards are shown.
         billboard_scale: text height, in units of 0.7 times the picture height.
-        billboard_values: initial values, (n,); None for no data.
+        billboard_values: initial values, (n,) or (k,); None for no data.
         billboard_lines: lines of the billboards; None for one per routed input.
         inputs: names of additional per-joint inputs for billboards, e.g. `temperatures`.
         flange_tolerance: tolerated distance of a received `flange_check` from the flange, m.
@@ -188,9 +190,14 @@ class SerialRobot(Declaration):
     @classmethod
     def _one_per_joint(cls, value: Any, info: ValidationInfo) -> Any:
         rows = info.data.get("dh_params")  # missing when dh_params itself is invalid
-        if info.field_name == "joint_angles" and value is not None and rows is not None:
-            value = _with_coupled(value, info)
-        if value is not None and rows is not None and len(value) != len(rows):
+        if value is None or rows is None:
+            return value
+        if info.field_name in ("joint_angles", *VALUE_INPUTS):
+            if not {"couplings", "joint_names"} <= info.data.keys():
+                return value  # it is unknown which joints are coupled
+            if info.data["couplings"]:
+                return _with_coupled(value, info)
+        if len(value) != len(rows):
             raise ValueError(
                 f"found {len(value)} entries; expected {len(rows)}, one per row of dh_params"
             )
@@ -434,28 +441,31 @@ def _joint_names(fields: Mapping[str, Any]) -> list[str]:
     return names or [f"J{i + 1}" for i in range(len(fields["dh_params"]))]
 
 
-def _with_coupled(joint_angles: Array, info: ValidationInfo) -> Array:
+def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     """Returns the angles of all joints, given these or those of the independent ones.
 
+    Other values of the independent joints alone stay as they are: nothing is known of the others.
+
     Raises:
-        ValueError: a coupled joint is given, and elsewhere than its coupling has it.
+        ValueError: a coupled joint is given, and elsewhere than its coupling has it; or values are
+            neither as many as the joints nor as many as the independent ones.
     """
-    if not info.data.get("couplings") or "joint_names" not in info.data:
-        return joint_angles
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])
-    if len(joint_angles) == coupled.k:
-        return coupled.positions(joint_angles)
-    if len(joint_angles) == coupled.n:
-        right = coupled.positions(joint_angles[coupled.independent])
-        for name, found, expected in zip(names, joint_angles, right, strict=True):
-            if abs(found - expected) > _COUPLED_WITHIN:
-                raise ValueError(
-                    f"found {found:g} for {name}; its coupling has it at {expected:g}: leave it out"
-                )
-        return joint_angles
-    count = f"{coupled.n}, one per row of dh_params, or {coupled.k} without the coupled joints"
-    raise ValueError(f"found {len(joint_angles)} entries; expected {count}")
+    if len(values) not in (coupled.n, coupled.k):
+        count = f"{coupled.n}, one per row of dh_params, or {coupled.k} without the coupled joints"
+        raise ValueError(f"found {len(values)} entries; expected {count}")
+    if info.field_name != "joint_angles":
+        return values
+    if len(values) == coupled.k:
+        return coupled.positions(values)
+    right = coupled.positions(values[coupled.independent])
+    for name, found, expected in zip(names, values, right, strict=True):
+        if abs(found - expected) > _COUPLED_WITHIN:
+            raise ValueError(
+                f"found {found:g} for {name}; its coupling has it at {expected:g}: leave it out"
+            )
+    return values
 
 
 def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:
