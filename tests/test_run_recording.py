@@ -21,7 +21,9 @@ from sero_mj.runs.run_csv import read_run_csv, write_run_csv
 from sero_mj.runs.run_log import event_of
 from sero_mj.runs.run_recording import read_run
 from sero_mj.simulate.log_output import RunRecorder
+from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
+from sero_mj.simulate.simulation import Simulation
 
 # Degrees and mNm; outputs of robots go into others.
 SCENE = """\
@@ -309,3 +311,116 @@ def test_an_old_recording_plays_in_the_scene_of_its_scenario(tmp_path: Path) -> 
         shown = mirror.data.qpos[mirror.world.robots["lwr"].qpos]
     expected = simulation.rows[300, simulation.layout.columns["lwr_joint_angles"]]
     np.testing.assert_array_equal(shown, expected)
+
+
+FINGER = """\
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.02], [1.5, 0, 0, 0], [0, 0.05, 0, 0]]
+couplings = { J3 = { to = "J2", ratio = 2.0 } }
+torque_limits = [3.0, 4.0, 5.0]
+"""
+CLAW = """\
+members = ["one", "two"]
+[robots.two]
+model = '../finger'
+torque_limits = [6.0, 7.0, 8.0]
+[robots.one]
+model = "finger/robot.toml"
+[objects.palm]
+shape = "sphere"
+size = [0.02]
+"""
+CLAWS = """\
+[groups.claw]
+model = "parts/claw"
+[groups.both]
+robots = ["claw", "arm"]
+[robots.arm]
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.3]]
+[doubles.goal]
+of = "claw"
+[sources.udp]
+kind = "udp"
+port = 31998
+structure = "5F6F4F"
+[routes]
+"both.joint_angles" = "udp.values0 * deg"
+"claw.torques" = "udp.values1"
+"goal.joint_angles" = "udp.values2"
+"""
+
+
+def folder_of_claws(folder: Path, scene: str) -> Path:
+    for name, text in (
+        ("parts/finger/robot", FINGER), ("parts/claw/group", CLAW), ("lab/scene", scene)
+    ):  # fmt: skip
+        file = folder / f"{name}.toml"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text.replace('"parts/', '"../parts/'))
+    return folder / "lab" / "scene.toml"
+
+
+def test_groups_are_read_from_the_recording_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = folder_of_claws(tmp_path / "there", CLAWS)
+    monkeypatch.chdir(file.parent)
+    files = {f"{each.parent.name}/{each.name}": each.read_text()
+             for each in load_scene(file.name).files()}  # fmt: skip
+    assert sorted(files) == ["claw/group.toml", "finger/robot.toml", "lab/scene.toml"]
+    (tmp_path / "there").rename(tmp_path / "away")
+    monkeypatch.chdir(tmp_path)
+    values = np.arange(60.0).reshape(4, 15)
+    rows = {"values0": values[:, :5], "values1": values[:, 5:11], "values2": values[:, 11:]}
+    record_packets(tmp_path / "claw.mcap", "5F6F4F", rows, np.arange(4) * 0.01, files)
+    run = read_run(tmp_path / "claw.mcap")
+    assert [*run.robots] == ["arm", "claw_two", "claw_one"]
+    assert run.torque_limits("claw_one").tolist() == [3.0, 4.0, 5.0]
+    assert run.torque_limits("claw_two").tolist() == [6.0, 7.0, 8.0]
+    two = np.deg2rad(values[:, [2, 3, 3]]) * [1.0, 1.0, 2.0]  # the distal joint turns twice as far
+    np.testing.assert_allclose(run.of("claw_two", "joint_angles"), two)
+    np.testing.assert_array_equal(run.of("claw_two", "torques"), values[:, 8:11])
+    np.testing.assert_array_equal(run.of("arm", "joint_angles"), np.deg2rad(values[:, 4:5]))
+    np.testing.assert_array_equal(
+        run.of("claw_one", "target_angles"), values[:, [11, 12, 12]] * [1.0, 1.0, 2.0]
+    )
+    del files["claw/group.toml"]
+    record_packets(tmp_path / "old.mcap", "5F6F4F", rows, np.arange(4) * 0.01, files)
+    with pytest.raises(RecordingError) as caught:
+        read_run(tmp_path / "old.mcap")
+    assert caught.value.reason == (
+        "its groups cannot be read: groups.claw.model: no model of a group 'claw'; available: "
+        "biped, dlr_hand2, hit_hand2, justin, space_justin; give a scene"
+    )
+
+
+def test_a_simulated_group_is_the_run_that_it_was(tmp_path: Path) -> None:
+    file = folder_of_claws(
+        tmp_path / "there",
+        '[groups.claw]\nmodel = "parts/claw"\n[run]\nduration = 0.05\n'
+        '[controllers.claw]\nkind = "joint_impedance"\nstiffness = 2\n',
+    )
+    simulation = Simulation(read_scenario(file))
+    with RunRecorder(simulation, tmp_path / "run.mcap") as recorder:
+        for first, stop in simulation.run():
+            recorder.write(first, stop)
+    (tmp_path / "there").rename(tmp_path / "away")
+    run = read_run(tmp_path / "run.mcap")
+    assert [*run.robots] == ["claw_two", "claw_one"]
+    assert run.torque_limits("claw_two").tolist() == [6.0, 7.0, 8.0]
+    angles = simulation.log.of("claw_two", "joint_angles")
+    np.testing.assert_array_equal(run.of("claw_two", "joint_angles"), angles)
+
+
+def test_a_recorded_group_by_itself_is_called_after_its_folder(tmp_path: Path) -> None:
+    folder_of_claws(tmp_path, "")
+    scene = load_scene(tmp_path / "parts" / "claw" / "group.toml")
+    files = {f"{each.parent.name}/{each.name}": each.read_text() for each in scene.files()}
+    structure = "time:1F claw_one_joint_angles:3F claw_two_joint_angles:3F"
+    names = [field.split(":")[0] for field in structure.split()]
+    rows = dict(
+        zip(names, (np.arange(4.0)[:, None], np.ones((4, 3)), np.ones((4, 3))), strict=True)
+    )
+    record_packets(tmp_path / "run.mcap", structure, rows, np.arange(4) * 0.01, files)
+    assert [*read_run(tmp_path / "run.mcap").robots] == ["claw_one", "claw_two"]

@@ -248,6 +248,14 @@ class Scene:
                 todo += new
         return found
 
+    def files(self) -> list[Path]:
+        """Returns the files that it is declared in, absolute: its own, and those of its models."""
+        models = [robot._model for robot in self.robots.values()]
+        tables = [file for robot in self.robots.values() for file, _ in robot._declared]
+        tables += [file for group in self.groups.values() for file, _ in group._declared]
+        found = [file.absolute() for file in (self.file, *models, *tables) if file is not None]
+        return [file for file in dict.fromkeys(found) if file.is_file()]
+
     def named_frames(self) -> dict[str, NamedFrame]:
         """Returns all frames that arrows, received frames and routes can refer to, by name."""
         return list_frames(self.robots, self.doubles, self.frames, self.objects)

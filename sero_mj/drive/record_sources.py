@@ -70,7 +70,7 @@ def record_sources(
                 if source.is_live:
                     _add(recorder, name, source, scene, routes)
                     recorded.append(source)
-            for file in [] if scene is None else _files_of(scene):
+            for file in [] if scene is None else scene.files():
                 recorder.attach(
                     f"{file.parent.name}/{file.name}", "application/toml", file.read_bytes()
                 )
@@ -100,12 +100,6 @@ def _add(
     )
 
     source.record_to(partial(recorder.take, name))
-
-
-def _files_of(scene: Scene) -> list[Path]:
-    models = [robot._model for robot in scene.robots.values()]
-    files = [scene.file, *models]
-    return [file for file in dict.fromkeys(files) if file is not None and file.is_file()]
 
 
 def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:

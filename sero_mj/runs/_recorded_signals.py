@@ -125,7 +125,8 @@ def follow_routes(
         sources: which of its sources.
         robots: by name.
         routes: input to origin, as a scene has them; those from elsewhere are left out.
-        doubles: double to its table; the first double that is moved is its robot's target.
+        doubles: double to its table; the first double that is moved is its robot's target. One of
+            a group is one of each of its robots.
         groups: group to its table.
 
     Returns:
@@ -134,14 +135,15 @@ def follow_routes(
     Raises:
         RecordingError: no robot is moved by what was recorded, or a route is wrong.
     """
-    of = {name: str(table["of"]) for name, table in doubles.items()
-          if isinstance(table, Mapping) and table.get("of") in robots}  # fmt: skip
     wanted = {name: origin_text(origin) for name, origin in routes.items()}
     lists = {name: [each for each in table["robots"] if each in {*robots, *groups}]
              for name, table in groups.items()
              if isinstance(table, Mapping) and isinstance(table.get("robots"), list)}  # fmt: skip
     grouped = [Group(name=name, robots=names) for name, names in lists.items() if names]
-    wanted = _possible(wanted, {*robots, *of, *(group.name for group in grouped)}, sources)
+    owners = {*robots, *(group.name for group in grouped)}
+    of = {name: str(table["of"]) for name, table in doubles.items()
+          if isinstance(table, Mapping) and table.get("of") in owners}  # fmt: skip
+    wanted = _possible(wanted, {*owners, *of}, sources)
     receivers = {name: receiver_of(recording, name) for name in sources}
     scene = Scene(
         robots=list(robots.values()),
@@ -165,7 +167,8 @@ def follow_routes(
     series = {name: read_events(recording, receivers[name], name) for name in names}
     follower = _Follower(values, series, recording.path, f"{moved[0]}.joint_angles")
     inputs = {event_of(name, signal): f"{name}.{signal}" for name in moved for signal in _SIGNALS}
-    for double, robot in of.items():  # the first one that is moved
+    for double, robot in ((name, each.of) for name, each in scene.doubles.items()):
+        # The first one that is moved.
         if robot in moved and f"{double}.joint_angles" in values:
             inputs.setdefault(event_of(robot, _TARGET), f"{double}.joint_angles")
     found = {event: follower.compute(each) for event, each in inputs.items() if each in values}

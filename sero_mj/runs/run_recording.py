@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .. import paths
+from ..assemble.group_model import Expanded, expand_groups
 from ..assemble.robot import SerialRobot, build_robot
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, RecordingError, UnknownName, UsageError, did_you_mean
@@ -19,7 +22,9 @@ from ..toml_file import parse_toml
 from ._recorded_signals import follow_routes, read_events, receiver_of
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 
-_ROBOT_FILE = "robot.toml"
+_MODEL_FILES = (paths.ROBOT_FILE, paths.GROUP_FILE)
+# What a group's file says of its members' models; in a recording all models are beside each other.
+_MODEL_NAMED = re.compile(r"""(\bmodel\s*=\s*)["']([^"'\n]+)["']""")
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
 # Before `angles`, in old events of a robot that has others as well.
 _DERIVED = ("actual_", "target_")
@@ -54,21 +59,15 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
             raise UsageError(f"{path} has several runs: {found}; choose one of these sources")
         if runs:
             return _simulated(recording, runs[0], scene)
-        robots = _recorded_robots(recording) if scene is None else scene.robots
+        declared = _recorded(recording) if scene is None else _declared_in(scene)
+        robots = declared.robots
         if not robots:
             found = ", ".join(recording.attachments) or "no files"
             reason = f"has no robot in it: found {found}; expected a scene, give one"
             raise RecordingError(path, reason)
-        routes = _tables_in(recording, "routes") if scene is None else scene.routes
-        doubles = (
-            _tables_in(recording, "doubles")
-            if scene is None
-            else {name: {"of": double.of} for name, double in scene.doubles.items()}
+        signals, times = follow_routes(
+            recording, names, robots, declared.routes, declared.doubles, declared.groups
         )
-        groups = _tables_in(recording, "groups")
-        if scene is not None:
-            groups = {name: {"robots": group.robots} for name, group in scene.groups.items()}
-        signals, times = follow_routes(recording, names, robots, routes, doubles, groups)
         known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
         return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
 
@@ -111,7 +110,7 @@ def _simulated(recording: Recording, name: str, scene: Scene | None) -> RunLog:
         raise RecordingError(recording.path, f"has no good packet of '{name}'")
     times = series.events[TIME][:, 0]
     rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
-    declared = _recorded_robots(recording) if scene is None else scene.robots
+    declared = _recorded(recording).robots if scene is None else scene.robots
     signals = {
         event: values[rising].reshape(-1, *_row_shape(receiver.events[event]))
         for event, values in series.events.items()
@@ -123,7 +122,7 @@ def _simulated(recording: Recording, name: str, scene: Scene | None) -> RunLog:
             if (recorded := recorded_event(event, signals)) in signals:
                 signals[event] = signals.pop(recorded)
         count = signals[f"{prefix}{_ANGLES}"].shape[1]
-        chosen = _declared(recording.path, prefix, count, declared)
+        chosen = _meant(recording.path, prefix, count, declared)
         robots[chosen.name] = chosen
     signals = _with_velocities(robots, signals, times[rising])
     return RunLog(robots, signals, times[rising], recording.path.stem)
@@ -134,9 +133,7 @@ def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return shape[1:] if len(shape) > 1 and shape[0] == 1 else shape
 
 
-def _declared(
-    path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]
-) -> SerialRobot:
+def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]) -> SerialRobot:
     """The robot that events mean."""
     by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
                 for name, each in robots.items()}  # fmt: skip
@@ -153,13 +150,6 @@ def _declared(
     return robot
 
 
-def _tables_in(recording: Recording, key: str) -> dict[str, Any]:
-    for tables in _read_tables(recording).values():
-        if "robots" in tables and isinstance(tables.get(key), dict):
-            return dict(tables[key])
-    return {}
-
-
 def _with_velocities(
     robots: Mapping[str, SerialRobot], signals: Mapping[str, Array], times: Array
 ) -> dict[str, Array]:
@@ -172,26 +162,100 @@ def _with_velocities(
     return found
 
 
-def _recorded_robots(recording: Recording) -> dict[str, SerialRobot]:
-    """Robots by their names in the recorded scene, else by those of their folders.
+@dataclass
+class _Declared:
+    """What a scene says of its robots, in a recording or elsewhere.
+
+    Attributes:
+        robots: by name, those of groups included.
+        routes: input to origin.
+        doubles: tables by name.
+        groups: tables by name, each with its robots.
+    """
+
+    robots: dict[str, SerialRobot] = field(default_factory=dict)
+    routes: dict[str, Any] = field(default_factory=dict)
+    doubles: dict[str, Any] = field(default_factory=dict)
+    groups: dict[str, Any] = field(default_factory=dict)
+
+
+def _declared_in(scene: Scene) -> _Declared:
+    doubles = {name: {"of": double.of} for name, double in scene.doubles.items()}
+    groups = {name: {"robots": group.robots} for name, group in scene.groups.items()}
+    return _Declared(scene.robots, dict(scene.routes), doubles, groups)
+
+
+def _recorded(recording: Recording) -> _Declared:
+    """Robots by their names in the recorded scene, else by those of their folders; its routes.
 
     A robot that is installed here as it was recorded has its meshes; of another one the links grow
     from its table.
 
     Raises:
-        RecordingError: a file in it is damaged, or declares a robot wrongly.
+        RecordingError: a file in it is damaged, or declares a robot or a group wrongly.
     """
     files = _read_tables(recording)
-    models = {name.split("/")[-2]: name for name in files if name.endswith(f"/{_ROBOT_FILE}")}
-    robots: dict[str, SerialRobot] = {}
-    for tables in files.values():
-        declared = tables.get("robots")
-        for name, table in declared.items() if isinstance(declared, dict) else ():
-            robots.setdefault(name, _robot(recording, name, dict(table), models))
-    if not robots:
-        for name in models:
-            robots[name] = _robot(recording, name, {"model": name}, models)
-    return robots
+    models = {name: name.split("/")[-2] for name in files if name.endswith(_MODEL_FILES)}
+    scenes = [tables for name, tables in files.items() if name not in models]
+    scenes = [tables for tables in scenes if {"robots", "groups"} & tables.keys()]
+    found = _Declared()
+    for tables in scenes:
+        found.routes = found.routes or _table(tables, "routes")
+        found.doubles = found.doubles or _table(tables, "doubles")
+    of_robots = {folder: name for name, folder in models.items() if name.endswith(_MODEL_FILES[0])}
+    if not scenes:  # a robot or a group by itself, which is called as its folder is
+        scenes = [{"robots": {folder: {"model": folder} for folder in of_robots}}]
+        whole = next((models[name] for name in models if name.endswith(_MODEL_FILES[1])), None)
+        if whole is not None:
+            scenes[0]["groups"] = {whole: {"model": whole}}
+    with TemporaryDirectory() as directory:
+        for name, folder in models.items():
+            text = recording.read_attachment(name).decode("utf-8-sig")
+            path = Path(directory) / folder / name.split("/")[-1]
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(
+                _MODEL_NAMED.sub(lambda each: f'{each[1]}"{_folder(each[2])}"', text), "utf-8"
+            )
+        for tables in scenes:
+            expanded = _expanded(recording, _table(tables, "groups"), Path(directory))
+            found.groups |= expanded.groups
+            for name, table in {**_table(tables, "robots"), **expanded.robots}.items():
+                if name not in found.robots:
+                    found.robots[name] = _robot(recording, name, dict(table), of_robots)
+    return found
+
+
+def _table(tables: Mapping[str, Any], key: str) -> dict[str, Any]:
+    found = tables.get(key)
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def _folder(model: str) -> str:
+    """The folder of a model that is named, by itself: all models of a recording are beside it."""
+    path = Path(model)
+    return path.parent.name if path.suffix == ".toml" else path.name
+
+
+def _expanded(recording: Recording, groups: dict[str, Any], directory: Path) -> Expanded:
+    """What groups become, whose models are in a folder or installed."""
+    scene = directory / "scene.toml"  # which is not there: models are found beside it
+    found = expand_groups(_in_folders(groups), scene)
+    if found.problems:
+        problem = found.problems[0]
+        file = str(problem.file).removeprefix(f"{directory}/")
+        reason = str(replace(problem, file=None if file == scene.name else file))
+        raise RecordingError(recording.path, f"its groups cannot be read: {reason}; give a scene")
+    return found
+
+
+def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables in which models are named by their folders."""
+    found = {
+        key: _in_folders(value) if isinstance(value, Mapping) else value
+        for key, value in tables.items()
+    }
+    model = tables.get("model")
+    return {**found, "model": _folder(model)} if isinstance(model, str) else found
 
 
 def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
@@ -222,7 +286,7 @@ def _robot(
     fields = {**table, "name": name}
     if model is None:
         return _built(recording, name, _without_meshes(fields), None)
-    folder = Path(str(model)).parent.name if str(model).endswith(".toml") else Path(str(model)).name
+    folder = _folder(str(model))
     attached = models.get(folder)
     if attached is None:
         return _built(recording, name, fields, str(model))
@@ -231,7 +295,7 @@ def _robot(
     if installed is not None and installed.read_bytes() == data:
         return _built(recording, name, fields, str(installed))
     with TemporaryDirectory() as directory:
-        path = Path(directory) / folder / _ROBOT_FILE
+        path = Path(directory) / folder / paths.ROBOT_FILE
         path.parent.mkdir()
         path.write_bytes(data)
         return _built(recording, name, _without_meshes(fields), str(path))

@@ -99,10 +99,9 @@ def _signals_of(simulation: Simulation) -> Signals:
 
 
 def files_of(scenario: Scenario) -> list[Path]:
-    """The scenario's file, its scene's, and those of its robots."""
-    models = [robot._model for robot in scenario.scene.robots.values()]
-    found = [scenario.file, scenario.scene.file, *models]
-    return list(dict.fromkeys(file for file in found if file is not None and file.is_file()))
+    """The scenario's file, its scene's, and those of its models."""
+    own = [] if scenario.file is None else [scenario.file.absolute()]
+    return list(dict.fromkeys(file for file in [*own, *scenario.scene.files()] if file.is_file()))
 
 
 class LogSignals:
