@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from sero_mj import Scene, SerialRobot, SmartArrow, UdpReceiver
+from sero_mj import Group, Scene, SerialRobot, SmartArrow, UdpReceiver
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import joint_names, record_sources
+from sero_mj.drive.record_sources import RoutedSignals, joint_names, record_sources
+from sero_mj.drive.wiring import wire
 from sero_mj.record.recording import Recording
 
 STRUCTURE = "2F2F1V1F"
@@ -75,6 +76,33 @@ def test_routed_values_are_called_after_their_joint(tmp_path: Path) -> None:
     with Recording(tmp_path / "a.mcap") as recording:  # where the packet is whole
         ((_, kept),) = recording.packets("udp")
     assert kept == packet
+
+
+def test_values_of_a_group_lead_from_their_own_places_in_the_packet() -> None:
+    robots = [SerialRobot(name=name, **TWO) for name in ("first", "second")]  # type: ignore[arg-type]
+    robots[0].couplings = {"slide": {"to": "turn", "ratio": 2.0}}  # type: ignore[assignment]
+    scene = Scene(
+        robots=robots, groups=[Group(name="both", robots=["second", "first"])],
+        sources={"udp": {"kind": "udp", "port": 0, "structure": "3F4F3F"}},
+        routes={
+            "both.joint_angles": "udp.values0",
+            "both.billboard_values": "-1 * udp.values1",
+            "both.torques": "2 * udp.values2",
+        },
+    )  # fmt: skip
+    wiring = wire(scene).check(scene)
+    signals = RoutedSignals(scene, wiring.routes, "udp", wiring.sources["udp"].events).signals
+    assert signals.origins == {
+        "second.turn.angle [rad]": "values0[0]", "second.slide.angle [m]": "values0[1]",
+        "first.turn.angle [rad]": "values0[2]", "first.slide.angle [m]": "(udp.values0)[2]",
+        "second.turn.billboard_value": "(-1 * udp.values1)[0]",
+        "second.slide.billboard_value": "(-1 * udp.values1)[1]",
+        "first.turn.billboard_value": "(-1 * udp.values1)[2]",
+        "first.slide.billboard_value": "(-1 * udp.values1)[3]",
+        "second.turn.torque [Nm]": "(2 * udp.values2)[0]",
+        "second.slide.torque [N]": "(2 * udp.values2)[1]",
+        "first.turn.torque [Nm]": "(2 * udp.values2)[2]",  # of the coupled joint nothing is known
+    }  # fmt: skip
 
 
 def test_a_simulation_has_them_too(tmp_path: Path) -> None:

@@ -153,10 +153,9 @@ class RoutedSignals:
         routed = {event: np.zeros(int(np.prod(shape)), bool) for event, shape in events.items()}
         origins = {}
         for route in self._routes:
-            whole = route.value.whole
-            text = whole.key if whole is not None else f"({route.text})"
             for index, name in enumerate(names[route.to.target]):
-                origins[name] = f"{text}[{index}]"
+                if origin := route.origin_of(index):
+                    origins[name] = origin
             for term in route.value.terms:
                 routed[term.origin.key][term.take] = True
         self._events = [event for event in events if not routed[event].all()]

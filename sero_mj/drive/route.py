@@ -124,12 +124,27 @@ class Route:
         text: where it leads from, as declared.
         value: how the input's numbers are computed.
         negated: whether a toggle is negated.
+        numbers: which of the numbers that the text stands for each of the input's is; a robot of a
+            group has its share of them, and coupled joints those that they follow.
     """
 
     to: Input
     text: str
     value: Affine
     negated: bool = False
+    numbers: tuple[int, ...] = ()
+
+    def origin_of(self, index: int) -> str:
+        """Returns where one of the input's numbers leads from: `values0[3]`; empty for nothing."""
+        offset = self.value.offset[index]
+        if np.isnan(offset):
+            return ""
+        found = [(term, k) for term in self.value.terms for k in np.flatnonzero(term.at == index)]
+        if len(found) == 1 and offset == 0.0:
+            ((term, k),) = found
+            if term.times[k] == 1.0:
+                return f"{term.origin.key}[{term.take[k]}]"
+        return f"({self.text})[{self.numbers[index]}]"
 
     @property
     def sources(self) -> list[str]:

@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from typing import Self
 
+import numpy as np
+
 from ..assemble.cartesian import WORLD
 from ..assemble.couplings import CoupledJoints
 from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
@@ -254,15 +256,20 @@ class _RouteChecker:
         if len(inputs) > 1 and inputs[0].kind in ("angles", "values"):
             shares = _shares(value, inputs, text, target)
         routes: list[Route | FrameRoute] = []
+        first = 0  # of the numbers that a share begins with
         for item, share in zip(inputs, shares, strict=True):
-            full = share
+            full, numbers = share, np.arange(share.entries.size)
             if item.coupled is not None and share.shape and share.entries.size == item.coupled.k:
-                full = _with_coupled(share, item, item.coupled)
+                full, numbers = _with_coupled(share, item, item.coupled), item.coupled.source
             units = units_of(self._scene, item)
             message = _wrong_shape(full, item) or _wrong_unit(full, item, units)
             if message:
                 raise DeclarationError([Problem("", f"{text} {message}")])
-            routes.append(Route(item, text, full.compile(item.count), expression.negated))
+            numbers = np.broadcast_to(first + numbers, item.count)
+            compiled = full.compile(item.count)
+            routes.append(Route(item, text, compiled, expression.negated, tuple(numbers.tolist())))
+            if len(inputs) > 1 and share is not value:
+                first += share.entries.size
         return routes
 
     def _input(self, target: str) -> Input | Problem | None:
