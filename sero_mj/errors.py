@@ -20,6 +20,7 @@ that every place that meets the same fault says the same sentence.
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -93,10 +94,17 @@ class Problem:
 
 
 class DeclarationError(SeroError, ValueError):
-    """A robot, source or scene is declared wrongly; `problems` lists all of it at once."""
+    """A robot, source or scene is declared wrongly; `problems` lists all of it at once.
+
+    Those of one file stand in the order of its lines.
+    """
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        self.problems = list(problems)
+        files = list(dict.fromkeys(problem.file for problem in problems))
+        # Of one file by their lines; those without one, and those of Python, as they were found.
+        self.problems = sorted(
+            problems, key=lambda each: (files.index(each.file), each.line or sys.maxsize)
+        )
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from ..declaration import numbers
+from ..errors import UnknownName
 from ..frames import Array, frame_from
 from .couplings import CoupledJoints
 from .robot import SerialRobot
@@ -125,6 +127,67 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
         add(name, (4, 4), "pose", "frame")
     add(SCENE, (1,), "toggle", *SceneToggles.model_fields)
     return {item.target: item for item in inputs}
+
+
+def inputs_of_group(
+    inputs: Mapping[str, Input], group: str, key: str, members: Sequence[str]
+) -> list[Input]:
+    """Returns the inputs of a group's members that one of the group means, in their order.
+
+    Args:
+        inputs: all, by `name.key`.
+        group: its name, for messages.
+        key: of the input.
+        members: names of its robots, or of the doubles of these.
+
+    Raises:
+        UnknownName: no member has such an input.
+        ValueError: not all of them have it, or it is a frame and several have it.
+    """
+    found = {name: inputs.get(f"{name}.{key}") for name in members}
+    items = [item for item in found.values() if item is not None]
+    if not items:
+        keys = {item.key for item in inputs.values() if item.name in members}
+        raise UnknownName(f"input of {group}", key, keys)
+    having = [item.name for item in items]
+    if items[0].shape == (4, 4):
+        if len(items) > 1:
+            names = ", ".join(having)
+            raise ValueError(f"there is one frame, and {key} of {names}; expected one of these")
+        return items
+    if len(items) < len(members):
+        lacking = ", ".join(name for name in members if name not in having)
+        message = f"'{key}' is an input of {', '.join(having)}, but not of {lacking}"
+        raise ValueError(f"{message}; expected it in all of {group}")
+    return items
+
+
+def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
+    """Returns the share of every input in values that are set for a group.
+
+    Args:
+        items: of its robots, as `inputs_of_group` has them.
+        target: the group's input, for messages.
+        values: of all joints or of the independent ones in their order; a switch is for all.
+
+    Raises:
+        ValueError: a wrong number of values, or one that moves something is not finite.
+    """
+    if items[0].kind not in ("angles", "values"):
+        return [values] * len(items)
+    full = [item.count for item in items]
+    free = [item.count if item.coupled is None else item.coupled.k for item in items]
+    array = to_array(replace(items[0], coupled=None), values)
+    counts = next((each for each in (full, free) if array.shape == (sum(each),)), None)
+    if counts is None or not (items[0].kind in BLANKABLE or np.isfinite(array).all()):
+        found = repr(values) if array.ndim != 1 or not array.size else f"{array.size} numbers"
+        if counts is not None:
+            found = str(array.tolist())
+        each = ", ".join(f"{item.name} {item.count}" for item in items)
+        fewer = f", or {sum(free)} without the coupled joints" if free != full else ""
+        finite = "" if items[0].kind in BLANKABLE else " finite numbers"
+        raise ValueError(f"{target}: found {found}; expected {sum(full)}{finite}: {each}{fewer}")
+    return np.split(array, np.cumsum(counts)[:-1])
 
 
 def moving(scene: Scene) -> set[str]:

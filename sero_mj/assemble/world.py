@@ -163,7 +163,8 @@ class World(WorldView):
 
         Args:
             data: what to change.
-            target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`.
+            target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. The name may be that of a
+                group: its robots have their shares of the values, as of those of a route.
             values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data.
 
         Raises:
@@ -171,6 +172,10 @@ class World(WorldView):
             ValueError: wrong number of values, NaN in an input that moves something, or not a
                 frame.
         """
+        if target not in self.inputs and target not in (shares := self.shares(target, values)):
+            for each, share in shares.items():
+                self.set_input(data, each, share)
+            return
         item = self.resolve_input(target)
         array = to_array(item, values)
         finite = np.isfinite(array)

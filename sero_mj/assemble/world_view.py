@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import UnknownName
 from ..frames import Array, Bools, inverse
-from .inputs import Input
+from .inputs import Input, inputs_of_group, share_out
 from .parts import ArrowTable, DoublePart, DrawnDouble, FrameTable, JointTable, Owner, RobotPart
 from .scene import Scene
 
@@ -115,6 +115,29 @@ class WorldView(Protocol):
         data.mocap_pos[self.placed[name]] = T_world[:3, 3]
         data.mocap_quat[self.placed[name]] = quat
 
+    def shares(self, target: str, values: Any) -> dict[str, Any]:
+        """Returns values by the inputs that they are for: one, or those of the robots of a group.
+
+        Args:
+            target: `name.input`, where the name may be that of a group, or of a double of one.
+            values: of one input as they are; of a group those of all joints, or of the
+                independent ones, in the order of its robots. A switch is that of all.
+
+        Raises:
+            UnknownName: no robot of a group has such an input.
+            ValueError: the values are not as many as the group takes.
+        """
+        name, _, key = target.partition(".")
+        members = None if target in self.inputs else self.scene.members(name)
+        if members is None:
+            return {target: values}
+        try:
+            items = inputs_of_group(self.inputs, name, key, members)
+        except ValueError as error:
+            raise ValueError(f"{target}: {error}") from None
+        parts = share_out(items, target, values)
+        return {item.target: part for item, part in zip(items, parts, strict=True)}
+
     def resolve_input(self, target: str) -> Input:
         """Returns the input that `name.key` names.
 
@@ -130,8 +153,8 @@ class WorldView(Protocol):
         keys = [item.key for item in self.inputs.values() if item.name == name]
         if keys:
             raise UnknownName(f"input of {name}", key, keys)
-        names = dict.fromkeys(item.name for item in self.inputs.values())
-        raise UnknownName("robot", name, list(names))
+        names = [item.name for item in self.inputs.values()]
+        raise UnknownName("robot", name, [*names, *self.scene.groups, *self.scene.double_groups])
 
     def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
         """Returns T_base_flange (4, 4) of the compiled model at `data`, translation in m.

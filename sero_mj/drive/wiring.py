@@ -22,10 +22,18 @@ import numpy as np
 
 from ..assemble.cartesian import WORLD
 from ..assemble.couplings import CoupledJoints
-from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, list_inputs
+from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, inputs_of_group, list_inputs
 from ..assemble.mounts import carriers, mount_circles
 from ..assemble.scene import NOT, Scene, names_in
-from ..errors import DeclarationError, Problem, RouteError, collect, did_you_mean, nearest
+from ..errors import (
+    DeclarationError,
+    Problem,
+    RouteError,
+    UnknownName,
+    collect,
+    did_you_mean,
+    nearest,
+)
 from ..receive.source import SIGNALS, Source, make_source
 from ._expression import Value, constant, evaluate, joined, numbers_of, parse
 from ._units import UNITS, Dimension, describe, units_of
@@ -196,30 +204,21 @@ class _RouteChecker:
         members = self._scene.members(name)
         if members is None:
             return self._check([self._input(target)], origin, target)
-        if any(self._scene.is_broken(each) for each in members if each not in self._scene.robots):
-            return []
+        if any(each not in {*self._scene.robots, *self._scene.doubles} for each in members):
+            return []  # declared wrongly, or missing
         return self._check(self._group_inputs(name, key, members), origin, target)
 
     def _group_inputs(
         self, group: str, key: str, members: Sequence[str]
     ) -> list[Input | Problem | None]:
         """The inputs of a group's members that a route leads to, or what is wrong with it."""
-        found = {name: self._inputs.get(f"{name}.{key}") for name in members}
-        having = [name for name, item in found.items() if item is not None]
-        if not having:
-            keys = {item.key for item in self._inputs.values() if item.name in members}
-            return [Problem("", f"no input '{key}' of {group}{did_you_mean(key, keys)}")]
-        first = found[having[0]]
-        if first is not None and first.shape == (4, 4):
-            if len(having) > 1:
-                message = f"there is one frame, and {key} of {', '.join(having)}; route to one"
-                return [Problem("", message)]
-            return [first]
-        if len(having) < len(members):
-            lacking = ", ".join(name for name in members if name not in having)
-            message = f"'{key}' is an input of {', '.join(having)}, but not of {lacking}"
-            return [Problem("", f"{message}; expected it in all of {group}")]
-        return list(found.values())
+        try:
+            return list(inputs_of_group(self._inputs, group, key, members))
+        except UnknownName as error:
+            near = did_you_mean(key, error.available)
+            return [Problem("", f"no input '{key}' of {group}{near}")]
+        except ValueError as error:
+            return [Problem("", str(error))]
 
     def _check(
         self, items: Sequence[Input | Problem | None], origin: str, target: str
@@ -278,11 +277,12 @@ class _RouteChecker:
             return self._inputs[target]
         scene, (name, _, key) = self._scene, target.partition(".")
         keys = [item.key for item in self._inputs.values() if item.name == name]
-        if scene.is_broken(name):
+        if scene.is_broken(name) or scene.is_broken(name, ("groups",)):
             near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
             mistyped = near is not None and key not in ROBOT_INPUTS
             message = f"no input '{key}' of {name}; did you mean '{near}'?"
-            return Problem("", message) if mistyped and f"robots.{name}" in scene.broken else None
+            moves = {f"robots.{name}", f"groups.{name}"} & scene.broken
+            return Problem("", message) if mistyped and moves else None
         double, robot = scene.doubles.get(name), scene.robots.get(name)
         message = ""
         if double is not None and double.path is not None and key != "visible":

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..assemble.world_view import WorldView
@@ -43,8 +44,9 @@ class JointInput:
     def __get__(self, robot: RobotInputs, owner: type) -> Array:
         """Returns a copy of the current values."""
         world = robot._of.world
-        part = world.owners[robot._name]
-        return joint_values(world, robot._of.data)[self._key][part.joints].copy()
+        values = joint_values(world, robot._of.data)[self._key]
+        members = world.scene.members(robot._name) or [robot._name]
+        return np.concatenate([values[world.owners[name].joints] for name in members])
 
     def __set__(self, robot: RobotInputs, values: ArrayLike | Mapping[str, float]) -> None:
         """Sets all values."""
@@ -52,14 +54,14 @@ class JointInput:
 
 
 class RobotInputs:
-    """The inputs of one robot or double.
+    """The inputs of one robot or double, or of all robots of a group one after the other.
 
     Additional inputs that a robot declares (`inputs = ["temperatures"]`), frames and toggles are
     set by `set`, or as attributes too.
 
     Args:
         of: what has the robot.
-        name: of the robot or double.
+        name: of the robot, double or group.
 
     Attributes:
         joint_angles: (n,), rad or m; those of an overlay's robot are read-only.
@@ -81,8 +83,10 @@ class RobotInputs:
     billboard_values = JointInput()
 
     def __init__(self, of: HasInputs, name: str) -> None:
-        if name not in of.world.owners:
-            raise UnknownName("robot", name, of.world.owners)
+        scene = of.world.scene
+        known = [*of.world.owners, *scene.groups, *scene.double_groups]
+        if name not in known:
+            raise UnknownName("robot", name, known)
         object.__setattr__(self, "_of", of)
         object.__setattr__(self, "_name", name)
 

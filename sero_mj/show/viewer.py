@@ -83,8 +83,9 @@ class Viewer:
 
         Args:
             target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`,
-                `lwr.show_axes`, `toggles.legend`, ...
-            values: of the input's shape, SI units.
+                `lwr.show_axes`, `toggles.legend`, ...; or of a group, `justin.joint_angles`
+            values: of the input's shape, SI units; of a group those of all joints, or of the
+                independent ones, in the order of its robots.
 
         Raises:
             UnknownName: no such input; lists the existing ones.
@@ -95,8 +96,10 @@ class Viewer:
     def robot(self, name: str) -> RobotInputs:
         """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
 
+        Those of a group are all of its robots' in their order: `robot("justin").torques = ...`.
+
         Raises:
-            UnknownName: no robot or double of that name; suggests the nearest one.
+            UnknownName: no robot, double or group of that name; suggests the nearest one.
         """
         return RobotInputs(self, name)
 

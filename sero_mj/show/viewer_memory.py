@@ -192,8 +192,11 @@ class SceneMemory:
 
     def set(self, target: str, values: Any) -> None:
         """See `ViewerMemory`."""
-        self._world.set_input(self.data, target, values)
-        self.arrays.write(self._index[target], to_array(self._world.inputs[target], values))
+        shares = self._world.shares(target, values)
+        for each, share in shares.items():
+            self._world.set_input(self.data, each, share)
+        for each, share in shares.items():
+            self.arrays.write(self._index[each], to_array(self._world.inputs[each], share))
 
     def sync(self) -> None:
         """See `ViewerMemory`."""
