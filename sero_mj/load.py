@@ -78,10 +78,17 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
     Raises:
         UnknownName: no such robot; names the nearest.
         DeclarationError: everything that is wrong in the file, at once.
-        UsageError: `overrides` names another robot.
+        UsageError: `overrides` names another robot, or it is a group of robots.
     """
     fields = {}
-    robot = paths.find_model(name).parent.name
+    try:
+        path = paths.find_model(name)
+    except UnknownName:
+        _refuse_group(name)
+        raise
+    if path.name == paths.GROUP_FILE:
+        _refuse_group(name)
+    robot = path.parent.name
     for key, value in (overrides or {}).items():
         given, _, field = key.partition(".")
         if given != robot:
@@ -91,6 +98,20 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
             raise UsageError(f"--set {key}: which robot it is cannot be set")
         fields[field] = value
     return SerialRobot.from_model(name, **fields)
+
+
+def _refuse_group(name: str) -> None:
+    """Raises UsageError where a name is that of a group, and names its robots and their models."""
+    try:
+        path = paths.find_group_model(name)
+    except UnknownName:
+        return
+    robots = load_scene(path).robots.values()
+    names = ", ".join(
+        robot.name if robot._model is None else f"{robot.name} ({robot._model.parent.name})"
+        for robot in robots
+    )
+    raise UsageError(f"{name} is a group of robots; expected one robot. It has {names}")
 
 
 def _load_scenario(name: str, overrides: Mapping[str, Any]) -> Scene:

@@ -63,8 +63,10 @@ def run(options: argparse.Namespace) -> int:
     for name in scene.groups:
         robots = [scene.robots[each] for each in scene.members(name) or []]
         joints = sum(robot.n for robot in robots)
+        free = sum(robot.coupled.k for robot in robots)
         each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
-        print(fill(f"  group   {name}: {joints} joints: {each}", 100, subsequent_indent=" " * 10))
+        count = f"{joints} joints" + (f", in packets {joints} or {free}" if free < joints else "")
+        print(fill(f"  group   {name}: {count}: {each}", 100, subsequent_indent=" " * 10))
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():
