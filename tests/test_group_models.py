@@ -10,6 +10,7 @@ import pytest
 from poses import chain, move, rot
 
 from sero_mj import DeclarationError, Scene, SerialRobot, World, group_from_model, load_scene
+from sero_mj.cli import main
 
 FINGER = """
 dh_convention = "craig"
@@ -181,16 +182,16 @@ def test_mistakes_are_told_with_the_file_and_line_of_the_model(folder: Path) -> 
     changed(folder, "hand/group.toml", "axes_size = 0.03", "axes_size = -1.0\naxes_sise = 0.03")
     changed(folder, "hand/group.toml", '["thumb", "nail"]', '["thumb", "nails"]')
     assert told(folder, '[groups.h]\nmodel = "hand"\n') == [
+        "hand/group.toml:3: axes_size: found -1.0; expected greater than 0",
         "hand/group.toml:4: axes_sise: unknown key; did you mean 'axes_size'?",
-        "hand/group.toml:23: objects.palm: size of a box: found [0.02, 0.08]; expected positive "
-        "length x, length y, length z in m",
         "hand/group.toml:9: robots.index.joint_angles: found 1 entries; expected 2, one per row of "
         "dh_params",
-        "hand/group.toml:3: axes_size: found -1.0; expected greater than 0",
         "hand/group.toml:17: robots.nail.mount: no frame 'h_thum/flange'; did you mean "
         "'h_thumb/flange'?",
         "hand/group.toml:21: groups.two.robots: no robot or group 'h_nails'; did you mean "
         "'h_nail'?",
+        "hand/group.toml:23: objects.palm: size of a box: found [0.02, 0.08]; expected positive "
+        "length x, length y, length z in m",
     ]
 
 
@@ -216,14 +217,14 @@ model = "lwr"
 model = "hand"
 """
     assert told(folder, text) == [
+        "scene.toml:3: groups.h.mount: no frame 'arm/flanje'; did you mean 'arm/flange'?",
+        "scene.toml:5: groups.h.robots.index.joint_angles: found 3 entries; expected 2, one per "
+        "row of dh_params",
         "scene.toml:6: groups.h.robots.tumb: hand has none; did you mean 'thumb'?",
         "scene.toml:9: groups.k.model: no model of a group 'hnd'; did you mean 'hand'?",
         "scene.toml:12: groups.l.base_frame: unknown key 'xzy'; did you mean 'xyz'?",
         "scene.toml:13: groups.l.mirrored: found 'yes'; expected true or false",
         "scene.toml:16: robots.m_nail: a group with a model has a robot of this name",
-        "scene.toml:5: groups.h.robots.index.joint_angles: found 3 entries; expected 2, one per "
-        "row of dh_params",
-        "scene.toml:3: groups.h.mount: no frame 'arm/flanje'; did you mean 'arm/flange'?",
     ]
 
 
@@ -265,6 +266,48 @@ def test_a_model_in_itself_is_told(folder: Path) -> None:
     assert problem == (
         "hand/group.toml:6: groups.x.model: models of groups are in each other in a circle: "
         "body in hand in body"
+    )
+
+
+def test_values_set_for_members_of_a_model_are_told_by_their_names(folder: Path) -> None:
+    (folder / "scene.toml").write_text('[groups.b]\nmodel = "body"\njoint_angles = [1, 2]\n')
+    robots = ["trunk", *(f"{side}_{n}" for side in ("left", "right")
+                         for n in ("index", "thumb", "nail"))]  # fmt: skip
+    each = ", ".join(f"b_{name} 2" for name in robots)
+    for setting, text in (
+        ({}, f":3: groups.b.joint_angles: found 2 joints; expected 14: {each}"),
+        ({"b_trunk.show_axs": 1}, ": b_trunk.show_axs: unknown key; did you mean 'show_axes'?"),
+        ({"b.show_axes": 1}, ": b.show_axes: found 1; expected true or false"),
+        ({"b.show_axs": 1}, ": b.show_axs: no robot has this; did you mean 'show_axes'?"),
+    ):  # fmt: skip
+        with pytest.raises(DeclarationError) as caught:
+            load_scene(folder / "scene.toml", {"b.joint_angles": [0.1] * 14, **setting} if setting
+                       else None)  # fmt: skip
+        assert str(caught.value) == f"{folder}/scene.toml{text}"
+
+
+def test_a_group_alone_that_is_wrong_is_all_that_is_told(folder: Path) -> None:
+    assert told(folder, '[groups.h]\nmodel = "hnd"\n') == [
+        "scene.toml:2: groups.h.model: no model of a group 'hnd'; did you mean 'hand'?"
+    ]
+
+
+def test_fk_and_check_say_what_a_group_holds(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in (folder / "hand", folder / "hand" / "group.toml"):
+        with pytest.raises(SystemExit, match="2"):
+            main(["fk", str(name)])
+        assert capsys.readouterr().err == (
+            f"sero-mj: {name} is a group of robots; expected one robot. It has hand_index "
+            "(finger), hand_thumb (finger), hand_nail (finger)\n"
+        )
+    changed(folder, "hand/group.toml", 'mount = "thumb', 'couplings.J2.to = "J1"\nmount = "thumb')
+    with pytest.raises(SystemExit, match="0"):
+        main(["check", str(folder / "hand" / "group.toml")])
+    assert (
+        "  group   hand: 6 joints, in packets 6 or 5: hand_index 2, hand_thumb 2, hand_nail 2\n"
+        in capsys.readouterr().out
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,16 @@ from sero_mj import (
     World,
     load_scene,
 )
+from sero_mj.cli import main
 from sero_mj.decor.billboards import declared_lines
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.place import Placer, Router
 from sero_mj.drive.wiring import wire
+from sero_mj.errors import UnknownName
 from sero_mj.send.play import MotionPackets
+from sero_mj.show.robot_inputs import RobotInputs
+from sero_mj.show.viewer_memory import SceneMemory
 from sero_mj.simulate.scenario import Scenario
 
 COUNTS = {"torso": 2, "left": 3, "right": 3, "head": 1}
@@ -268,12 +273,12 @@ def test_wrong_groups_are_all_told_at_once_with_their_lines(tmp_path: Path) -> N
     path.write_text(WRONG)
     assert problems_in(path) == [
         "9: groups.one.show_arrows: found 3; expected true or false",
-        "32: groups.seven.robots: found []; expected 1 entry or more",
-        "28: groups.c: a robot has this name; expected another one",
         "12: groups.two.robots: no robot or group 'cc'; did you mean 'c'?",
         "15: groups.three.robots: groups are in each other in a circle: three in four in three",
         "21: groups.five.robots: 'a' is in it twice, so its share of the values is ambiguous",
         "26: groups.six.show_axes: 'b' is in five as well, which has another show_axes",
+        "28: groups.c: a robot has this name; expected another one",
+        "32: groups.seven.robots: found []; expected 1 entry or more",
     ]
 
 
@@ -288,6 +293,194 @@ def test_values_can_be_set_for_a_group_on_the_command_line(tmp_path: Path) -> No
     scene = load_scene(path, {"all.show_arrows": True})
     assert [each.show_arrows for each in scene.robots.values()] == [True, True]
     assert scene.routes == {}
+
+
+def test_a_wrong_group_is_not_told_again_by_its_routes(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        """[robots.a]
+model = "lwr"
+[groups.pair]
+robots = ["a"]
+show_arows = true
+[groups.other]
+robots = ["a", "q"]
+[sources.udp]
+kind = "udp"
+port = 0
+structure = "7F7F"
+[routes]
+"pair.joint_angles" = "udp.values0"
+"pair.torqes" = "udp.values1"
+"pair.torques" = "udp.values2"
+"other.torques" = "udp.values1"
+"""
+    )
+    assert problems_in(path) == [
+        "5: groups.pair.show_arows: unknown key; did you mean 'show_arrows'?",
+        "7: groups.other.robots: no robot or group 'q'; available: a, pair",
+        "14: routes.pair.torqes: no input 'torqes' of pair; did you mean 'torques'?",
+        "15: routes.pair.torques: no event 'values2' of udp; did you mean 'values1'?",
+    ]
+
+
+POSED = """
+[robots.a]
+model = "lwr"
+joint_angles = [1, 1, 1, 1, 1, 1, 1]
+[robots.b]
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.3], [1.5, 0, 0, 0], [0, 0.1, 0, 0]]
+couplings = { J3 = { to = "J2", ratio = 2.0 } }
+[groups.pair]
+robots = ["b", "a"]
+joint_angles = [0.1, 0.2, 1, 2, 3, 4, 5, 6, 7]
+torques = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
+[sources.udp]
+kind = "udp"
+port = 0
+structure = "2F9F3F"
+[routes]
+"b.joint_angles" = "udp.values0"
+"pair.torques" = "udp.values1"
+"b.billboard_values" = "udp.values2"
+"""
+
+
+def posed(folder: Path, **overrides: Any) -> Scene:
+    path = folder / "posed.toml"
+    path.write_text(POSED)
+    return load_scene(path, {key.replace("__", "."): each for key, each in overrides.items()})
+
+
+def test_a_group_declares_what_its_robots_share(tmp_path: Path) -> None:
+    scene = posed(tmp_path)
+    np.testing.assert_allclose(scene.robots["b"].home, [0.1, 0.2, 0.4])  # not its own zeros
+    np.testing.assert_array_equal(scene.robots["a"].home, range(1, 8))
+    world = World(scene)
+    data = world.make_data()
+    assert data.userdata[world.slots["b.torques"]].tolist() == [1, 2, 3]
+    assert data.userdata[world.slots["a.torques"]].tolist() == [*range(4, 11)]
+    assert set(scene.routes) == {"b.joint_angles", "pair.torques", "b.billboard_values"}
+    groups = [
+        Group(name="inner", robots=["left"], joint_angles=[1, 2, 3]),
+        Group(name="outer", robots=["head", "inner"], joint_angles=[9, 6, 7, 8]),
+    ]
+    mine = robot("head", joint_angles=[0.5])
+    scene = Scene(robots=[robot("left"), mine], groups=groups[::-1])
+    assert [each.home.tolist() for each in scene.robots.values()] == [[6, 7, 8], [9]]
+    assert mine.home.tolist() == [0.5]  # what was handed in is left as it is
+    late = Scene(robots=[robot("left")], groups=groups[:1])
+    assert late.robots["left"].home.tolist() == [1, 2, 3]
+
+
+def test_poses_of_groups_are_set_on_the_command_line(tmp_path: Path) -> None:
+    scene = posed(tmp_path, pair__joint_angles=[*range(9)], pair__torques=[*range(9)])
+    np.testing.assert_allclose(scene.robots["b"].home, [0, 1, 2])
+    np.testing.assert_array_equal(scene.robots["a"].home, range(2, 9))
+    assert set(scene.routes) == {"b.billboard_values"}  # of what is set nothing is routed
+    scene = posed(tmp_path, a__joint_angles=[0] * 7, pair__billboard_values=[1] * 10)
+    assert scene.robots["a"].home.tolist() == [0] * 7  # a robot's counts more than its group's
+    np.testing.assert_allclose(scene.robots["b"].home, [0.1, 0.2, 0.4])
+    assert set(scene.routes) == {"b.joint_angles", "pair.torques"}
+
+
+def test_wrong_values_of_a_group_are_told_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def told_of(setting: str) -> list[str]:
+        path = tmp_path / "posed.toml"
+        path.write_text(POSED)
+        command = ["render", str(path), "-o", str(tmp_path / "x.png"), "--set", setting]
+        with pytest.raises(SystemExit, match="2"):
+            main(command)
+        return capsys.readouterr().err.removeprefix("sero-mj: ").splitlines()
+
+    expected = "expected 10: b 3, a 7, or 9 without the coupled joints"
+    assert told_of("pair.joint_angles=1,2") == [
+        f"--set pair.joint_angles: found 2 joints; {expected}"
+    ]
+    assert told_of("pair.show_axs=true") == [
+        "--set pair.show_axs: no robot has this; did you mean 'show_axes'?"
+    ]
+    assert told_of("pair.show_axes=3") == ["--set pair.show_axes: found 3; expected true or false"]
+    assert told_of("piar.show_axes=true") == [
+        "--set piar.show_axes: no robot 'piar' to set this for; did you mean 'pair'?"
+    ]
+    scene = POSED.replace("[0.1, 0.2, 1,", "[0.1, 0.2, 0.5, 1,").replace("9, 10]", "9]")
+    (tmp_path / "wrong.toml").write_text(scene)
+    assert problems_in(tmp_path / "wrong.toml") == [
+        "11: groups.pair.joint_angles: found 0.5 for J3; its coupling has it at 0.4: leave it out"
+    ]
+    (tmp_path / "wrong.toml").write_text(POSED.replace("9, 10]", "9, 10, 11]"))
+    assert problems_in(tmp_path / "wrong.toml") == [
+        f"12: groups.pair.torques: found 11 joints; {expected}"
+    ]
+
+
+def test_inputs_of_groups_are_set_by_its_name() -> None:
+    world = World(justin(doubles=[Double(name="goal", of="arms")]))
+    data = world.make_data()
+    world.set_input(data, "justin.joint_angles", np.arange(7.0) / 10)
+    np.testing.assert_allclose(angles(world, data)["right"], [0.5, 0.6, 1.2])
+    np.testing.assert_allclose(angles(world, data)["torso"], [0.0, 0.1])
+    world.set_input(data, "justin.torques", [*range(8), np.nan])
+    assert data.userdata[world.slots["left.torques"]].tolist() == [3, 4, 5]
+    np.testing.assert_array_equal(data.userdata[world.slots["right.torques"]], [6, 7, np.nan])
+    world.set_input(data, "goal.joint_angles", [1, 2, 4, 5, 6, 12])
+    assert data.userdata[world.slots["goal_right.joint_angles"]].tolist() == [5, 6, 12]
+    world.set_input(data, "arms.show_axes", True)
+    T = np.eye(4)
+    T[0, 3] = 2.0
+    world.set_input(data, "justin.base_frame", T)
+    assert data.mocap_pos[world.placed["torso"]].tolist() == [2, 0, 0]
+    toggles = Toggles(world)
+    toggles.apply_inputs(data)
+    owners = list(world.owners)
+    assert {owners[i] for i in world.frames.owner[toggles.axes]} == {"left", "right"}
+
+
+def test_wrong_inputs_of_groups_are_told_by_its_name() -> None:
+    world = World(justin(doubles=[Double(name="goal", of="arms")]))
+    data = world.make_data()
+    each = "torso 2, head 1, left 3, right 3, or 7 without the coupled joints"
+    wrong: list[tuple[str, Any, str]] = [
+        ("justin.joint_angles", [0.0] * 8,
+         f"justin.joint_angles: found 8 numbers; expected 9 finite numbers: {each}"),
+        ("justin.joint_angles", [0.0] * 6 + [np.nan],
+         "justin.joint_angles: found [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, nan]; expected 9 finite "
+         f"numbers: {each}"),
+        ("justin.torques", "no", f"justin.torques: found 'no'; expected 9: {each}"),
+        ("justin.torqes", [0.0] * 9, "no input of justin 'torqes'; did you mean 'torques'?"),
+        ("justn.torques", [0.0] * 9, "no robot 'justn'; did you mean 'justin'?"),
+        ("arms.flange_check", np.eye(4),
+         "arms.flange_check: there is one frame, and flange_check of left, right; expected one of "
+         "these"),
+    ]  # fmt: skip
+    for target, values, text in wrong:
+        with pytest.raises((UnknownName, ValueError)) as caught:
+            world.set_input(data, target, values)
+        assert str(caught.value) == text
+    np.testing.assert_array_equal(data.qpos, 0.0)  # of no robot, where it is wrong for one
+
+
+def test_a_viewer_hands_on_what_is_set_for_a_group() -> None:
+    worlds = [World(justin()) for _ in range(2)]
+    user, shown = worlds[0].make_data(), worlds[1].make_data()
+    memory = SceneMemory(worlds[0], user)
+    other = SceneMemory(worlds[1], shown, memory.arrays.path)
+    memory.set("justin.joint_angles", np.arange(9.0))
+    memory.set("arms.show_axes", True)
+    other.apply()
+    assert angles(worlds[1], shown) == angles(worlds[0], user)
+    assert angles(worlds[1], shown)["right"] == [6, 7, 8]
+    assert shown.userdata[worlds[1].slots["left.show_axes"]].tolist() == [1]
+    viewer = SimpleNamespace(world=worlds[0], data=user, set=memory.set)
+    inputs = RobotInputs(viewer, "arms")
+    inputs.torques = [1, 2, 4, 5]
+    np.testing.assert_array_equal(inputs.torques, [1, 2, np.nan, 4, 5, np.nan])
+    with pytest.raises(UnknownName, match="no robot 'amrs'; did you mean 'arms'"):
+        RobotInputs(viewer, "amrs")
 
 
 def test_a_group_of_too_many_is_told() -> None:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from pydantic import Field, PrivateAttr
 
-from ..declaration import Declaration, Name
+from ..declaration import Declaration, Name, Vector
 from ..errors import Problem, did_you_mean
-from .robot_parts import ArrowQuantity, BillboardLines
+from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines
 
 _MOST_MEMBERS = 400  # of a group
 _MOST_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
@@ -32,6 +32,13 @@ class Group(Declaration):
         name: in routes, e.g. `justin` in `justin.joint_angles`.
         description: one line about it.
         robots: names of robots and groups, in the order of the values in packets.
+        joint_angles: initial pose of all of them in that order, rad or m: of all joints, or of the
+            independent ones. It counts more than the poses of its robots and of groups in it.
+        torques: initial measured torques likewise, Nm or N; this and the three that follow have
+            values of all joints or of the independent ones, and None for no data.
+        commanded_torques: Nm or N.
+        joint_accelerations: rad/s2 or m/s2.
+        billboard_values: in the unit that the billboards show.
         enable_touch_sensor: whether a click on a robot toggles its features; this and all that
             follow are defaults of the robots' own fields.
         stale_after: s.
@@ -52,6 +59,11 @@ class Group(Declaration):
     name: Name
     description: str = ""
     robots: list[Name] = Field(min_length=1, max_length=_MOST_MEMBERS)
+    joint_angles: Vector | None = None
+    torques: Vector | None = None
+    commanded_torques: Vector | None = None
+    joint_accelerations: Vector | None = None
+    billboard_values: Vector | None = None
     enable_touch_sensor: bool | None = None
     stale_after: float | None = Field(None, gt=0)
     show_axes: bool | None = None
@@ -77,7 +89,8 @@ class Group(Declaration):
         return {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
 
 
-_OWN = ("name", "description", "robots")  # fields that are no defaults
+SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values its robots share, in their order
+_OWN = ("name", "description", "robots", *SHARED)  # fields that are no defaults
 
 
 @dataclass(frozen=True)

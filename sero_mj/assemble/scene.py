@@ -12,11 +12,12 @@ import numpy as np
 
 from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, collect, did_you_mean
+from ..frames import Array
 from ..toml_file import key_lines, located
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
 from .group_model import has_key, where
-from .groups import Group, group_problems, membership
+from .groups import SHARED, Group, group_problems, membership
 from .mounts import carrier, mount_problems
 from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
@@ -170,6 +171,9 @@ class Scene:
             message = f"two robots have the name '{robot.name}'; expected different names"
             raise DeclarationError([Problem(f"robots.{robot.name}", message)])
         self.robots[robot.name] = self._with_defaults(robot)
+        for group in self.membership.around.get(robot.name, []):  # inner ones first
+            if all(name in self.robots for name in self.membership.members[group]):
+                self._share_out(self.groups[group])
         return robot
 
     def _with_defaults(self, robot: SerialRobot) -> SerialRobot:
@@ -185,6 +189,25 @@ class Scene:
                     own.add(key)
         return robot
 
+    def _share_out(self, group: Group) -> None:
+        """Gives the robots of a group their shares of what is declared of it per joint."""
+        robots = [self.robots[name] for name in self.membership.members[group.name]]
+        for key in SHARED:
+            value = getattr(group, key)
+            if value is None:
+                continue
+            place = f"groups.{group.name}.{key}"
+            shares = _shares(value, robots)
+            if shares is None:
+                message = _not_their_sum(value.shape[-1], robots)
+                self._group_problems.append(Problem(place, message))
+                continue
+            for robot, share in zip(robots, shares, strict=True):
+                with collect(self._group_problems, f"groups.{group.name}"):
+                    changed = self.robots[robot.name].model_copy()
+                    setattr(changed, key, share)
+                    self.robots[robot.name] = changed
+
     def _add_double(self, double: Double) -> None:
         """Adds a double, or those of all robots of a group."""
         robots = self.membership.members.get(double.of)
@@ -192,17 +215,15 @@ class Scene:
             self.doubles[double.name] = double
             return
         known = [self.robots[name] for name in robots if name in self.robots]
-        counts = ([robot.n for robot in known], [robot.coupled.k for robot in known])
         shares: dict[str, Sequence[Any]] = {}
-        for key in ("joint_angles", "path", *VALUE_INPUTS):
+        for key in ("path", *SHARED):
             value = getattr(double, key)
             if value is None:
                 continue
-            fitting = next((each for each in counts if sum(each) == value.shape[-1]), None)
+            fitting = _shares(value, known)
+            shares[key] = [None] * len(known) if fitting is None else fitting
             if fitting is not None:
-                shares[key] = np.split(value, np.cumsum(fitting)[:-1], axis=-1)
                 continue
-            shares[key] = [None] * len(known)
             if len(known) == len(robots):  # else robots are wrong, which is reported elsewhere
                 message = _not_their_sum(value.shape[-1], known)
                 self._group_problems.append(Problem(f"doubles.{double.name}.{key}", message))
@@ -399,6 +420,17 @@ class Scene:
         if robot is not None and robot._model is not None and not places:
             places = [(robot._model, "")]
         return where(Problem(key, problem.message), tuple(places)) if places else problem
+
+
+def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
+    """Returns the shares of robots in values (..., n) of all joints, or of the independent ones.
+
+    None where there are as many values of neither.
+    """
+    for counts in ([robot.n for robot in robots], [robot.coupled.k for robot in robots]):
+        if sum(counts) == value.shape[-1]:
+            return np.split(value, np.cumsum(counts)[:-1], axis=-1)
+    return None
 
 
 def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
 from .group_model import Expanded, expand_groups, where
-from .groups import Group, membership
+from .groups import SHARED, Group, membership
 from .robot import SerialRobot, build_robot
 from .scene import Scene, SceneToggles, origin_text
 from .surroundings import Camera, Light, Object, View, set_directory
@@ -91,6 +91,7 @@ class _Reader:
         self.problems: list[Problem] = []
         self.broken: list[str] = []
         self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
+        self._set_for: dict[tuple[str, str], str] = {}  # the group that a robot's key was set for
         self.expanded = Expanded()
         if isinstance(tables.get("groups"), dict):
             self._expand(tables["groups"])
@@ -140,9 +141,12 @@ class _Reader:
                 if value is not None:
                     read[key] = value
         fields = {"name": self.path.stem, **read, "file": self.path, "broken": self.broken}
-        if not self.tables:
+        if not self.tables and not self.broken:
             self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)
+        for robot in read.get("robots", []):  # what is set for a robot counts more than a group's
+            for key in {key for key, _ in self._settings.get(robot.name, [])} & {*SHARED}:
+                setattr(scene.robots[robot.name], key, getattr(robot, key))
         self.problems += scene.problems()
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
@@ -169,12 +173,17 @@ class _Reader:
             entries |= table if isinstance(table, dict) else {}
         routes = self.tables.get("routes")
         if field and name in (members := self._members()):
-            for robot in members[name]:
-                self.override(f"{robot}.{field}", value)
+            if field in SHARED and isinstance(value, list):
+                self.tables["groups"][name] = {**self.tables["groups"][name], field: value}
+                dropped = members[name]
+            else:
+                self._override_all(name, members[name], field, value)
+                dropped = []
             if isinstance(routes, dict):
-                routes.pop(target, None)
+                for each in (name, *dropped):
+                    routes.pop(f"{each}.{field}", None)
         elif name not in entries:
-            names = [known for known in entries if known != "toggles"]
+            names = [known for known in (*entries, *self._members()) if known != "toggles"]
             near = did_you_mean(name, [*names, *self.known])
             self.wrong(target, f"no robot '{name}' to set this for{near}")
         elif not field:
@@ -185,6 +194,17 @@ class _Reader:
             self._settings.setdefault(name, []).append((field, value))
             if isinstance(routes, dict):
                 routes.pop(target, None)
+
+    def _override_all(self, group: str, robots: Sequence[str], field: str, value: Any) -> None:
+        """Overrides a field of all robots of a group."""
+        key = field.partition(".")[0].partition("[")[0]
+        if key not in SerialRobot.model_fields:
+            near = did_you_mean(key, SerialRobot.model_fields)
+            self.wrong(f"{group}.{field}", f"no robot has this{near}")
+            return
+        for robot in robots:
+            self._set_for[robot, field] = group
+            self.override(f"{robot}.{field}", value)
 
     def _members(self) -> dict[str, list[str]]:
         """Returns the robots of every group whose table is right in that."""
@@ -207,9 +227,26 @@ class _Reader:
         except DeclarationError as error:
             declared = self.expanded.declared.get(key)
             for problem in error.problems:
+                if (problem_set := self._as_set(key, problem)) is not None:
+                    self.problems.append(problem_set)
+                    continue
                 here = problem.inside(key) if declared is None else where(problem, declared)
                 self.problems.append(problem if problem.file else here)
         self.broken.append(key)
+        return None
+
+    def _as_set(self, place: str, problem: Problem) -> Problem | None:
+        """Returns the problem by the key that was set, where a robot in a group has it so."""
+        section, _, name = place.partition(".")
+        if section != "robots":
+            return None
+        for field, _ in self._settings.get(name, []):
+            if problem.key == field or problem.key.startswith(f"{field}."):
+                group = self._set_for.get((name, field))
+                if group is not None:
+                    return Problem(f"{group}.{problem.key}", problem.message)
+                if place in self.expanded.declared:
+                    return Problem(f"{name}.{problem.key}", problem.message)
         return None
 
     def _typed(self, key: str, kind: type[T], expected: str) -> T | None:
