@@ -383,6 +383,8 @@ def test_poses_of_groups_are_set_on_the_command_line(tmp_path: Path) -> None:
     assert scene.robots["a"].home.tolist() == [0] * 7  # a robot's counts more than its group's
     np.testing.assert_allclose(scene.robots["b"].home, [0.1, 0.2, 0.4])
     assert set(scene.routes) == {"b.joint_angles", "pair.torques"}
+    scene = posed(tmp_path, **{"a__joint_angles[2]": 0.5})
+    assert scene.robots["a"].home.tolist() == [1, 2, 0.5, 4, 5, 6, 7]
 
 
 def test_wrong_values_of_a_group_are_told_once(

@@ -144,9 +144,13 @@ class _Reader:
         if not self.tables and not self.broken:
             self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)
-        for robot in read.get("robots", []):  # what is set for a robot counts more than a group's
-            for key in {key for key, _ in self._settings.get(robot.name, [])} & {*SHARED}:
-                setattr(scene.robots[robot.name], key, getattr(robot, key))
+        for name, robot in scene.robots.items():  # what is set for it counts more than its group's
+            for key, value in self._settings.get(name, []):
+                field = key.partition("[")[0]
+                if field in SHARED:
+                    with suppress(ValueError):  # told where the robot was built
+                        changed = with_value({}, parts_of(key), value, built=robot)
+                        setattr(robot, field, changed[field])
         self.problems += scene.problems()
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
