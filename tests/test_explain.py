@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -146,6 +147,20 @@ def test_runs_are_told_apart_by_what_only_one_of_them_has() -> None:
     later = RunLog(b.robots, b.signals, b.times + 0.7, "later")
     (moved,) = explain_runs(a, later, both, offset=-0.7)
     assert moved.begin == pytest.approx(BEGIN, abs=0.03)
+
+
+def test_of_two_gains_the_difference_is_told_as_such() -> None:
+    runs = [
+        swing(json.dumps({"kind": "sensor", "gain": gain, "joints": ["A2"]}), seed=seed)
+        for seed, gain in ((0, 0.8), (1, 0.5))
+    ]
+    sound = swing(seed=5)
+    for a, b, size in ((*runs, 0.3), (sound, runs[1], 0.5), (runs[0], sound, -0.2)):
+        (found,) = explain_runs(a, b, ("lwr", "lwr"))
+        assert (found.joint, found.kind, found.part) == ("A2", "gain", "torque sensor")
+        assert found.size == pytest.approx(size, abs=0.01)
+        assert re.fullmatch(rf"gain: \{size:+.1f}.* of the torque sensor, A less B", found.text)
+    assert "A less B" not in explain_run(runs[0], "lwr")[0].text
 
 
 def test_without_the_links_masses_commands_alone_still_tell() -> None:

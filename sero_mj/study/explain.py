@@ -90,6 +90,9 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
 def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
     """Says in what a run differs from another one; sizes are those of the first less the second.
 
+    Of two gains only the difference shows: 0.2 where one sensor is right and the other reads 0.8 of
+    what it should.
+
     Args:
         a: of a run.
         b: of another one, at the same times.
@@ -99,7 +102,11 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
     told = [each for each in mine if (each.joint, each.part) not in known]
     difference = replace(a, link=a.link - b.link, motor=a.motor - b.motor, lag=a.lag - b.lag)
     noise = _noise(a, b)
-    return Search(difference, [*mine, *theirs], noise).explanations([*told, *noise])
+    found = Search(difference, [*mine, *theirs], noise).explanations([*told, *noise])
+    return [
+        replace(each, size=each.size - 1.0, is_difference=True) if each.kind == "gain" else each
+        for each in found
+    ]
 
 
 def explain_runs(

@@ -34,6 +34,7 @@ class Explanation:
         from_start: whether it has been there from the start.
         values: further figures by name: `viscous`, `x`, `y`, `z` of a payload's centre, m.
         joints: which it can be seen at.
+        is_difference: whether the size, a gain, is that of one run less that of another.
     """
 
     joint: str
@@ -48,6 +49,7 @@ class Explanation:
     from_start: bool = False
     values: Mapping[str, float] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
+    is_difference: bool = False
 
     def __str__(self) -> str:
         return f"{self.text}, {self.when}"
@@ -66,7 +68,9 @@ class Explanation:
         unknown = "what does the drive do?" if part == "drive" else "contact, an unknown force?"
         texts = {
             "sign": f"the {part} has the wrong one (gain {size:.2f})",
-            "gain": f"{size:.3f}{_about(error)} of the {part}",
+            "gain": f"{size:+.3f}{_about(error)} of the {part}, A less B"
+            if self.is_difference
+            else f"{size:.3f}{_about(error)} of the {part}",
             "bias": f"{size:+.3g}{_about(error)} {unit} of the {part}",
             "delay": f"{1e3 * size:.1f}{_about(1e3 * error)} ms of the {part}",
             "friction": f"{size:+.3g}{_about(error)} {unit}, "
@@ -84,7 +88,8 @@ class Explanation:
         if self.kind in ("sign", "stuck", "unexplained"):
             return f"{self.kind} ({self.part})"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
-        sign = "+" if self.kind in ("bias", "friction", "payload") else ""
+        is_signed = self.kind in ("bias", "friction", "payload") or self.is_difference
+        sign = "+" if is_signed else ""
         return f"{self.kind} {factor * self.size:{sign}.3g} {unit}".strip()
 
     @property
