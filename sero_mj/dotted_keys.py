@@ -52,6 +52,11 @@ def with_value(
         changed[str(name)] = with_value(inner, rest, value, built=own, n=n)
         return changed
     current = found.tolist() if hasattr(found, "tolist") else found
+    if rest and current is None and own is None:
+        known = {*table, *getattr(type(built), "model_fields", {})}
+        if name not in known:
+            raise ValueError(f"no list '{name}'{did_you_mean(str(name), known)}")
+        raise ValueError(f"'{name}' has no elements yet; set it as a whole")
     if rest:
         if _is_number(current) and n:
             current = [current] * n

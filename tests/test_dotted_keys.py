@@ -85,6 +85,14 @@ def test_single_elements_of_a_scenarios_lists_are_set() -> None:
         ("lwr.dynamics.mas_scale", "unknown key; did you mean 'mass_scale'?"),
         ("lwr.torque_limits[9]", "no element [9] of 'torque_limits'; it has 7, from [0] on"),
         ("lwr.name[0]", "'name' is no list; set it as a whole"),
+        (
+            "lwr.dynamics.coulom_friction[1]",
+            "no list 'coulom_friction'; did you mean 'coulomb_friction'?",
+        ),
+        (
+            "lwr.acceleration_limits[1]",
+            "'acceleration_limits' has no elements yet; set it as a whole",
+        ),
         ("lwr.torque_limits.x", "'torque_limits' is no table"),
         ("lwr.torque_limits[x]", "expected names with dots, and indices such as [0]"),
         ("controllers.lwr.stifness", "unknown key; did you mean 'stiffness'?"),

@@ -226,6 +226,22 @@ def test_springs_as_stiff_as_the_elastic_joints_are_refused() -> None:
     assert "joint A3" not in found
 
 
+def test_a_flange_as_stiff_as_the_joints_behind_it_is_refused() -> None:
+    stiff = {**CARTESIAN, "stiffness": [20000.0, 20000, 20000, 500, 500, 500]}
+    found = problems(stiff, True)
+    assert (
+        "controllers.lwr.stiffness: is more than 80 % of what the elastic joints have at the "
+        "flange; expected at most" in found
+    )
+    most = float(found.rpartition("at most ")[2].partition(" %")[0]) / 100
+    simulation({**CARTESIAN, "stiffness": [20000.0 * most] * 3 + [500.0 * most] * 3}, True)
+
+
+def test_damping_that_the_loop_cannot_hold_is_told_as_such() -> None:
+    found = problems({**FREE, "damping": 500.0})
+    assert "controllers.lwr.damping: joint" in found and "% of all damping" in found
+
+
 def test_a_stiff_position_controller_before_the_loop_is_full_state_feedback() -> None:
     """Against the closed form of u = -Kp theta - Kd dtheta - Kt tau - Ks dtau."""
     stiffness, joint, ratio, damping, target = 2000.0, 8000.0, 4.0, 0.7, 0.01

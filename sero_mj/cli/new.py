@@ -56,7 +56,10 @@ joint_angles = [{angles}]   # rad, until something is received
 
 # What is simulated has masses, friction and motors as well; estimated where they are not given:
 # [dynamics]
-# masses = [...]                                 # kg, of the base and the links
+# masses = [...]                                 # kg, of the base and the links; with them
+# centers_of_mass = [[...], ...]                 # m, in the frames of the rows, and
+# inertias = [[...], ...]                        # kg m2: Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+# motor_inertias = [...]                         # kg m2, as seen at the joints
 """
 
 _SCENE = """\

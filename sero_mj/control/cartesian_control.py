@@ -10,6 +10,7 @@ from numpy import multiply, negative, subtract
 from pydantic import BeforeValidator, Field
 
 from ..declaration import numbers
+from ..errors import DeclarationError, Problem
 from ..frames import Array
 from .controller import (
     DEFAULT_RATIO,
@@ -262,6 +263,12 @@ class CartesianImpedanceController:
         model.update(angles, np.zeros(model.n))
         jacobian, mass, rotation = model.jacobian(), model.mass(), model.flange_rotation
         self._design(rotation)
+        if self._share < 1.0:
+            message = (
+                f"is more than {100 * SOFTEST:g} % of what the elastic joints have at the flange; "
+                f"expected at most {99 * self._share:.2g} % of it"
+            )
+            raise DeclarationError([Problem("stiffness", message)])
         back = np.linalg.solve(mass, jacobian.T)
         felt = self._inertia(jacobian @ back, _BLOCKED)
         through = np.eye(model.n) - jacobian.T @ felt @ back.T

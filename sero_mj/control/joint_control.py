@@ -293,9 +293,12 @@ class JointImpedanceController:
                 return unstable_joint(mass, stiffness, damping, self._timestep) is None
 
             gain = float(self.stiffness[joint, joint])
-            most = 0.99 * largest_share(holds) * gain
+            share = largest_share(holds)
+            most = 0.99 * share * gain
             name = model.joint_names[joint]
-            raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, f"up to {most:.3g}")
+            others = f" and {99 * share:.2g} % of the others" if model.n > 1 else ""
+            up_to = f"up to {most:.3g}{others}"
+            raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, up_to)
 
 
 def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array:

@@ -67,7 +67,9 @@ class Drives:
         if problems:
             raise DeclarationError(problems)
 
-    def check(self, name: str, mass: Array, stiffness: Array, damping: Array) -> None:
+    def check(
+        self, name: str, mass: Array, stiffness: Array, damping: Array, *, has_springs: bool = True
+    ) -> None:
         """Refuses a loop, or a controller before it, that the steps cannot hold.
 
         Args:
@@ -75,6 +77,7 @@ class Drives:
             mass: (n, n), of its links where it starts, without the motors, kg m2 (kg).
             stiffness: (n, n), by which its controller's torques fall with the angles, Nm/rad (N/m).
             damping: (n, n), likewise with velocities, Nm s/rad (N s/m).
+            has_springs: whether its damping is designed for a stiffness, or declared.
 
         Raises:
             DeclarationError: names the joint that would shake most, and what would do.
@@ -100,20 +103,20 @@ class Drives:
 
         def shaken(share: float) -> int | None:
             # Damping is designed with the root of the stiffness.
-            scaled = share * stiffness, np.sqrt(share) * damping
+            scaled = share * stiffness, (np.sqrt(share) if has_springs else share) * damping
             return unstable_loop(gains, mass, timestep, *scaled, self._steps)
 
         joint = shaken(1.0)
         if joint is not None:
             share = largest_share(lambda each: shaken(each) is None)
-            gain = stiffness[joint, joint]
+            what = "stiffness" if has_springs else "damping"
             message = (
-                f"joint {joints[joint]} is unstable at {gain:.4g} Nm/rad with a torque loop of "
-                f"{1 / timestep:.0f} Hz and a time step of {1e3 * timestep * self._steps:g} ms; "
-                f"expected at most {0.99 * share * gain:.3g}, {99 * share:.2g} % of all stiffness, "
-                "or shorter steps"
+                f"joint {joints[joint]} is unstable with a torque loop of {1 / timestep:.0f} Hz "
+                f"and a time step of {1e3 * timestep * self._steps:g} ms; expected at most "
+                f"{99 * share:.2g} % of all {what}, a shorter run.timestep, or a larger "
+                "torque_control.inertia_ratio"
             )
-            raise DeclarationError([Problem(f"controllers.{name}.stiffness", message)])
+            raise DeclarationError([Problem(f"controllers.{name}.{what}", message)])
 
     @property
     def delay(self) -> int:

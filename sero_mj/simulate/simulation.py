@@ -176,7 +176,9 @@ class Simulation:
             with _located_in(self.scenario.scene):
                 for name, robot in robots.items():
                     self.drives.check(
-                        name, *robot.linearised(self.robot_model, start[robot.joints])
+                        name,
+                        *robot.linearised(self.robot_model, start[robot.joints]),
+                        has_springs=robot.has_springs,
                     )
 
     def _begin(self, start: Array) -> None:
@@ -478,6 +480,11 @@ class ControlledRobot:
             sensed[...] = measured
         if self._hanging is not None:
             self._sensed.motor_angles[...] = self._hanging.link_angles(self._sensed.motor_angles)
+
+    @property
+    def has_springs(self) -> bool:
+        """Whether a stiffness is declared, for which its damping is designed."""
+        return hasattr(self._declared, "stiffness")
 
     def linearised(
         self, make_model: Callable[[SerialRobot], RobotModel], angles: Array
