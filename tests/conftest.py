@@ -44,11 +44,20 @@ _MAY_BE_SKIPPED = (
 # Browsers and windows take both cores; of several workers one runs them all.
 _SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer")
 _LIVE = (*_SCREENS, "test_docs")
-# These open the ports of shipped scenes, or keep exact times; another worker runs them all.
+# These open the ports of shipped scenes; another worker runs them all.
 _PORTS = (
     "test_ahead", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
+
+# These measure time to a millisecond; they run when all others are done, one by one.
+_EXACT = (
+    "test_ahead.py::test_an_lwr_is_played_at_an_exact_rate",
+    "test_ahead.py::test_packets_are_numbered_and_stamped_and_counters_wrap",
+    "test_film.py::test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is",
+    "test_send.py::test_a_thousand_packets_a_second_leave_at_that_rate",
+    "test_timing.py::test_a_steady_sender_at_1_khz",
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -83,8 +92,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.name.startswith(_LIVE):
             item.add_marker(pytest.mark.live)
-    # Longest first, while browsers are busy; those that keep exact times come when they are done.
-    items.sort(key=lambda item: not item.path.name.startswith("test_docs"))
+    # Longest first, while browsers are busy.
+    items.sort(
+        key=lambda item: (_is_exact(item.nodeid), not item.path.name.startswith("test_docs"))
+    )
+
+
+def _is_exact(nodeid: str) -> bool:
+    return nodeid.rpartition("/")[2].startswith(_EXACT)
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)  # before the clock of pytest-timeout
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    if not hasattr(item.config, "workerinput") or sys.platform == "win32":
+        yield
+        return
+    import fcntl
+
+    with Path(__file__).open() as lock:  # of all workers
+        fcntl.flock(lock, fcntl.LOCK_EX if _is_exact(item.nodeid) else fcntl.LOCK_SH)
+        yield
 
 
 class _GroupsByFile(LoadScopeScheduling):
@@ -93,7 +120,8 @@ class _GroupsByFile(LoadScopeScheduling):
         name = nodeid.partition("::")[0].rpartition("/")[2]
         if name.startswith(_SCREENS):
             return "screens"
-        return "ports" if name.startswith(_PORTS) else nodeid
+        # Larger scopes come first, then single tests in their order.
+        return "ports" if name.startswith(_PORTS) and not _is_exact(nodeid) else nodeid
 
 
 @pytest.hookimpl(optionalhook=True)
