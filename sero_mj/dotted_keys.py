@@ -27,7 +27,13 @@ def parts_of(key: str) -> list[str | int]:
 
 
 def with_value(
-    table: Mapping[str, Any], parts: list[str | int], value: Any, *, built: Any = None, n: int = 0
+    table: Mapping[str, Any],
+    parts: list[str | int],
+    value: Any,
+    *,
+    built: Any = None,
+    below: Any = None,
+    n: int = 0,
 ) -> dict[str, Any]:
     """Returns a table in which a dotted key has a value; nothing that was handed in is changed.
 
@@ -36,6 +42,8 @@ def with_value(
         parts: of the key, a name first; tables on the way are made where there are none.
         value: a number becomes one for each element where a list of numbers stands.
         built: what was made of the table; lists that the table does not have are its arrays.
+        below: another table, over which this one is laid; lists and frames that this one does not
+            have are as they stand there.
         n: number of elements that one number in the table stands for; 0 where it is only that.
 
     Raises:
@@ -44,12 +52,17 @@ def with_value(
     changed = dict(table)
     name, *rest = parts
     own = built.get(name) if isinstance(built, Mapping) else getattr(built, str(name), None)
-    found = table.get(str(name), own if hasattr(own, "tolist") else None)
+    under = below.get(name) if isinstance(below, Mapping) else None
+    # A frame is replaced as a whole; of other tables what is set here is laid over the rest.
+    stands = under if isinstance(under, list) or hasattr(own, "tolist") else None
+    found = table.get(str(name), stands)
+    if found is None and hasattr(own, "tolist"):
+        found = own
     if rest and isinstance(rest[0], str):
         inner = {} if found is None else found
         if not isinstance(inner, Mapping):
             raise ValueError(f"'{name}' is no table")
-        changed[str(name)] = with_value(inner, rest, value, built=own, n=n)
+        changed[str(name)] = with_value(inner, rest, value, built=own, below=under, n=n)
         return changed
     current = found.tolist() if hasattr(found, "tolist") else found
     if rest and current is None and own is None:

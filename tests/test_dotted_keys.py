@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sero_mj import SerialRobot
 from sero_mj.cli import main
 from sero_mj.dotted_keys import parts_of, with_value
 from sero_mj.errors import DeclarationError
@@ -109,3 +111,44 @@ def test_a_wrong_key_gets_one_message(key: str, message: str, capsys: Any) -> No
     with pytest.raises(DeclarationError) as caught:
         read_scenario("impedance_push", {key: 3})
     assert len(caught.value.problems) == 1
+
+
+ARM = """
+dh_convention = "craig"
+dh_params_deg = [[0, 0, 0, 0.3], [-90, 0, 0, 0]]
+position_limits_deg = [[-170, 170], [-90, 90]]
+flange_frame = { xyz = [0.1, 0.0, 0.2], rpy_deg = [0, 90, 0] }
+
+[dynamics]
+masses = [1.0, 2.0, 1.0]
+centers_of_mass = [[0, 0, 0], [0, 0, 0.1], [0.1, 0, 0]]
+inertias = [[0.01, 0.01, 0.01, 0, 0, 0], [0.02, 0.02, 0.01, 0, 0, 0], [0.01, 0.01, 0.01, 0, 0, 0]]
+"""
+
+
+def test_what_stands_in_a_robots_file_is_set_as_it_stands_there(tmp_path: Path) -> None:
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "robot.toml").write_text(ARM)
+    scene = tmp_path / "scene.toml"
+    scene.write_text('[robots.arm]\nmodel = "arm"\n')
+
+    def arm(key: str, value: object) -> SerialRobot:
+        return load_scene(scene, {f"arm.{key}": value}).robots["arm"]
+
+    plain = load_scene(scene).robots["arm"]
+    limits = np.rad2deg(arm("position_limits_deg[1][0]", -33.0).position_limits)
+    np.testing.assert_allclose(limits, [[-170, 170], [-33, 90]])
+    rows = arm("dh_params_deg[0][3]", 0.5).dh_params
+    np.testing.assert_allclose(rows, [[0, 0, 0, 0.5], [-np.pi / 2, 0, 0, 0]])
+    T = arm("flange_frame.xyz[2]", 0.7).flange_frame
+    np.testing.assert_allclose(T[:3, 3], [0.1, 0.0, 0.7])
+    np.testing.assert_array_equal(T[:3, :3], plain.flange_frame[:3, :3])
+    dynamics = arm("dynamics.inertias[1][0]", 0.025).dynamics
+    assert dynamics.inertias[1, 0, 0] == 0.025 and dynamics.inertias[1, 1, 1] == 0.02
+    np.testing.assert_array_equal(dynamics.masses, plain.dynamics.masses)
+    assert arm("dynamics.mass_scale", 1.5).dynamics.masses[1] == 2.0
+
+
+def test_a_sweep_may_have_a_force_of_zero() -> None:
+    scenario = read_scenario("impedance_push", {"disturbances.push.force": [0.0, 0.0, 0.0]})
+    assert not scenario.disturbances["push"].force.any()

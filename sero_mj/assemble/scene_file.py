@@ -280,13 +280,16 @@ class _Reader:
             message = f"found {table!r}; expected a table [{place}]"
             raise DeclarationError([Problem("", message)])
         settings = self._settings.get(name, [])
-        built = None
+        built = below = None
         if settings:  # over what the file says; elements of lists may be in a robot's own file
             with suppress(DeclarationError):
                 built = build(name, table)
+            with suppress(DeclarationError, UnknownName):
+                if isinstance(table.get("model"), str):
+                    below = read_toml(paths.find_model(table["model"], self.path.parent))
         for key, value in settings:
             try:
-                table = with_value(table, parts_of(key), value, built=built)
+                table = with_value(table, parts_of(key), value, built=built, below=below)
             except ValueError as error:
                 raise DeclarationError([Problem(key, str(error))]) from None
         return build(name, table)

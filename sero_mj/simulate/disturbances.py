@@ -65,7 +65,7 @@ class Force(Disturbance):
 
     @model_validator(mode="after")
     def _does_something(self) -> Force:
-        if not (self.force.any() or self.torque.any()):
+        if not {"force", "torque"} & self.model_fields_set:  # zeros are one end of a sweep
             raise ValueError("found neither force nor torque; expected three numbers of one")
         if self.profile != "step" and self.end is None:
             raise ValueError(f"end: is required; expected the time (s) at which the {self.profile}"
