@@ -282,6 +282,26 @@ def print_table(table: Table) -> None:
     console.print(table)
 
 
+def add_part_options(parser: argparse.ArgumentParser) -> None:
+    """Adds `--from`, `--to`, `--scene` and `--source`: what of a recording is looked at."""
+    parser.add_argument(
+        "--from", type=not_negative, dest="begin", metavar="S", help="from this time on"
+    )
+    parser.add_argument("--to", type=positive, dest="end", metavar="S", help="up to this time")
+    parser.add_argument(
+        "--scene",
+        metavar="SCENE",
+        help="robots and routes, where a recording has no scene (default: what is in it)",
+    )
+    parser.add_argument("--source", metavar="NAME", help="which source (default: all)")
+
+
+def check_part(options: argparse.Namespace) -> None:
+    """Raises UsageError where `--to` is not after `--from`."""
+    if options.begin is not None and options.end is not None and options.end <= options.begin:
+        raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
+
+
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
     """Calls `read_run`, for a command that can be given the `--scene` that may be missing."""
     from ..runs.run_recording import read_run

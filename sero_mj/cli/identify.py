@@ -6,13 +6,13 @@ import argparse
 import json
 from pathlib import Path
 
-from ..errors import RenderError, UsageError
+from ..errors import RenderError
 from ._arguments import (
     Commands,
     add_command,
+    add_part_options,
     check_ending,
-    not_negative,
-    positive,
+    check_part,
     print_table,
     read_recorded_run,
     read_scene,
@@ -38,16 +38,7 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("recording", type=Path, metavar="RUN.mcap", help="a recording")
     parser.add_argument("--robot", metavar="NAME", help="which robot (default: the only one)")
-    parser.add_argument(
-        "--from", type=not_negative, dest="begin", metavar="S", help="from this time on"
-    )
-    parser.add_argument("--to", type=positive, dest="end", metavar="S", help="up to this time")
-    parser.add_argument(
-        "--scene",
-        metavar="SCENE",
-        help="robots and routes, where a recording has no scene (default: what is in it)",
-    )
-    parser.add_argument("--source", metavar="NAME", help="which source (default: all)")
+    add_part_options(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT.toml", help="lines of a robot's file"
     )
@@ -64,8 +55,7 @@ def run(options: argparse.Namespace) -> int:
         check_ending(f"--plot {options.plot}", options.plot, SUFFIXES, ", ")
     if options.output is not None:
         check_ending(f"-o {options.output}", options.output, (".toml",))
-    if options.begin is not None and options.end is not None and options.end <= options.begin:
-        raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
+    check_part(options)
     from ..study.align import choose_robot
     from ..study.identify import as_json, as_table, as_toml, identify, plot_identified, remarks
 

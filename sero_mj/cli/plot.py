@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, not_negative, positive, read_recorded_run, read_scene
+from ._arguments import (
+    Commands,
+    add_command,
+    add_part_options,
+    check_part,
+    read_recorded_run,
+    read_scene,
+)
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -40,16 +47,7 @@ def add_to(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument("--robot", type=_names, metavar="NAME,...", help="which robots")
     parser.add_argument("--joints", type=_names, metavar="NAME,...", help="which joints: A2,A4")
-    parser.add_argument(
-        "--from", type=not_negative, dest="begin", metavar="S", help="from this time on"
-    )
-    parser.add_argument("--to", type=positive, dest="end", metavar="S", help="up to this time")
-    parser.add_argument(
-        "--scene",
-        metavar="SCENE",
-        help="robots and routes, where a recording has no scene (default: what is in it)",
-    )
-    parser.add_argument("--source", metavar="NAME", help="which source (default: all)")
+    add_part_options(parser)
     parser.add_argument("--quiet", action="store_true", help="no closing line")
 
 
@@ -71,8 +69,7 @@ def run(options: argparse.Namespace) -> int:
             f"-o {output}: {len(options.recordings)} recordings are pages; expected a name that "
             "ends in .pdf"
         )
-    if options.begin is not None and options.end is not None and options.end <= options.begin:
-        raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
+    check_part(options)
     scene = None if options.scene is None else read_scene(options.scene)
     logs = [_read(path, scene, options) for path in options.recordings]
     from ..show.headless.film import check_writable
