@@ -54,10 +54,9 @@ def with_value(
     own = built.get(name) if isinstance(built, Mapping) else getattr(built, str(name), None)
     under = below.get(name) if isinstance(below, Mapping) else None
     # A frame is replaced as a whole; of other tables what is set here is laid over the rest.
-    stands = under if isinstance(under, list) or hasattr(own, "tolist") else None
-    found = table.get(str(name), stands)
-    if found is None and hasattr(own, "tolist"):
-        found = own
+    found: Any = table.get(str(name))
+    if found is None and (isinstance(under, list) or hasattr(own, "tolist")):
+        found = own if under is None else under
     if rest and isinstance(rest[0], str):
         inner = {} if found is None else found
         if not isinstance(inner, Mapping):
