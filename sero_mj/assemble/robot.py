@@ -353,6 +353,11 @@ class SerialRobot(Declaration):
         return self.joint_names or [f"J{i + 1}" for i in range(self.n)]
 
     @property
+    def torque_bounds(self) -> Array:
+        """`torque_limits` (n,), Nm or N; infinite where there are none."""
+        return np.full(self.n, np.inf) if self.torque_limits is None else self.torque_limits
+
+    @property
     def arrow_radii(self) -> Array:
         """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes."""
         if self.filenames or "arrow_radius" in self.model_fields_set:

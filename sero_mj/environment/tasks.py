@@ -90,7 +90,7 @@ class AgentRobot:
             limits = np.stack([-np.array(far), np.array(far)], axis=1)
         low, high = limits.T
         gap = _FROM_LIMITS * (high - low)
-        torques = np.full(robot.n, np.inf) if robot.torque_limits is None else robot.torque_limits
+        torques = robot.torque_bounds
         for _ in range(_MAX_TRIES):
             angles = rng.uniform(low + gap, high - gap)
             angles = robot.coupled.positions(angles[robot.coupled.independent])

@@ -177,9 +177,7 @@ class RunLog:
 
     def torque_limits(self, robot: str) -> Array:
         """(n,), Nm; infinite where the robot has none."""
-        declared = self.robots[robot]
-        limits = declared.torque_limits
-        return np.full(declared.n, np.inf) if limits is None else np.asarray(limits)
+        return self.robots[robot].torque_bounds
 
     @cached_property
     def timestep(self) -> float:

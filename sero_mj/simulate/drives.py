@@ -37,11 +37,7 @@ class Drives:
 
     def __init__(self, plant: Plant, robots: dict[str, SerialRobot], run: Run) -> None:
         self.plant, self._steps = plant, run.substeps
-        limits = [
-            np.full(robot.n, np.inf) if robot.torque_limits is None else robot.torque_limits
-            for robot in robots.values()
-        ]
-        self._high: Array = np.concatenate(limits)
+        self._high: Array = np.concatenate([robot.torque_bounds for robot in robots.values()])
         self._low: Array = -self._high
         self.gains: dict[str, LoopGains] = {}
         self.loop: TorqueLoop | None = None

@@ -426,7 +426,7 @@ def plot_identified(found: Identified, path: Path | str) -> None:
     robot = found.robot
     units = {unit_of("torques", kind) for kind in robot.types}
     unit = units.pop() if len(units) == 1 else "Nm or N"
-    limits = np.full(robot.n, np.inf) if robot.torque_limits is None else robot.torque_limits
+    limits = robot.torque_bounds
     with styled():
         figure = Figure(
             [(each.joint, f"friction {_brief(each.coulomb_friction)}\n"
