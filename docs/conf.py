@@ -33,36 +33,10 @@ _HERE = Path(__file__).parent
 
 def _declarations() -> str:
     """Every table of robot, scene and scenario files, from the declarations themselves."""
-    from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-    from sero_mj.assemble.couplings import Coupling
-    from sero_mj.assemble.double import Double
-    from sero_mj.assemble.dynamics import Dynamics
-    from sero_mj.assemble.groups import Group
-    from sero_mj.assemble.robot import SerialRobot
-    from sero_mj.assemble.scene import SceneToggles
-    from sero_mj.assemble.surroundings import Camera, Light, Object, View
-    from sero_mj.cli.listing import field_rows, scenario_tables
-    from sero_mj.plugins import SOURCES, load_plugin, plugins
+    from sero_mj.cli.listing import field_rows, scenario_tables, scene_tables
 
-    kinds = plugins(SOURCES)
-    tables = {
-        "robot.toml, or [robots.NAME]": SerialRobot,
-        "[dynamics] of a robot": Dynamics,
-        "couplings of a robot, JOINT = { ... }": Coupling,
-        "[groups.NAME]": Group,
-        "[doubles.NAME]": Double,
-        "[arrows.NAME]": SmartArrow,
-        "[frames.NAME]": ReceivedFrame,
-        "[objects.NAME]": Object,
-        "[cameras.NAME]": Camera,
-        "[lights.NAME]": Light,
-        "[view]": View,
-        "[toggles]": SceneToggles,
-        **{f'[sources.NAME] kind = "{kind}"': load_plugin(SOURCES, kind) for kind in kinds},
-        **scenario_tables(),
-    }
     lines = ["# Keys of files", ""]
-    for title, declaration in tables.items():
+    for title, declaration in {**scene_tables(), **scenario_tables()}.items():
         lines += [f"## `{title}`", "", "| key | default | |", "|---|---|---|"]
         for name, default, about in field_rows(declaration):
             cells = (f"`{name}`", f"`{default}`" if default else "", about)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from .. import paths
-from ..plugins import DECOR, SOURCES, is_own, plugins
+from ..plugins import DECOR, SOURCES, is_own, load_plugin, plugins
 from ._arguments import Commands, add_command
 
 if TYPE_CHECKING:
@@ -100,6 +100,35 @@ def _print_scenario_fields() -> None:
         _print_declaration(declaration)
     print("\nmeasures: " + ", ".join(f"{name} ({unit})" for name, (unit, _) in MEASURES.items()))
     print("kinds of faults that are found: " + ", ".join(KINDS))
+
+
+def scene_tables() -> dict[str, type[Declaration]]:
+    """The tables of robot and scene files, by their headers."""
+    from ..assemble.cartesian import ReceivedFrame, SmartArrow
+    from ..assemble.couplings import Coupling
+    from ..assemble.double import Double
+    from ..assemble.dynamics import Dynamics
+    from ..assemble.groups import Group
+    from ..assemble.robot import SerialRobot
+    from ..assemble.scene import SceneToggles
+    from ..assemble.surroundings import Camera, Light, Object, View
+
+    kinds = plugins(SOURCES)
+    return {
+        "robot.toml, or [robots.NAME]": SerialRobot,
+        "[dynamics] of a robot": Dynamics,
+        "couplings of a robot, JOINT = { ... }": Coupling,
+        "[groups.NAME]": Group,
+        "[doubles.NAME]": Double,
+        "[arrows.NAME]": SmartArrow,
+        "[frames.NAME]": ReceivedFrame,
+        "[objects.NAME]": Object,
+        "[cameras.NAME]": Camera,
+        "[lights.NAME]": Light,
+        "[view]": View,
+        "[toggles]": SceneToggles,
+        **{f'[sources.NAME] kind = "{kind}"': load_plugin(SOURCES, kind) for kind in kinds},
+    }
 
 
 def scenario_tables() -> dict[str, type[Declaration]]:

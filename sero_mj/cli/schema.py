@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ._arguments import Commands, add_command
-from .listing import field_rows
+from .listing import field_rows, scenario_tables, scene_tables
 
 if TYPE_CHECKING:
     from ..declaration import Declaration
@@ -88,10 +88,10 @@ class _Definitions:
     """
 
     def __init__(self) -> None:
-        from pydantic import BaseModel
         from pydantic.json_schema import models_json_schema
 
-        classes = {declaration.__name__: declaration for declaration in _declarations()}
+        tables = {**scene_tables(), **scenario_tables()}
+        classes = {declaration.__name__: declaration for declaration in tables.values()}
         models: Any = [(each, "validation") for each in classes.values()]
         _, found = models_json_schema(
             models, schema_generator=_generator(), ref_template="#/definitions/{model}"
@@ -100,7 +100,7 @@ class _Definitions:
         for name, schema in self.schemas.items():
             schema.pop("description", None)
             declaration = classes.get(name)
-            if declaration is None or not issubclass(declaration, BaseModel):
+            if declaration is None:
                 continue
             names = {key: field.alias or key for key, field in declaration.model_fields.items()}
             for key, _, about in field_rows(declaration):
@@ -129,20 +129,6 @@ class _Definitions:
             schema = self.table(declaration.__name__, name=None, kind={"const": kind})
             choices.append({**schema, "title": kind, "required": ["kind"]})
         return {"type": "object", "oneOf": choices}
-
-
-def _declarations() -> list[type[Declaration]]:
-    from ..assemble.cartesian import ReceivedFrame, SmartArrow
-    from ..assemble.double import Double
-    from ..assemble.groups import Group
-    from ..assemble.robot import SerialRobot
-    from ..assemble.scene import SceneToggles
-    from ..assemble.surroundings import Camera, Light, Object, View
-    from .listing import scenario_tables
-
-    of_scenes = [Group, Double, SmartArrow, ReceivedFrame, Object, Camera, Light, View]
-    of_scenarios = scenario_tables().values()
-    return [SerialRobot, SceneToggles, *of_scenes, *_sources().values(), *of_scenarios]
 
 
 def _sources() -> dict[str, type[Declaration]]:
