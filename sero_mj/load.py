@@ -50,8 +50,8 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
                 available = [*paths.list_scenes(), *paths.list_scenarios(), *models]
                 hint = paths.file_hint(name)
                 raise UnknownName("scene or robot", name, available, hint) from error
-    if path.name == paths.ROBOT_FILE:
-        return Scene(robots=[load_robot(str(path), overrides)], name=path.parent.name)
+    if path.name == paths.ROBOT_FILE or path.suffix in paths.ROBOT_ENDINGS:
+        return Scene(robots=[load_robot(str(path), overrides)], name=paths.model_name(path))
     if path.name == paths.GROUP_FILE:
         own = path.resolve().parent.name
         tables = {"name": own, "groups": {own: {"model": path}}}
@@ -88,7 +88,7 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
         raise
     if path.name == paths.GROUP_FILE:
         _refuse_group(name)
-    robot = path.parent.name
+    robot = paths.model_name(path)
     for key, value in (overrides or {}).items():
         given, _, field = key.partition(".")
         if given != robot:
@@ -108,7 +108,7 @@ def _refuse_group(name: str) -> None:
         return
     robots = load_scene(path).robots.values()
     names = ", ".join(
-        robot.name if robot._model is None else f"{robot.name} ({robot._model.parent.name})"
+        robot.name if robot._model is None else f"{robot.name} ({paths.model_name(robot._model)})"
         for robot in robots
     )
     raise UsageError(f"{name} is a group of robots; expected one robot. It has {names}")

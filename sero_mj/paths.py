@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import BinaryIO
 from .errors import DeclarationError, Problem, UnknownName, nearest
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
+ROBOT_ENDINGS: tuple[str, ...] = ()  # of robot files in other formats than TOML
 _PACKAGE = Path(__file__).resolve().parent
 _KINDS = (
     (stat.S_ISFIFO, "a pipe"),
@@ -60,7 +62,8 @@ def find_model(name: str, beside: Path | None = None) -> Path:
     """Returns the robot file that `name` means.
 
     Args:
-        name: a shipped robot's name, a folder with a `robot.toml`, or a TOML file.
+        name: a shipped robot's name, a folder with a `robot.toml`, or a file: TOML, or one of
+            `ROBOT_ENDINGS`.
         beside: folder that relative paths start from; the working directory when None.
 
     Raises:
@@ -84,8 +87,9 @@ def find_group_model(name: str, beside: Path | None = None) -> Path:
 
 def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
     local = (beside or Path.cwd()) / name
+    endings = (".toml", *(ROBOT_ENDINGS if file == ROBOT_FILE else ()))
     for candidate in (local / file, local, models_dir() / name / file):
-        if candidate.suffix == ".toml" and os.path.isfile(candidate):
+        if candidate.suffix in endings and os.path.isfile(candidate):
             plain = Path(os.path.normpath(candidate))  # a/../b is not b where a is a link
             return plain if plain.exists() and plain.samefile(candidate) else candidate
     _refuse_path(name, beside)
@@ -107,21 +111,33 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     Raises:
         DeclarationError: it ends in .toml and there is no such file.
     """
-    if "\0" not in name and name.endswith(".toml"):
+    if "\0" not in name and name.endswith((".toml", *ROBOT_ENDINGS)):
         path = (beside or Path()) / name
-        what = "is a folder; expected a TOML file"
+        what = "is a folder; expected a file"
         if not os.path.isdir(path):
-            near = nearest(path.stem, _toml_files(path.parent))
-            what = "no such file" + (f"; did you mean '{near}.toml'?" if near else "")
+            near = nearest(path.stem, [Path(n).stem for n in _files(path.parent, path.suffix)])
+            what = "no such file" + (f"; did you mean '{near}{path.suffix}'?" if near else "")
         raise DeclarationError([Problem("", what, str(path))])
 
 
 def _toml_files(folder: Path) -> list[str]:
     """Names of the TOML files of a folder, without their ending; none where it cannot be read."""
+    return [Path(name).stem for name in _files(folder, ".toml")]
+
+
+def _files(folder: Path, ending: str) -> list[str]:
+    """Names of the files of a folder with this ending; none where it cannot be read."""
     try:
-        return sorted(path.stem for path in folder.glob("*.toml"))
+        return sorted(path.name for path in folder.glob(f"*{ending}"))
     except (OSError, ValueError):
         return []
+
+
+def model_name(path: Path) -> str:
+    """The name of the robot or group of a file: of its folder, or else of the file itself."""
+    if path.suffix == ".toml":
+        return path.parent.name
+    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", path.stem)
 
 
 def file_hint(name: str) -> str:
@@ -162,7 +178,7 @@ def find_scene(name: str) -> Path:
 def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) -> Path:
     """A file, or a shipped one of that name."""
     for candidate in (Path(name), folder / f"{name}.toml"):
-        if os.path.isfile(candidate):
+        if candidate.suffix not in ROBOT_ENDINGS and os.path.isfile(candidate):
             return candidate
     _refuse_path(name)
     raise UnknownName(kind, name, shipped(), file_hint(name))

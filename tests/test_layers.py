@@ -18,6 +18,7 @@ PACKAGE = Path(sero_mj.__file__).parent
 # The folders of the README, top to bottom, and `load.py`; what is in the first place is above all.
 ORDER = (
     "",
+    "describe",
     "assemble",
     "foreign",
     "receive",

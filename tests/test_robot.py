@@ -121,16 +121,17 @@ def test_billboard_lines_may_be_words_and_tables():
 
 
 WRONG = [
-    ({"dh_convention": None}, "dh_convention: found None; expected 'craig' or 'standard'"),
+    ({"dh_convention": None}, "dh_convention: found None; expected 'craig', 'standard' or 'none'"),
     ({"dh_convention": "craigg"},
-     "dh_convention: found 'craigg'; expected 'craig' or 'standard'; did you mean 'craig'?"),
+     "dh_convention: found 'craigg'; expected 'craig', 'standard' or 'none'; "
+     "did you mean 'craig'?"),
     ({"show_axis": True}, "show_axis: unknown key; did you mean 'show_axes'?"),
     ({"dh_params": [0, 0, 0]}, "dh_params: found 3; expected n x 4 numbers"),
     ({"dh_params": [[0, 0, 0]]}, "dh_params: found 1 x 3; expected n x 4 numbers"),
     ({"dh_params": [[0, 0, 0, 0], [0]]}, "dh_params: expected rows of equal length"),
     ({"dh_params": [["x", 0, 0, 0]]}, "dh_params: found [['x', 0, 0, 0]]; expected numbers"),
-    ({"dh_params": []}, "dh_params: found 0 rows; expected 1 to 64"),
-    ({"dh_params": [0.0] * 260}, "dh_params: found 65 rows; expected 1 to 64"),
+    ({"dh_params": []}, "dh_params: found 0 rows; expected 1 to 128"),
+    ({"dh_params": [0.0] * 516}, "dh_params: found 129 rows; expected 1 to 128"),
     ({"dh_params": [0, 0, math.nan, 0]},
      "dh_params: found [0, 0, nan, 0]; expected finite numbers, no NaN or inf"),
     ({"dh_columns": ["a", "a", "d", "theta"]},
@@ -227,7 +228,9 @@ def test_wrong_field_is_refused_with_what_was_found_and_what_is_right(fields, te
 def test_convention_has_no_default_and_the_error_says_the_choices():
     with pytest.raises(DeclarationError) as caught:
         SerialRobot()
-    assert str(caught.value) == "dh_convention: is required; expected 'craig' or 'standard'"
+    assert (
+        str(caught.value) == "dh_convention: is required; expected 'craig' or 'standard' or 'none'"
+    )
 
 
 @pytest.mark.parametrize("field", ["axes_size", "arrow_radius", "arrow_width_scale", "mesh_scale"])

@@ -357,5 +357,7 @@ def test_the_z_axis_is_drawn_at_joints_that_were_clicked_on() -> None:
     axis = of_kind(rows, GEOM.mjGEOM_ARROW)
     site = world.joints.centre_site[3]
     assert axis["pos"][0] == pytest.approx(data.site_xpos[site], abs=1e-6)
-    assert axis["mat"][0][:, 2] == pytest.approx(world.robots["lwr"].dh.frames(POSE)[4][:3, 2])
+    assert axis["mat"][0][:, 2] == pytest.approx(
+        world.robots["lwr"].kinematics.frames(POSE)[4][:3, 2]
+    )
     assert labels(rows).count("z") == 1

@@ -287,7 +287,7 @@ structure = "3F"
     assert sorted(problems_in(file)) == sorted(
         [
             "scene.toml:2: robots.arm.dh_convention: found 'crag'; "
-            "expected 'craig' or 'standard'; did you mean 'craig'?",
+            "expected 'craig', 'standard' or 'none'; did you mean 'craig'?",
             "scene.toml:6: sources.udp.structure: structure '2F2F3X', character 6: found 'X', "
             "expected F, V, M, T, x or a type after a count, for example 7F1M",
             "scene.toml:12: routes.arm.torque: no input 'torque' of arm; did you mean 'torques'?",

@@ -182,7 +182,7 @@ WRONG = {
     ],
     "[robots.arm]\n\nmodel = 'none.toml'": ["s.toml:3: robots.arm.model: none.toml: no such file"],
     "[robots.arm]\ndh_conventoin = 'craig'": [
-        "s.toml:1: robots.arm.dh_convention: is required; expected 'craig' or 'standard'",
+        "s.toml:1: robots.arm.dh_convention: is required; expected 'craig' or 'standard' or 'none'",
         "s.toml:2: robots.arm.dh_conventoin: unknown key; did you mean 'dh_convention'?",
     ],
     f"{ARM}children = 5": ["s.toml:3: robots.arm.children: found 5; expected list"],

@@ -180,7 +180,7 @@ def test_cards_stand_clear_of_each_other_and_point_at_their_arrows() -> None:
         leaders = of_kind(rows, GEOM.mjGEOM_TRIANGLE)
         panels = [rectangle(view, row) for row in belonging(pen, Kind.CARD)]
         assert len(panels) == len(leaders) == 5
-        frames = world.robots["lwr"].dh.frames(POSE)
+        frames = world.robots["lwr"].kinematics.frames(POSE)
         flange = (frames[-1] @ world.scene.robots["lwr"].flange_frame)[:3, 3]
         points = [flange, frames[0][:3, 3], frames[4][:3, 3], np.array([0.1, 0.2, 0.3]), flange]
         for k, (low, high) in enumerate(panels):

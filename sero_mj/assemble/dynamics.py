@@ -131,10 +131,10 @@ def rotate_tensors(tensors: Array, rotation: Array) -> Array:
     return np.asarray(rotation @ tensors @ np.swapaxes(rotation, -1, -2))
 
 
-def _positive_masses(masses: Array | None) -> Array | None:
+def _no_negative_mass(masses: Array | None) -> Array | None:
     for k, mass in enumerate([] if masses is None else masses):
-        if mass <= 0:
-            raise ValueError(f"{link_name(k)}: found {mass:g} kg; expected a positive mass")
+        if mass < 0:
+            raise ValueError(f"{link_name(k)}: found {mass:g} kg; expected a mass of 0 or more")
     return masses
 
 
@@ -158,7 +158,7 @@ def _read_tensors(value: Any) -> Any:
 
 
 _Rows = Annotated[Array | None, of_shape(None, 3)]
-_Masses = Annotated[Array | None, of_shape(None), AfterValidator(_positive_masses)]
+_Masses = Annotated[Array | None, of_shape(None), AfterValidator(_no_negative_mass)]
 _Tensors = Annotated[Array | None, BeforeValidator(_read_tensors)]
 _NotNegative = Annotated[Array | None, of_shape(None), AfterValidator(_at_least_zero)]
 _Positive = Annotated[Array | None, of_shape(None), AfterValidator(_above_zero)]
@@ -176,7 +176,7 @@ class Dynamics(Declaration):
             joint angles and its origin in the same place.
         frame_origins: (n + 1, 3), offsets of the origins of these frames along their own axes,
             m; for data from a model with other origins of its link frames.
-        masses: (n + 1,).
+        masses: (n + 1,); 0, with a tensor of zeros, for a link without any.
         centers_of_mass: (n + 1, 3).
         inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
             entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
@@ -218,7 +218,8 @@ class Dynamics(Declaration):
         problems: list[Problem] = []
         tensors = np.empty((0, 3, 3)) if self.inertias is None else self.inertias.copy()
         for k, tensor in enumerate(tensors):
-            reason = inertia_problem(tensor)
+            is_massless = self.masses is not None and k < len(self.masses) and not self.masses[k]
+            reason = None if is_massless and not tensor.any() else inertia_problem(tensor)
             if reason is None:
                 continue
             if self.mend == "none" or self.masses is None or k >= len(self.masses):

@@ -20,26 +20,26 @@ from ..errors import DeclarationError, Problem, collect
 from ..frames import Array, nice
 from .double import DOUBLE_GROUP, Double, path_fade
 from .inputs import moving
+from .link_geometry import drawn_geoms
 from .mjcf_dynamics import (
     ON,
     add_dynamics,
     exclude_mounted,
     exclude_neighbours,
+    is_limited,
+    position_range,
     set_friction,
     set_inertia,
     set_up_dynamics,
 )
-from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, mesh_asset, pose, shape_geom
+from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, half_sizes, mesh_asset, pose
 from .mounts import base_frames, carrier, mount_order
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
 from .scene import Scene
-from .shapes import SHELL, generate_shapes
 from .surroundings import PALETTES, Look, Object, Palette
 
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
-# Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
-_HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
 _TILE = 0.25  # edge of a tile of the floor, m
@@ -179,25 +179,26 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     root = mujoco.MjSpec()
     root.compiler.degree = False
     problems: list[Problem] = []
-    geoms = _link_geoms(root, robot, problems)
+    geoms = drawn_geoms(root, robot, problems)
     body = root.worldbody
     _add_geoms(body, geoms[0])
     body.add_site(name="base", group=SITE_GROUP)
-    table = robot.dh
-    at_zero = table.link_transforms(np.zeros(robot.n))
-    for i in range(robot.n):
-        body = body.add_body(name=f"link{i + 1}", **pose(at_zero[i]))
-        axis_frame = _joint_axis_frame(robot, i)
-        joint: dict[str, Any] = {"axis": axis_frame[:3, 2], "pos": axis_frame[:3, 3]}
-        if robot.position_limits is not None:
-            joint |= {"range": robot.position_limits[i], "limited": True}
+    table, bodies = robot.kinematics, [body]
+    at_zero, axes = table.link_transforms(np.zeros(robot.n)), table.axis_frames
+    centres = joint_centres(robot)
+    for i, carrier_index in enumerate(table.carriers.tolist()):
+        body = bodies[carrier_index].add_body(name=f"link{i + 1}", **pose(at_zero[i]))
+        bodies.append(body)
+        joint: dict[str, Any] = {"axis": axes[i, :3, 2], "pos": axes[i, :3, 3]}
+        if is_limited(robot, i):
+            joint |= {"range": position_range(robot, i), "limited": True}
         kind = mujoco.mjtJoint.mjJNT_HINGE if table.revolute[i] else mujoco.mjtJoint.mjJNT_SLIDE
         body.add_joint(name=robot.names[i], type=kind, **joint)
         _add_geoms(body, geoms[i + 1])
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
         # Site of arrows and billboards; its z is the joint's axis in both conventions.
-        body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(_joint_centre(robot, i)))
-    flange = body.add_body(name="flange", **pose(robot.T_n_flange))
+        body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(centres[i]))
+    flange = bodies[robot.flange_link].add_body(name="flange", **pose(robot.T_n_flange))
     flange.add_site(name="flange_frame", group=SITE_GROUP)
     wrong_children: list[Problem] = []
     for k, (child, T) in enumerate(zip(robot.children, robot.child_frames, strict=True)):
@@ -216,37 +217,11 @@ def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
     return root.body(name) or body.add_body(name=name)
 
 
-def _joint_axis_frame(robot: SerialRobot, i: int) -> Array:
-    """Returns the frame (4, 4) in body i + 1 whose z is the axis of joint i."""
-    table = robot.dh
-    T = np.eye(4)
-    if robot.dh_convention == "standard":
-        T = frames.inverse(table.link_transforms(np.zeros(robot.n))[i])
-    # The joints of a mirrored robot turn against z of their frames.
-    return T if table.signs[i] > 0 else T @ np.diag([1.0, -1.0, -1.0, 1.0])
-
-
-def _joint_centre(robot: SerialRobot, i: int) -> Array:
-    """Returns the frame (4, 4) in body i + 1 of the arrow and billboard of joint i."""
-    return _joint_axis_frame(robot, i) @ frames.frame(position=robot.offsets[i])
-
-
-def _link_geoms(
-    root: mujoco.MjSpec, robot: SerialRobot, problems: list[Problem]
-) -> list[list[dict[str, Any]]]:
-    """Returns the visible geoms of the base and every link: mesh files, or generated shapes."""
-    if not robot.filenames:
-        shapes = generate_shapes(robot.dh, robot.T_n_flange, robot.strokes)
-        return [[{"rgba": shape.rgba, **shape_geom(shape)} for shape in link] for link in shapes]
-    links: list[list[dict[str, Any]]] = [[] for _ in robot.filenames]
-    for i, meshes in enumerate(robot.filenames):
-        for k, mesh in enumerate(meshes):
-            with collect(problems, f"filenames.{i}"):
-                path = Path(robot.directory) / mesh.file
-                asset = mesh_asset(root, f"link{i}_{k}", path, robot.mesh_scales)
-                rgba = SHELL if mesh.color is None else robot.colors[mesh.color]
-                links[i].append({"type": MESH, "meshname": asset, "rgba": rgba})
-    return links
+def joint_centres(robot: SerialRobot) -> Array:
+    """Returns the frames (n, 4, 4) of the arrow and billboard of every joint, in its link's."""
+    at = np.tile(np.eye(4), (robot.n, 1, 1))
+    at[:, :3, 3] = robot.offsets
+    return np.asarray(robot.kinematics.axis_frames @ at)
 
 
 def _add_geoms(body: Any, geoms: list[dict[str, Any]]) -> None:
@@ -391,7 +366,7 @@ def _add_object(
         kind = {"type": MESH, "meshname": asset}
     else:
         assert item.size is not None and item.shape is not None  # checked by Object
-        kind = {"type": geom_type(item.shape), "size": item.size * _HALF.get(item.shape, 1.0)}
+        kind = {"type": geom_type(item.shape), "size": half_sizes(item.shape, item.size)}
     if item.mass is not None:
         kind["mass"] = item.mass
     geom = body.add_geom(name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind, **pose(T))
@@ -423,35 +398,21 @@ def _add_double(
     near plane, far plane and shadows for a scene of a kilometre.
     """
     rows = body_names(double, robot)
-    shapes = [] if robot.filenames else generate_shapes(robot.dh, robot.T_n_flange, robot.strokes)
-    at_zero = robot.dh.frames(np.zeros(robot.n), T_world_base)
+    geoms = drawn_geoms(root, robot, [], _SHRINK)  # problems are told of the robot itself
+    at_zero = robot.kinematics.frames(np.zeros(robot.n), T_world_base)
+    centres = joint_centres(robot)
     for names, share in zip(rows, path_fade(len(rows)), strict=True):
         look = {"rgba": double.rgba * [1, 1, 1, share], "group": DOUBLE_GROUP}
         for i, name in enumerate(names):
             body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
-            geoms = (
-                [shape_geom(s, _SHRINK) for s in shapes[i]] if shapes else _meshes(root, robot, i)
-            )
-            for geom in geoms:
-                body.add_geom(**look, contype=0, conaffinity=0, mass=0, **geom)
+            for geom in geoms[i]:
+                body.add_geom(contype=0, conaffinity=0, mass=0, **{**geom, **look})
     # Bodies of their own, since a link that coincides with the robot's is moved out of sight.
     for i, name in enumerate(frame_names(double, robot)):
         body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i + 1]))
         body.add_site(name=name, group=SITE_GROUP)
         centre = f"double-{double.name}-centre{i + 1}"
-        body.add_site(name=centre, group=SITE_GROUP, **pose(_joint_centre(robot, i)))
-        if i == robot.n - 1:
+        body.add_site(name=centre, group=SITE_GROUP, **pose(centres[i]))
+        if i == robot.flange_link - 1:
             flange = f"double-{double.name}-flange"
             body.add_site(name=flange, group=SITE_GROUP, **pose(robot.T_n_flange))
-
-
-def _meshes(root: mujoco.MjSpec, robot: SerialRobot, i: int) -> list[dict[str, Any]]:
-    """Returns the geoms of a link's meshes, slightly smaller; doubles of a robot share assets."""
-    geoms = []
-    for k, mesh in enumerate(robot.filenames[i]):
-        name = f"double-{robot.name}-link{i}-{k}"
-        if root.mesh(name) is None:
-            path = Path(robot.directory) / mesh.file
-            mesh_asset(root, name, path, _SHRINK * robot.mesh_scales)
-        geoms.append({"type": MESH, "meshname": name})
-    return geoms

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..frames import Array, Bools
 from .dynamics import principal_moments
+from .link_geometry import touching_geoms
 from .mjcf_elements import MESH, hull_asset
 from .mounts import carrying_link
 from .robot import SerialRobot
@@ -40,6 +41,7 @@ _TIME_CONSTANT = [0.03, 1.0]
 COUPLING = "-coupling"  # behind a joint's name: the constraint that couples it
 # Gears and tendons that couple joints give way by 1e-4 rad at most.
 _GEAR = {"solref": [0.004, 1.0], "solimp": [0.99, 0.9999, 1e-4, 0.5, 2.0]}
+_FAR = 1e6  # rad or m, for a joint with a limit on one side
 # Joint limits are soft, as rubber end stops are.
 _STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
@@ -101,7 +103,7 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
                 name1=robot.names[i], name2=robot.names[source], **_GEAR,
             )  # fmt: skip
             coupling.data[:2] = coupled.offset[i], coupled.ratio[i]
-    _add_hulls(piece, robot, dynamics.hulls)
+    _add_touching(piece, robot, dynamics.hulls)
     # Only a fixed body may be massless; this one is fixed to the last link.
     piece.body("flange").add_body(name=PAYLOAD)
 
@@ -137,6 +139,18 @@ def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
     return np.maximum(dynamics.joint_damping, 0.5 * timestep * dynamics.joint_stiffness)
 
 
+def is_limited(robot: SerialRobot, i: int) -> bool:
+    """Whether a joint has a position limit, on one side at least."""
+    limits = robot.position_limits
+    return limits is not None and bool(np.isfinite(limits[i]).any())
+
+
+def position_range(robot: SerialRobot, i: int) -> Array:
+    """Returns the position limits (2,) of a joint that has any, rad or m; none is far away."""
+    assert robot.position_limits is not None
+    return np.asarray(np.clip(robot.position_limits[i], -_FAR, _FAR))
+
+
 def _add_deflection(
     piece: mujoco.MjSpec,
     body: Any,
@@ -152,29 +166,34 @@ def _add_deflection(
     )
     deflection.stiffness[0] = dynamics.joint_stiffness[i]
     deflection.damping[0] = spring_damping(dynamics, TIMESTEP)[i]
-    if robot.position_limits is not None:  # of the link, not of the motor
+    if is_limited(robot, i):  # of the link, not of the motor
         joint.limited = False
         stop = piece.add_tendon(
-            name=f"{robot.names[i]}-stop", limited=True, range=robot.position_limits[i], **_STOP
+            name=f"{robot.names[i]}-stop", limited=True, range=position_range(robot, i), **_STOP
         )
         stop.wrap_joint(joint.name, 1.0)
         stop.wrap_joint(name, 1.0)
 
 
-def _add_hulls(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
-    """Adds collision geoms to links: the hulls of their meshes, or the generated shapes."""
+def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
+    """Adds collision geoms to links: the declared ones, else hulls of meshes, and shapes."""
     sunk = _links_near_base(robot)
+    declared = None if robot.collisions is None else touching_geoms(piece, robot)
     for i in range(robot.n + 1):
         body = piece.body(f"link{i}") if i else piece.worldbody
         touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1}
+        if declared is not None:
+            for geom in declared[i]:
+                body.add_geom(group=HULL_GROUP, mass=0, **touches, **geom)
+            continue
+        for geom in body.geoms:
+            if geom.type != MESH:
+                for key, value in touches.items():
+                    setattr(geom, key, value)
         hull = hulls[i]
         if hull is not None:
             asset = hull_asset(piece, f"hull{i}", hull)
             body.add_geom(type=MESH, meshname=asset, group=HULL_GROUP, mass=0, **touches)
-        elif not robot.filenames:
-            for geom in body.geoms:
-                for key, value in touches.items():
-                    setattr(geom, key, value)
 
 
 def _links_near_base(robot: SerialRobot) -> Bools:
@@ -184,20 +203,27 @@ def _links_near_base(robot: SerialRobot) -> Bools:
     """
     if robot.free_base or robot.mount is not None:
         return np.zeros(robot.n + 1, bool)
-    near = 2.5 * housing_radii(robot.dh, robot.T_n_flange)[0]
-    along = np.concatenate([[0.0], np.cumsum(np.abs(robot.dh.a) + np.abs(robot.dh.d))])
-    return np.asarray((along < near) | (np.arange(robot.n + 1) < 2))
+    table = robot.kinematics
+    near = 2.5 * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
+    along = table.path_lengths(table.step_lengths())
+    near_joints = np.concatenate([[0], table.depths]) < 2
+    return np.asarray((along < near) | near_joints)
 
 
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     """Excludes collisions between links of one housing, in a scene with the robot attached."""
     bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
-    near = _ONE_HOUSING * housing_radii(robot.dh, robot.T_n_flange)[0]
-    steps = np.abs(robot.dh.a) + np.abs(robot.dh.d)
-    ends_before = robot.dh_convention == "standard"
+    table = robot.kinematics
+    near = _ONE_HOUSING * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
+    steps, moves = table.step_lengths(), table.moves
     for i, k in combinations(range(robot.n + 1), 2):
-        # The offsets between joint i + 1, where link i ends, and joint k, where link k begins.
-        if k - i <= 2 or steps[i + 1 : k - ends_before].sum() < near:
+        between = np.flatnonzero(moves[i] != moves[k])  # the joints on the way from i to k
+        # The offsets between the joint where link i ends and the one where link k begins.
+        offsets = steps[between].sum()
+        if moves[k][moves[i]].all():  # k is farther out on the same branch
+            last = len(between) - table.turns_in_carrier
+            offsets = steps[between[1:last]].sum()
+        if len(between) <= 2 or offsets < near:
             for one, other in product(bodies[i], bodies[k]):
                 root.add_exclude(bodyname1=one, bodyname2=other)
 
@@ -208,21 +234,20 @@ def exclude_mounted(root: mujoco.MjSpec, robots: Mapping[str, SerialRobot]) -> N
     As within one robot these are links with up to two joints between them, here over a mount: of
     the robot that carries and of the carried one, or of two that the same link carries.
     """
-    ways: dict[tuple[str, int], list[tuple[str, list[int]]]] = {}  # from the carrying link on
+    # By carrying link: robots there, their links near it, and how many joints away these are.
+    ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}
     for name, robot in robots.items():
         if robot.mount is None:
             continue
         below, link = carrying_link(robots, name)
-        n = robots[below].n
-        back, on = [*range(link, max(link - 3, -1), -1)], [*range(link, min(link + 3, n + 1))]
-        here = ways.setdefault((below, link), [(below, back), (below, on)])
-        here.append((name, [*range(min(robot.n, 2) + 1)]))
+        here = ways.setdefault((below, link), [(below, _links_beside(robots[below], link))])
+        here.append((name, _links_beside(robot, 0)))
     pairs = {
         (first, second)
         for here in ways.values()
         for (one, links), (other, others) in combinations(here, 2)
         if one != other
-        for (i, link), (k, another) in product(enumerate(links), enumerate(others))
+        for (link, i), (another, k) in product(links, others)
         if i + k <= 2
         for first in _bodies_of(root, robots[one], link)
         for second in _bodies_of(root, robots[other], another)
@@ -231,12 +256,18 @@ def exclude_mounted(root: mujoco.MjSpec, robots: Mapping[str, SerialRobot]) -> N
         root.add_exclude(bodyname1=first, bodyname2=second)
 
 
+def _links_beside(robot: SerialRobot, link: int) -> list[tuple[int, int]]:
+    """Returns the links with up to two joints between them and one, and how many these are."""
+    between = (robot.kinematics.moves != robot.kinematics.moves[link]).sum(axis=1)
+    return [(k, int(between[k])) for k in np.flatnonzero(between <= 2).tolist()]
+
+
 def _bodies_of(root: mujoco.MjSpec, robot: SerialRobot, link: int) -> list[str]:
     """Returns the names of the bodies of a link and of what is fixed to it, its own first."""
     scope = f"{robot.name}/"
     names = [f"{scope}link{link}" if link else scope]
     fixed = [root.body(f"{scope}{ON}{f'link{link}' if link else 'base'}")]
-    if link == robot.n:
+    if link == robot.flange_link:
         fixed.append(root.body(f"{scope}flange"))
     for body in (each for each in fixed if each is not None):
         tools = [body.name, *(inner.name for inner in body.find_all("body"))]

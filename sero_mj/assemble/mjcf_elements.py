@@ -162,6 +162,15 @@ def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
     return name
 
 
+# Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
+_HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
+
+
+def half_sizes(kind: str, size: Array) -> Array:
+    """Returns MuJoCo's `size` of a shape that is declared with this one, m."""
+    return np.asarray(size * _HALF.get(kind, 1.0))
+
+
 def geom_type(kind: str) -> Any:
     """Returns MuJoCo's constant for `box`, `sphere`, ..."""
     return getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")

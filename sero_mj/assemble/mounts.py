@@ -71,7 +71,8 @@ def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, in
     below, _, label = (robots[name].mount or "").partition("/")
     robot = robots[below]
     label = next((child.on for child in robot.children if child.name == label), label)
-    return below, min(frame_labels(robot.n).index(label), robot.n)
+    link = frame_labels(robot.n).index(label)
+    return below, robot.flange_link if link > robot.n else link
 
 
 def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
@@ -80,14 +81,14 @@ def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
     Args:
         robot: that carries.
         label: one of `mount_labels`.
-        frames: what `robot.dh.frames` returned, (..., n + 1, 4, 4).
+        frames: what `robot.kinematics.frames` returned, (..., n + 1, 4, 4).
     """
     if label == "base":
         return frames[..., 0, :, :]
     if label.startswith("link") and label[4:].isdigit():
         return frames[..., int(label[4:]), :, :]
     if label == "flange":
-        return np.asarray(frames[..., -1, :, :] @ robot.T_n_flange)
+        return np.asarray(frames[..., robot.flange_link, :, :] @ robot.T_n_flange)
     k = [child.name for child in robot.children].index(label)
     return np.asarray(mount_pose(robot, robot.children[k].on, frames) @ robot.child_frames[k])
 
@@ -112,7 +113,7 @@ def base_frames(
             bases[name] = (placed or {}).get(name, robot.base_frame)
             continue
         parent = robots[below]
-        frames = parent.dh.frames(given.get(below, parent.home), bases[below])
+        frames = parent.kinematics.frames(given.get(below, parent.home), bases[below])
         bases[name] = mount_pose(parent, robot.mount.partition("/")[2], frames) @ robot.base_frame
     return {name: bases[name] for name in robots}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -11,8 +11,9 @@ import numpy as np
 
 from ..frames import Array, Bools, Ints
 from .cartesian import WORLD, NamedFrame
-from .dh import DhTable
+from .decor_sizes import Sizes
 from .double import Double
+from .joint_tree import JointTree
 from .robot import SerialRobot
 from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
 from .scene import Scene
@@ -29,7 +30,7 @@ class RobotPart:
 
     Attributes:
         robot: its declaration.
-        dh: its Denavit-Hartenberg table.
+        kinematics: its Denavit-Hartenberg table, or the frames of its joints.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
         mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 where another robot carries it,
@@ -38,10 +39,11 @@ class RobotPart:
         flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
         free: index in `qpos` of position and quaternion of a base that is free, (7,); else empty.
+        sizes: of its arrows, measured with `fit_arrows`; None for the declared ones.
     """
 
     robot: SerialRobot
-    dh: DhTable
+    kinematics: JointTree
     qpos: Ints
     dofs: Ints
     mocap: int
@@ -49,6 +51,28 @@ class RobotPart:
     flange_body: int
     joints: slice
     free: Ints
+    sizes: Sizes | None = field(default=None, kw_only=True)
+
+    @property
+    def arrow_radii(self) -> Array:
+        """Radius of every joint's arrow, (n,), m."""
+        return self.robot.arrow_radii if self.sizes is None else self.sizes.arrow_radius
+
+    @property
+    def arrow_width_scales(self) -> Array:
+        """`arrow_width_scale` of every joint's arrow, (n,); less for joints close to each other."""
+        scales = self.robot.arrow_width_scales
+        return scales if self.sizes is None else scales * self.sizes.full_width
+
+    @property
+    def arrow_loads(self) -> Array:
+        """Effort at which an arrow without limit is as wide as its radius, (n,), Nm or N.
+
+        Infinite where `arrow_width_scale` sets the width.
+        """
+        if self.sizes is None or "arrow_width_scale" in self.robot.model_fields_set:
+            return self.robot.arrow_loads
+        return self.sizes.load / self.sizes.full_width
 
     @property
     def declared(self) -> SerialRobot:
@@ -84,12 +108,13 @@ class RobotPart:
     @property
     def chain(self) -> Ints:
         """Indices of its joints that move the flange, in order from the base."""
-        return np.arange(self.robot.n)
+        return self.robot.flange_joints
 
     @property
     def reach(self) -> float:
-        """Sum of all link lengths of its table, m; 1 where that is zero."""
-        return float(np.abs(self.dh.a).sum() + np.abs(self.dh.d).sum()) or 1.0
+        """Sum of the lengths of its links, of the longest branch, m; 1 where that is zero."""
+        table = self.kinematics
+        return float(table.path_lengths(table.step_lengths()).max()) or 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +160,24 @@ class DoublePart:
         return self.of.robot
 
     @property
-    def dh(self) -> DhTable:
-        """Table of the robot it copies."""
-        return self.of.dh
+    def kinematics(self) -> JointTree:
+        """That of the robot it copies."""
+        return self.of.kinematics
+
+    @property
+    def arrow_radii(self) -> Array:
+        """Those of the robot it copies, (n,), m."""
+        return self.of.arrow_radii
+
+    @property
+    def arrow_width_scales(self) -> Array:
+        """Those of the robot it copies, (n,)."""
+        return self.of.arrow_width_scales
+
+    @property
+    def arrow_loads(self) -> Array:
+        """Those of the robot it copies, (n,), Nm or N."""
+        return self.of.arrow_loads
 
     @property
     def scope(self) -> str:
@@ -367,7 +407,7 @@ def _joint_table(
         names=[name for robot in robots for name in robot.names],
         owner=gather(range(len(parts)), np.intp),
         of_robot=sum(len(q) for q in qpos),
-        revolute=gather([part.dh.revolute for part in parts], bool),
+        revolute=gather([part.kinematics.revolute for part in parts], bool),
         centre_site=sites([f"{p.scope}centre{i + 1}" for p in parts for i in range(p.robot.n)]),
         qpos=np.concatenate([*qpos, []]).astype(np.intp),
         angle_slots=np.concatenate([*doubled, []]).astype(np.intp),
@@ -382,12 +422,12 @@ def _joint_table(
         arrow_dead_band=gather([robot.arrow_dead_band for robot in robots]),
         arrow_radius=gather(
             [
-                part.robot.arrow_radii * (_DOUBLE_ARROW_SIZE if double else 1.0)
+                part.arrow_radii * (_DOUBLE_ARROW_SIZE if double else 1.0)
                 for part, double in zip(parts, is_double, strict=True)
             ]
         ),
-        arrow_width_scale=gather([robot.arrow_width_scales for robot in robots]),
-        arrow_load=gather([robot.arrow_loads for robot in robots]),
+        arrow_width_scale=gather([part.arrow_width_scales for part in parts]),
+        arrow_load=gather([part.arrow_loads for part in parts]),
         arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
     )
 

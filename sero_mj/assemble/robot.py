@@ -1,8 +1,14 @@
-"""`SerialRobot`: a robot declared by a Denavit-Hartenberg table and link geometry (Fig. 3)."""
+"""`SerialRobot`: a robot declared by a Denavit-Hartenberg table and link geometry (Fig. 3).
+
+Where there is no such table, as in URDF and MJCF, its joints have frames of their own, and may be a
+tree.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,12 +23,14 @@ from pydantic import (
 
 from .. import paths
 from ..declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
+from ..describe.robot_file import read_robot_file
 from ..errors import DeclarationError, Problem, did_you_mean
-from ..frames import MIRROR, Array
-from ..toml_file import key_lines, located, read_toml
+from ..frames import MIRROR, Array, Bools, Ints
+from ..toml_file import located
 from .couplings import CoupledJoints, Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, TorqueControl, is_overridden, merge_tables
+from .joint_tree import JointFrames, JointTree
 from .robot_parts import (
     IN_DEGREES,
     PER_JOINT,
@@ -33,10 +41,11 @@ from .robot_parts import (
     Columns,
     JointNames,
     Limits,
-    LinkMesh,
-    LinkMeshes,
+    LinkGeometries,
+    LinkGeometry,
     OwnInputs,
     Ranges,
+    TreeFrames,
     check_colors,
     check_line_values,
     dh_rows,
@@ -45,25 +54,36 @@ from .robot_parts import (
 from .shapes import clear_radii, housing_radii
 from .surroundings import Object, set_directory
 
+log = logging.getLogger(__name__)
+
+BASE = "base"  # what carries a joint that is on no other one
+_AXES_OF_REACH = 0.12
 _COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
 
 
 class SerialRobot(Declaration):
-    """A serial robot as the paper's `SerialRobot` proto declares it, with the proto's defaults.
+    """A robot as the paper's `SerialRobot` proto declares it, with the proto's defaults.
 
     Frames are 4x4 row-major, lengths in m, angles in rad, torques in Nm (forces in N for
-    prismatic joints). n is the number of joints, 1 to 64.
+    prismatic joints). n is the number of joints, 1 to 128. They are a chain, or with `parents` a
+    tree.
 
     Attributes:
         name: the robot's name in routes, e.g. `lwr` in `lwr.joint_angles`.
         description: one line about it, for `sero-mj list`.
         note: about its data, shown with the legend, e.g. `approximate`.
-        dh_convention: `craig` (modified) or `standard`; there is no default.
+        dh_convention: `craig` (modified) or `standard`, there is no default; `none` with
+            `joint_frames`.
         dh_params: (n, 4), one row per joint.
         dh_params_deg: the same with alpha and theta in degrees; converted to dh_params.
         dh_columns: order of the four columns.
         length_unit: unit of a and d in the table, `m` or `mm`; converted to m. It applies to
             nothing else.
+        dh_base_frame: T_base_0, frame 0 of the table in the base.
+        joint_frames: (n, 4, 4), for robots without a DH table: T_parent_i of every joint at zero
+            joint value; joint i turns about, or slides along, z of its own frame.
+        parents: for robots that branch, n names: the joint whose link carries each joint, or
+            `base`. Those of a chain when None: each is on the one before.
         joint_types: n times `revolute` or `prismatic`.
         joint_names: n names; J1, J2, ... by default.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
@@ -79,8 +99,10 @@ class SerialRobot(Declaration):
         elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
         acceleration_limits: (n,), rad/s2 or m/s2, at which arrows of accelerations have full width.
         directory: folder of the mesh files.
-        filenames: base and n links; a name, a table with file and color, or a list of these.
+        filenames: base and n links; a name, a table (see `LinkGeometry`), or a list of these.
             Without files, link shapes are generated from the DH table.
+        collisions: base and n links, as `filenames`: what touches in simulation, meshes by their
+            convex hulls. None for what is drawn, with one hull about a link's meshes.
         colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
         mesh_scale: metres per unit of the mesh files.
         mount: the frame of another robot that carries its base, e.g. `arm/flange`; None for one
@@ -93,6 +115,7 @@ class SerialRobot(Declaration):
             and equal torques hold them. With S = diag(1, -1, 1, 1) every frame T becomes S T S, so
             z of its joint frames points against the sense in which joints turn.
         flange_frame: T_n_flange, from the last joint's frame.
+        flange_on: name of the joint whose link carries the flange; None for the last one.
         joint_angles: (n,), initial pose, used until something is received.
         children: objects fixed to the flange, or to the frame that they are `on`.
         enable_touch_sensor: whether a click on the robot toggles its features.
@@ -107,6 +130,8 @@ class SerialRobot(Declaration):
             `joint_accelerations`, or `singularity` (see `decor.singularity`).
         arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
         arrow_radius: of the round arrows, m; by default large enough to clear generated shapes.
+        fit_arrows: whether each joint's arrow is as large as the links' geometry beside it needs,
+            instead of `arrow_radius`, and axes without `axes_size` are in proportion to the reach.
         arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
             `arrow_radius` wide at the limit, times this over its default of 0.01.
         torques: initial measured torques, (n,) or (k,), Nm or N; None for no data.
@@ -124,13 +149,16 @@ class SerialRobot(Declaration):
     name: Name = "robot"
     description: str = ""
     note: str = ""
-    dh_convention: Literal["craig", "standard"]
+    dh_convention: Literal["craig", "standard", "none"]
     dh_columns: Columns = [*COLUMNS]
     length_unit: Literal["m", "mm"] = "m"
     dh_params_deg: Annotated[Array | None, of_shape(None, 4)] = None
+    joint_frames: TreeFrames = None
     dh_params: Annotated[Array, of_shape(None, 4)] = np.zeros((1, 4))
+    dh_base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
     joint_names: JointNames | None = None
+    parents: list[str] | None = None
     couplings: dict[str, Coupling] = {}
     position_limits: Ranges = None
     position_limits_deg: Ranges = None
@@ -143,13 +171,15 @@ class SerialRobot(Declaration):
     acceleration_limits: Limits = None
     directory: str = ""
     colors: dict[str, Rgba] = {}
-    filenames: list[LinkMeshes] = []
+    filenames: list[LinkGeometries] = []
+    collisions: list[LinkGeometries] | None = None
     mesh_scale: float = Field(1.0, gt=0)
     mount: str | None = None
     mirrored: bool = False
     free_base: bool = False
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
+    flange_on: str | None = None
     joint_angles: Vector | None = None
     children: Children = []
     enable_touch_sensor: bool = True
@@ -160,6 +190,7 @@ class SerialRobot(Declaration):
     axes_transparency: float = Field(0.0, ge=0, le=1)
     show_arrows: bool = False
     arrow_radius: float = Field(0.1, gt=0)
+    fit_arrows: bool = False
     arrow_width_scale: float = Field(0.01, gt=0)
     arrow_quantity: ArrowQuantity = "torques"
     arrow_dead_band: float = Field(0.002, ge=0, lt=1)
@@ -183,32 +214,62 @@ class SerialRobot(Declaration):
     def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
         if "dh_params_deg" not in info.data:
             raise ValueError("")  # dh_params_deg is invalid, and dh_params has its default
+        if info.data.get("joint_frames") is not None or "joint_frames" not in info.data:
+            return np.zeros((0, 4))
         columns = info.data.get("dh_columns", [*COLUMNS])
         return dh_rows(rows, info.data.get("dh_params_deg"), columns)
 
     @field_validator(*PER_JOINT)
     @classmethod
     def _one_per_joint(cls, value: Any, info: ValidationInfo) -> Any:
-        rows = info.data.get("dh_params")  # missing when dh_params itself is invalid
-        if value is None or rows is None:
+        n = _count(info.data)
+        if value is None or n is None:
             return value
         if info.field_name in ("joint_angles", *VALUE_INPUTS):
             if not {"couplings", "joint_names"} <= info.data.keys():
                 return value  # it is unknown which joints are coupled
             if info.data["couplings"]:
                 return _with_coupled(value, info)
-        if len(value) != len(rows):
-            raise ValueError(
-                f"found {len(value)} entries; expected {len(rows)}, one per row of dh_params"
-            )
+        if len(value) != n:
+            raise ValueError(f"found {len(value)} entries; expected {n}, {_each(info.data)}")
         return value
+
+    @field_validator("parents")
+    @classmethod
+    def _parents_come_before(cls, parents: list[str] | None, info: ValidationInfo) -> Any:
+        n = _count(info.data)
+        if parents is None or n is None or "joint_names" not in info.data:
+            return parents
+        if len(parents) != n:
+            raise ValueError(f"found {len(parents)} entries; expected {n}, {_each(info.data)}")
+        names, problems = _joint_names(info.data), []
+        branch = [BASE]  # the way to the joint before
+        for i, parent in enumerate(parents):
+            if parent not in (BASE, *names):
+                message = f"no joint '{parent}'{did_you_mean(parent, [BASE, *names])}"
+                problems.append(Problem(str(i), message))
+            elif parent not in branch:
+                message = f"{names[i]} is on {parent}; expected it behind that and its branch whole"
+                problems.append(Problem(str(i), message))
+            branch = [*branch[: branch.index(parent) + 1 if parent in branch else 1], names[i]]
+        if problems:
+            raise DeclarationError(problems)
+        return parents
+
+    @field_validator("flange_on")
+    @classmethod
+    def _flange_is_on_a_joint(cls, joint: str | None, info: ValidationInfo) -> Any:
+        known = "joint_names" in info.data and _count(info.data) is not None
+        if joint is not None and known and joint not in _joint_names(info.data):
+            raise ValueError(f"no joint '{joint}'{did_you_mean(joint, _joint_names(info.data))}")
+        return joint
 
     @field_validator("couplings")
     @classmethod
     def _joints_to_couple_exist(
         cls, couplings: dict[str, Coupling], info: ValidationInfo
     ) -> dict[str, Coupling]:
-        if "dh_params" in info.data and "joint_names" in info.data:
+        if _count(info.data) is not None and "joint_names" in info.data:
             problems = coupling_problems(_joint_names(info.data), couplings)
             if problems:
                 raise DeclarationError(problems)
@@ -219,8 +280,9 @@ class SerialRobot(Declaration):
     def _tables_suit_the_joints(
         cls, table: Dynamics | TorqueControl, info: ValidationInfo
     ) -> Dynamics | TorqueControl:
-        if "dh_params" in info.data:
-            table.check_counts(len(info.data["dh_params"]))
+        n = _count(info.data)
+        if n is not None:
+            table.check_counts(n)
         return table
 
     @field_validator(*IN_DEGREES)
@@ -232,6 +294,24 @@ class SerialRobot(Declaration):
         if limits is not None and "prismatic" in (info.data.get("joint_types") or []):
             raise ValueError(f"{info.field_name} is for revolute joints only; use {key} in rad, m")
         return limits
+
+    @model_validator(mode="before")
+    @classmethod
+    def _frames_instead_of_a_table(cls, fields: Any) -> Any:
+        if isinstance(fields, Mapping) and fields.get("joint_frames") is not None:
+            return {"dh_convention": "none", **fields}
+        return fields
+
+    @model_validator(mode="after")
+    def _frames_or_a_table(self) -> SerialRobot:
+        of_table = {"dh_params", "dh_params_deg", "dh_columns", "length_unit", "dh_base_frame"}
+        given = sorted(of_table & self.model_fields_set)
+        if self.joint_frames is not None and (given or self.dh_convention != "none"):
+            found = given[0] if given else f"dh_convention = '{self.dh_convention}'"
+            raise ValueError(f"found {found} with joint_frames; expected one of the two")
+        if self.joint_frames is None and self.dh_convention == "none":
+            raise ValueError("dh_convention: found 'none'; expected joint_frames with it")
+        return self
 
     @model_validator(mode="after")
     def _from_degrees(self) -> SerialRobot:
@@ -265,8 +345,9 @@ class SerialRobot(Declaration):
     @field_validator("children")
     @classmethod
     def _frames_to_be_on_exist(cls, children: list[Object], info: ValidationInfo) -> list[Object]:
-        if "dh_params" in info.data:
-            frames = frame_labels(len(info.data["dh_params"]))
+        n = _count(info.data)
+        if n is not None:
+            frames = frame_labels(n)
             problems = [
                 Problem(f"{k}.on", f"no frame '{child.on}'{did_you_mean(child.on, frames)}")
                 for k, child in enumerate(children)
@@ -284,15 +365,16 @@ class SerialRobot(Declaration):
             raise ValueError(f"mirrored: {message}; expected shapes and meshes")
         return self
 
-    @field_validator("filenames")
+    @field_validator("filenames", "collisions")
     @classmethod
-    def _one_per_link(cls, links: list[list[LinkMesh]], info: ValidationInfo) -> Any:
-        rows = info.data.get("dh_params")
-        if not any(links):
-            return []  # the proto's default [""]: no geometry given
-        if rows is not None and len(links) != len(rows) + 1:
+    def _one_per_link(cls, links: list[list[LinkGeometry]] | None, info: ValidationInfo) -> Any:
+        n = _count(info.data)
+        if links is None or not any(links):
+            # The proto's default of filenames is [""]: no geometry given.
+            return links if info.field_name == "collisions" else []
+        if n is not None and len(links) != n + 1:
             raise ValueError(
-                f"found {len(links)} entries; expected {len(rows) + 1}: the base and one per joint"
+                f"found {len(links)} entries; expected {n + 1}: the base and one per joint"
             )
         check_colors(links, info.data.get("colors", {}))
         return links
@@ -302,7 +384,8 @@ class SerialRobot(Declaration):
         """Reads a robot file and overrides its fields.
 
         Args:
-            model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file.
+            model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file: TOML,
+                or one of `paths.ROBOT_ENDINGS`.
             **overrides: any field of this class.
 
         Raises:
@@ -310,20 +393,55 @@ class SerialRobot(Declaration):
             DeclarationError: what is wrong in the file or the overrides.
         """
         path = paths.find_model(model)
-        return build_robot({"name": path.parent.name, **overrides}, path)
+        return build_robot({"name": paths.model_name(path), **overrides}, path)
 
     @property
-    def dh(self) -> DhTable:
-        """Its Denavit-Hartenberg table."""
-        revolute = [kind == "revolute" for kind in self.types]
-        table = DhTable.from_rows(
-            self.dh_params, self.dh_convention, tuple(self.dh_columns), revolute
-        )
+    def kinematics(self) -> JointTree:
+        """Its DH table, or the frames of its joints."""
+        revolute = np.array([kind == "revolute" for kind in self.types])
+        table: JointTree
+        if self.joint_frames is not None:
+            table = JointFrames(self.joint_frames, revolute, parents=self.carriers)
+        else:
+            table = replace(self._dh_table(revolute), parents=self.carriers, root=self._root)
         return table.mirrored() if self.mirrored else table
 
     @property
+    def dh(self) -> DhTable | None:
+        """Its Denavit-Hartenberg table; None where its joints have frames of their own."""
+        table = self.kinematics
+        return table if isinstance(table, DhTable) else None
+
+    def _dh_table(self, revolute: Bools) -> DhTable:
+        assert self.dh_convention != "none"
+        columns = tuple(self.dh_columns)
+        return DhTable.from_rows(self.dh_params, self.dh_convention, columns, revolute)
+
+    @property
+    def _root(self) -> Array | None:
+        return None if np.array_equal(self.dh_base_frame, np.eye(4)) else self.dh_base_frame
+
+    @property
+    def carriers(self) -> Ints | None:
+        """Index of the frame that carries each joint, (n,), 0 for the base; None for a chain."""
+        if self.parents is None:
+            return None
+        index = {BASE: 0, **{name: i + 1 for i, name in enumerate(self.names)}}
+        return np.array([index[parent] for parent in self.parents], np.intp)
+
+    @property
+    def flange_link(self) -> int:
+        """Index of the link that carries the flange, 1 to n."""
+        return self.n if self.flange_on is None else self.names.index(self.flange_on) + 1
+
+    @property
+    def flange_joints(self) -> Ints:
+        """Indices of the joints that move the flange, in order from the base."""
+        return np.flatnonzero(self.kinematics.moves[self.flange_link])
+
+    @property
     def T_n_flange(self) -> Array:
-        """Frame of the flange in that of the last joint, (4, 4), m: `flange_frame`, or mirrored."""
+        """Frame of the flange in that of its link, (4, 4), m: `flange_frame`, or mirrored."""
         return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
 
     @property
@@ -340,7 +458,7 @@ class SerialRobot(Declaration):
     @property
     def n(self) -> int:
         """Number of joints."""
-        return len(self.dh_params)
+        return len(self.dh_params if self.joint_frames is None else self.joint_frames)
 
     @property
     def types(self) -> list[str]:
@@ -359,10 +477,13 @@ class SerialRobot(Declaration):
 
     @property
     def arrow_radii(self) -> Array:
-        """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes."""
+        """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes.
+
+        With `fit_arrows` the compiled scene has others.
+        """
         if self.filenames or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
-        return clear_radii(self.dh, self.T_n_flange)
+        return clear_radii(self.kinematics, self.T_n_flange, self.flange_link)
 
     @property
     def arrow_width_scales(self) -> Array:
@@ -380,27 +501,32 @@ class SerialRobot(Declaration):
     @property
     def axes_length(self) -> float:
         """Length of the axes, m: as declared, else in proportion to generated shapes."""
+        if self.fit_arrows and "axes_size" not in self.model_fields_set:
+            return _AXES_OF_REACH * self.reach
         if self.filenames or "axes_size" in self.model_fields_set:
             return self.axes_size
-        return 4.0 * float(housing_radii(self.dh, self.T_n_flange)[0])
+        return 4.0 * float(housing_radii(self.kinematics, self.T_n_flange, self.flange_link)[0])
 
     @property
     def strokes(self) -> Array:
         """Maximum extension of every prismatic joint (n,), m; zero where not declared."""
         if self.position_limits is None:
             return np.zeros(self.n)
-        return np.where(self.dh.revolute, 0.0, np.maximum(self.position_limits[:, 1], 0.0))
+        upper = np.maximum(self.position_limits[:, 1], 0.0)
+        return np.where(np.isfinite(upper) & ~self.kinematics.revolute, upper, 0.0)
 
     @property
     def reach(self) -> float:
         """Maximum distance of the flange from the base, m, with all links in one line.
 
-        Prismatic joints count with their `position_limits`, without these as not extended.
+        Prismatic joints count with their `position_limits`, without these as not extended. Of a
+        robot that branches it is that of the farthest link.
         """
-        slides = np.where(self.dh.revolute, 0.0, 1.0)[:, None]
         limits = np.zeros((self.n, 2)) if self.position_limits is None else self.position_limits
-        d = np.abs(self.dh.d[:, None] + slides * limits).max(axis=1)
-        return float(np.hypot(self.dh.a, d).sum() + np.linalg.norm(self.flange_frame[:3, 3]))
+        tree, ends = self.kinematics, np.where(np.isfinite(limits), limits, 0.0).T
+        along = tree.path_lengths(tree.distances(ends).max(axis=0))
+        along[self.flange_link] += np.linalg.norm(self.flange_frame[:3, 3])
+        return float(along.max())
 
     @property
     def offsets(self) -> Array:
@@ -413,10 +539,11 @@ class SerialRobot(Declaration):
         offsets = np.zeros((self.n, 3))
         if self.offsets_to_center_of_joints is not None:
             offsets = self.offsets_to_center_of_joints
-        elif self.dh_convention == "standard" and not self.filenames:
+        elif self.dh is not None and self.dh_convention == "standard" and not self.filenames:
             offsets[:, 2] = np.where(self.dh.revolute, self.dh.d, 0.0)
         if self.mirrored:
-            offsets = offsets * np.where(self.dh.revolute[:, None], [1, 1, -1], [1, -1, 1])
+            turns = self.kinematics.revolute[:, None]
+            offsets = offsets * np.where(turns, [1, 1, -1], [1, -1, 1])
         return offsets
 
     @property
@@ -432,18 +559,32 @@ class SerialRobot(Declaration):
         return coupled_joints(self.names, self.couplings)
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
-        """Returns T_base_flange by `dh`, (..., 4, 4), translation in m.
+        """Returns T_base_flange by `kinematics`, (..., 4, 4), translation in m.
 
         Args:
             joint_angles: (..., n), rad or m; the declared ones when None.
         """
         q = self.home if joint_angles is None else joint_angles
-        return np.asarray(self.dh.frames(q)[..., -1, :, :] @ self.T_n_flange)
+        return np.asarray(self.kinematics.frames(q)[..., self.flange_link, :, :] @ self.T_n_flange)
+
+
+def _count(fields: Mapping[str, Any]) -> int | None:
+    """The number of joints; None where the table or the frames that say it are invalid."""
+    rows = fields.get("joint_frames")
+    if rows is None:
+        rows = fields.get("dh_params")
+    return None if rows is None or not len(rows) else len(rows)
+
+
+def _each(fields: Mapping[str, Any]) -> str:
+    """What there is one entry for."""
+    by_frames = fields.get("joint_frames") is not None
+    return "one per frame of joint_frames" if by_frames else "one per row of dh_params"
 
 
 def _joint_names(fields: Mapping[str, Any]) -> list[str]:
     names: list[str] | None = fields["joint_names"]
-    return names or [f"J{i + 1}" for i in range(len(fields["dh_params"]))]
+    return names or [f"J{i + 1}" for i in range(_count(fields) or 0)]
 
 
 def _with_coupled(values: Array, info: ValidationInfo) -> Array:
@@ -458,7 +599,7 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])
     if len(values) not in (coupled.n, coupled.k):
-        count = f"{coupled.n}, one per row of dh_params, or {coupled.k} without the coupled joints"
+        count = f"{coupled.n}, {_each(info.data)}, or {coupled.k} without the coupled joints"
         raise ValueError(f"found {len(values)} entries; expected {count}")
     if info.field_name != "joint_angles":
         return values
@@ -486,7 +627,10 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
     """
     if model is None:
         return SerialRobot(**fields)
-    below = read_toml(model)
+    described = read_robot_file(model)
+    below = dict(described.tables)
+    for warning in described.warnings:
+        log.warning("%s: %s", model, warning)
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)
@@ -505,7 +649,7 @@ def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialR
         robot._model = model
         return robot
     except DeclarationError as error:
-        lines = key_lines(model)
+        lines = described.lines
         raise DeclarationError(
             [
                 problem if is_overridden(problem.key, fields) else located(problem, model, lines)

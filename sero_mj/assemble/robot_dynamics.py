@@ -7,19 +7,18 @@ MuJoCo computes volumes, centres of mass and tensors; the density is declared or
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from .. import frames
-from ..errors import DeclarationError, Problem, collect
+from ..errors import DeclarationError, Problem
 from ..frames import MIRROR, Array
 from .dynamics import rotate_tensors
-from .mjcf_elements import MESH, hull_asset, mesh_asset, shape_geom
+from .link_geometry import drawn_geoms, generated
+from .mjcf_elements import MESH, hull_asset, shape_geom
 from .robot import SerialRobot
-from .shapes import generate_shapes
 
 GRAVITY = 9.81  # m/s2, MuJoCo's default
 
@@ -36,6 +35,7 @@ _DAMPING_RATIO = 0.03  # of that mode
 _STEEL = 7800.0  # kg/m3; no link is denser
 # Lower bound: MuJoCo refuses bodies of smaller mass.
 _LEAST_MASS = 1e-6  # kg
+_LEAST_GYRATION = 0.01  # m, of a link without a mass
 
 
 class _Links(NamedTuple):
@@ -91,9 +91,10 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
     if links is None:
         links = _estimated_links(robot, hulls)
         estimated.append("masses")
-    limits = robot.torque_limits
-    if limits is None:
-        limits = _STRENGTH * _holding_efforts(robot, links)
+    limits = robot.torque_bounds
+    if not np.isfinite(limits).all():
+        held = _STRENGTH * _holding_efforts(robot, links)
+        limits = np.where(np.isfinite(limits), limits, held)
 
     def given(key: str, estimate: Array) -> Array:
         value: Array | None = getattr(declared, key)
@@ -139,24 +140,23 @@ def _declared_links(robot: SerialRobot) -> _Links | None:
         centers += declared.frame_origins
     tensors = scale[:, None, None] * declared.inertias
     if declared.frames == "zero_pose":
-        to_link = np.swapaxes(robot.dh.frames(np.zeros(robot.n))[:, :3, :3], -1, -2)
+        to_link = np.swapaxes(robot.kinematics.frames(np.zeros(robot.n))[:, :3, :3], -1, -2)
         centers = (to_link @ centers[..., None])[..., 0]
         tensors = rotate_tensors(tensors, to_link)
-    return _Links(scale * declared.masses, centers, tensors)
+    masses = scale * declared.masses
+    bare = masses < _LEAST_MASS
+    tensors[bare] = _LEAST_MASS * _LEAST_GYRATION**2 * np.eye(3)
+    return _Links(np.maximum(masses, _LEAST_MASS), centers, tensors)
 
 
 def _holding_efforts(robot: SerialRobot, links: _Links) -> Array:
     """Returns the efforts that hold the arm, stretched from each joint, against gravity, (n,)."""
-    table, n = robot.dh, robot.n
-    steps = np.hypot(table.a, table.d)  # from joint to joint
+    table = robot.kinematics
+    along = table.path_lengths(table.distances())
     gyration = np.sqrt(np.trace(links.tensors, axis1=1, axis2=2) / links.masses)
     size = np.linalg.norm(links.centers, axis=1) + gyration
-    efforts = np.zeros(n)
-    for i in range(n):
-        far = np.concatenate([[0.0], np.cumsum(steps[i + 1 :])])
-        lever = far + size[i + 1 :] if table.revolute[i] else 1.0
-        efforts[i] = GRAVITY * (links.masses[i + 1 :] * lever).sum()
-    return efforts
+    levers = np.where(table.revolute, along[:, None] - along[1:] + size[:, None], 1.0)
+    return np.asarray(GRAVITY * (links.masses[:, None] * levers * table.moves).sum(axis=0))
 
 
 def _link_hulls(robot: SerialRobot) -> list[Array | None]:
@@ -170,34 +170,42 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     root = mujoco.MjSpec()
     owners: list[int] = []
     problems: list[Problem] = []
-    for i, meshes in enumerate(robot.filenames):
-        for k, mesh in enumerate(meshes):
-            path = Path(robot.directory) / mesh.file
-            with collect(problems, f"filenames.{i}"):
-                asset = mesh_asset(root, f"link{i}_{k}", path, robot.mesh_scale)
-                root.worldbody.add_geom(type=MESH, meshname=asset)
-                owners.append(i)
-            if problems:
-                raise DeclarationError(problems)
+    places: list[Array] = []
+    for i, geoms in enumerate(drawn_geoms(root, robot, problems)):
+        for geom in (geom for geom in geoms if geom["type"] == MESH):
+            root.worldbody.add_geom(type=MESH, meshname=geom["meshname"])
+            owners.append(i)
+            places.append(frames.frame(frames.rotation_from_quat(geom["quat"]), geom["pos"]))
+    if problems:
+        raise DeclarationError(problems)
+    if not owners:
+        return hulls
     model = root.compile()
     for i in set(owners):
-        cloud = [_corners(model, mesh) for mesh, owner in enumerate(owners) if owner == i]
-        hulls[i] = _hull(np.concatenate(cloud))
+        clouds = [
+            _corners(model, int(model.geom_dataid[k])) @ places[k][:3, :3].T + places[k][:3, 3]
+            for k, owner in enumerate(owners)
+            if owner == i
+        ]
+        hulls[i] = _hull(np.concatenate(clouds))
     return hulls
 
 
 def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> _Links:
-    """Estimates inertias from the declared density and the hulls, or else generated shapes."""
+    """Estimates inertias from the declared density and the hulls and shapes that are drawn."""
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
-    generated = generate_shapes(robot.dh, robot.flange_frame, robot.strokes)
+    drawn = drawn_geoms(mujoco.MjSpec(), robot, [])
+    others = generated(robot)  # for links without geometry
     for i, hull in enumerate(hulls):
         body = root.worldbody.add_body(name=f"link{i}")
-        if hull is None:
-            for shape in generated[i]:
-                body.add_geom(density=density, **shape_geom(shape))
-        else:
+        shapes = [geom for geom in drawn[i] if geom["type"] != MESH]
+        if hull is None and not shapes:
+            shapes = [shape_geom(shape) for shape in others[i]]
+        for geom in shapes:
+            body.add_geom(density=density, **geom)
+        if hull is not None:
             asset = hull_asset(root, f"hull{i}", hull)
             body.add_geom(type=MESH, meshname=asset, density=density)
     model = root.compile()

@@ -1,4 +1,4 @@
-"""Types of the fields of `SerialRobot`: tables, limits, mesh files, billboard lines."""
+"""Types of the fields of `SerialRobot`: tables, limits, link geometry, billboard lines."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from ..declaration import Declaration, Name, of_shape
+from ..declaration import Declaration, Frame, Name, Vector, numbers, of_shape
 from ..errors import DeclarationError, Problem, did_you_mean, nearest
-from ..frames import Array
+from ..frames import Array, frame_from
 from .dh import COLUMNS, Column
-from .surroundings import MeshFile, Object
+from .surroundings import MeshFile, Object, check_shape_size
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
@@ -26,7 +26,7 @@ BILLBOARD_VALUES = (
     "joint_angles",
     "billboard_values",
 )
-MAX_JOINTS = 64
+MAX_JOINTS = 128
 # Fields that can be given in degrees instead.
 IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
 # Fields with one entry per joint, checked against dh_params.
@@ -61,6 +61,41 @@ def _differ(names: list[str]) -> list[str]:
     return names
 
 
+def _tree_frames(value: Any) -> Any:
+    """Reads frames as files have them, (n, 4, 4)."""
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple | np.ndarray):
+        raise ValueError(f"found {value!r:.200}; expected a list of frames, one per joint")
+    if not 1 <= len(value) <= MAX_JOINTS:
+        raise ValueError(f"found {len(value)} frames; expected 1 to {MAX_JOINTS}, one per joint")
+    found = np.empty((len(value), 4, 4))
+    for i, entry in enumerate(value):
+        try:
+            found[i] = frame_from(entry, numbers)
+        except ValueError as error:
+            raise ValueError(f"joint {i + 1}: {error}") from None
+    return found
+
+
+def _limits_of_shape(*shape: int | None) -> BeforeValidator:
+    """As `of_shape`, where `inf` is no limit."""
+    shaped: Any = of_shape(*shape).func
+
+    def validate(value: Any) -> Any:
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            array = np.empty(0)
+        if array.dtype.kind != "f" or not np.isinf(array).any():
+            return shaped(value)
+        finite = shaped(np.where(np.isinf(array), 0.0, array))
+        array = array.reshape(finite.shape)
+        return np.where(np.isinf(array), array, finite)
+
+    return BeforeValidator(validate)
+
+
 def _are_ordered(limits: Array | None) -> Array | None:
     if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
         row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
@@ -93,21 +128,56 @@ def _differ_from_standard(names: list[str]) -> list[str]:
 Columns = Annotated[list[Column], AfterValidator(_is_permutation)]
 JointNames = Annotated[list[Name], AfterValidator(_differ)]
 OwnInputs = Annotated[list[Name], AfterValidator(_differ), AfterValidator(_differ_from_standard)]
-Ranges = Annotated[Array | None, of_shape(None, 2), AfterValidator(_are_ordered)]
-Limits = Annotated[Array | None, of_shape(None), AfterValidator(_are_positive)]
+Ranges = Annotated[Array | None, _limits_of_shape(None, 2), AfterValidator(_are_ordered)]
+Limits = Annotated[Array | None, _limits_of_shape(None), AfterValidator(_are_positive)]
+TreeFrames = Annotated[
+    Array | None,
+    BeforeValidator(_tree_frames, json_schema_input_type=list[list[Any] | dict[str, Any]] | None),
+]
 Children = Annotated[list[Object], AfterValidator(_children_differ)]
 
 
-class LinkMesh(Declaration):
-    """One mesh file of a link.
+def _scales(value: Any) -> Any:
+    if value is None:
+        return None
+    scale = numbers(value)
+    if scale.shape not in ((), (3,)) or (scale == 0).any():
+        raise ValueError(f"found {value!r}; expected a number, or three along x, y and z, not 0")
+    return np.broadcast_to(scale, 3).copy()
+
+
+class LinkGeometry(Declaration):
+    """A mesh file or a primitive shape of a link.
 
     Attributes:
-        file: relative to the robot's `directory`.
+        file: mesh, relative to the robot's `directory`.
+        shape: a primitive instead.
+        size: of that, full lengths and radii in m, see `SHAPE_SIZES`.
         color: one of the robot's `colors`.
+        frame: T_link_geometry, in the frame of the link.
+        scale: metres per unit of the mesh file, one number or along x, y and z; None for the
+            robot's `mesh_scale`.
     """
 
-    file: MeshFile
+    file: MeshFile | None = None
+    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid"] | None = None
+    size: Vector | None = None
     color: str | None = None
+    frame: Frame = Field(default_factory=lambda: np.eye(4))
+    scale: Annotated[
+        Array | None, BeforeValidator(_scales, json_schema_input_type=float | list[float] | None)
+    ] = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> LinkGeometry:
+        if (self.file is None) == (self.shape is None):
+            found = "neither" if self.file is None else "both"
+            raise ValueError(f"found {found} of file and shape; expected one of them")
+        if self.shape is not None:
+            check_shape_size(self.shape, self.size)
+        elif self.size is not None:
+            raise ValueError("size is for shapes; expected scale for a mesh")
+        return self
 
 
 class BillboardLine(Declaration):
@@ -134,20 +204,22 @@ def frame_labels(n: int) -> list[str]:
     return ["base", *(f"link{i + 1}" for i in range(n)), "flange"]
 
 
-def as_link_meshes(value: Any) -> Any:
+def as_link_geometry(value: Any) -> Any:
     """Converts a file name, a table with `file` and `color`, a list of these, or "" for none."""
     if isinstance(value, str):
         return [{"file": value}] if value else []
-    if isinstance(value, Mapping | LinkMesh):
+    if isinstance(value, Mapping | LinkGeometry):
         return [value]
     if isinstance(value, list):
         return [{"file": entry} if isinstance(entry, str) else entry for entry in value]
     return value
 
 
-LinkMeshes = Annotated[
-    list[LinkMesh],
-    BeforeValidator(as_link_meshes, json_schema_input_type=str | LinkMesh | list[str | LinkMesh]),
+LinkGeometries = Annotated[
+    list[LinkGeometry],
+    BeforeValidator(
+        as_link_geometry, json_schema_input_type=str | LinkGeometry | list[str | LinkGeometry]
+    ),
 ]
 
 
@@ -164,13 +236,12 @@ BillboardLines = Annotated[
 ]
 
 
-def check_colors(links: list[list[LinkMesh]], colors: Mapping[str, Any]) -> None:
-    """Checks that the colours of meshes are declared; raises ValueError."""
-    for mesh in (mesh for link in links for mesh in link):
-        if mesh.color is not None and mesh.color not in colors:
-            raise ValueError(
-                f"{mesh.file}: no color '{mesh.color}'{did_you_mean(mesh.color, colors)}"
-            )
+def check_colors(links: list[list[LinkGeometry]], colors: Mapping[str, Any]) -> None:
+    """Checks that the colours of link geometry are declared; raises ValueError."""
+    for part in (part for link in links for part in link):
+        if part.color is not None and part.color not in colors:
+            near = did_you_mean(part.color, colors)
+            raise ValueError(f"{part.file or part.shape}: no color '{part.color}'{near}")
 
 
 def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from .. import paths
 from ..declaration import is_name
+from ..describe.robot_file import read_robot_file
 from ..dotted_keys import parts_of, with_value
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 from ..toml_file import read_toml
@@ -286,7 +287,8 @@ class _Reader:
                 built = build(name, table)
             with suppress(DeclarationError, UnknownName):
                 if isinstance(table.get("model"), str):
-                    below = read_toml(paths.find_model(table["model"], self.path.parent))
+                    path = paths.find_model(table["model"], self.path.parent)
+                    below = read_robot_file(path).tables
         for key, value in settings:
             try:
                 table = with_value(table, parts_of(key), value, built=built, below=below)

@@ -57,6 +57,17 @@ def _of_a_mesh(file: str) -> str:
 MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
 
 
+def check_shape_size(shape: str, size: Array | None) -> None:
+    """Checks that a shape has the numbers that it needs; raises ValueError."""
+    meaning = SHAPE_SIZES[shape]
+    if size is None or len(size) != len(meaning.split(",")) or (size <= 0).any():
+        found = "none" if size is None else size.tolist()
+        article = "an" if shape[0] in "ae" else "a"
+        raise ValueError(
+            f"size of {article} {shape}: found {found}; expected positive {meaning} in m"
+        )
+
+
 class Object(Declaration):
     """An object: a primitive shape, coordinate axes, a mesh, or a piece of MJCF.
 
@@ -117,17 +128,9 @@ class Object(Declaration):
         self._check_solid()
         if self.shape is None:
             return self
-        meaning = SHAPE_SIZES[self.shape]
-        wanted = len(meaning.split(","))
         if self.size is None and self.shape == "axes":
             self.__dict__["size"] = np.array([0.2])
-        found_count = 0 if self.size is None else len(self.size)
-        if self.size is None or found_count != wanted or (self.size <= 0).any():
-            found = "none" if self.size is None else self.size.tolist()
-            article = "an" if self.shape[0] in "ae" else "a"
-            raise ValueError(
-                f"size of {article} {self.shape}: found {found}; expected positive {meaning} in m"
-            )
+        check_shape_size(self.shape, self.size)
         return self
 
     def _check_solid(self) -> None:

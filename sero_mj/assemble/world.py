@@ -12,6 +12,7 @@ import ctypes
 import logging
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Bools, Ints
+from .decor_sizes import Seen, measure
 from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
@@ -80,7 +82,7 @@ class World(WorldView):
             self._measure_without_doubles()
             # Doubles cast no shadow; the shadow map costs as much as the picture.
             self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
-        self.robots = self._find_robots()
+        self.robots = self._with_sizes(self._find_robots())
         free = [item.name for item in scene.objects if dynamic and item.is_free]
         bodies = map(self._free, self._bodies([moved_body(name) for name in free]))
         self.free_objects = dict(zip(free, bodies, strict=True))
@@ -243,7 +245,7 @@ class World(WorldView):
             )
             parts[name] = RobotPart(
                 robot=robot,
-                dh=robot.dh,
+                kinematics=robot.kinematics,
                 qpos=self.model.jnt_qposadr[joints].astype(np.intp),
                 dofs=self.model.jnt_dofadr[joints].astype(np.intp),
                 mocap=int(self.model.body_mocapid[bodies[0]]),
@@ -254,6 +256,22 @@ class World(WorldView):
             )
             start += robot.n
         return parts
+
+    def _with_sizes(self, robots: dict[str, RobotPart]) -> dict[str, RobotPart]:
+        """Returns the parts with arrows that fit the links, of the robots that want these."""
+        fitted = {n: p for n, p in robots.items() if p.robot.fit_arrows}
+        if not fitted:
+            return robots
+        data = mujoco.MjData(self.model)
+        for part in robots.values():
+            data.qpos[part.qpos] = part.robot.home
+        mujoco.mj_fwdPosition(self.model, data)
+        none = np.zeros(0, np.intp)
+        for name, part in fitted.items():
+            joints = self.model.dof_jntid[part.dofs].astype(np.intp)
+            seen = Seen(np.unique([*part.bodies, part.flange_body]), joints, none)
+            robots[name] = replace(part, sizes=measure(self.model, data, seen))
+        return robots
 
     def _free(self, base: int) -> Ints:
         """Returns the indices in `qpos` of the free joint of a body; empty where it has none."""
@@ -380,6 +398,9 @@ def _mesh_problems(scene: Scene) -> list[Problem]:
     for name, robot in scene.robots.items():
         for i, link in enumerate(robot.filenames):
             key = f"robots.{name}.filenames.{i}"
+            meshes += [(key, robot.directory, mesh.file) for mesh in link]
+        for i, link in enumerate(robot.collisions or []):
+            key = f"robots.{name}.collisions.{i}"
             meshes += [(key, robot.directory, mesh.file) for mesh in link]
         for k, item in enumerate(robot.children):
             meshes.append((f"robots.{name}.children.{k}.mesh", item.directory, item.mesh))

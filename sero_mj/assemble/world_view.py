@@ -189,11 +189,3 @@ def _frame(rotation: Array, position: Array) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation.reshape(3, 3), position
     return T
-
-
-def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Returns the lowest and highest corners of boxes about all geoms, (ngeom, 3) each, m."""
-    rotation = data.geom_xmat.reshape(-1, 3, 3)
-    centre = data.geom_xpos + np.einsum("nij,nj->ni", rotation, model.geom_aabb[:, :3])
-    half = np.einsum("nij,nj->ni", np.abs(rotation), model.geom_aabb[:, 3:])
-    return centre - half, centre + half

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
                 f"--joint-angles: found {len(q)} numbers; {robot.name} has {robot.n} joints"
             )
         if options.deg:
-            q = np.where(robot.dh.revolute, np.deg2rad(q), q)
+            q = np.where(robot.kinematics.revolute, np.deg2rad(q), q)
     result = compare(robot, q)
     if options.json:
         print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))

@@ -143,7 +143,9 @@ def _motion(times: Array, angles: Array) -> Motion:
 def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
     """Where the flange is during a motion of the joints."""
     poses = robot.base_frame @ robot.fwd_kin_base_to_flange(motion.angles)
-    jacobians = robot.dh.jacobian(motion.angles, robot.base_frame, robot.T_n_flange)
+    jacobians = robot.kinematics.jacobian(
+        motion.angles, robot.base_frame, robot.T_n_flange, robot.flange_link
+    )
     twists = np.einsum("tij,tj->ti", jacobians, motion.velocities)
     accelerations = np.gradient(twists, motion.times, axis=0) if len(twists) > 2 else 0.0 * twists
     return CartesianMotion(motion.times, poses, twists, np.asarray(accelerations))

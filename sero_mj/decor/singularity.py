@@ -63,7 +63,7 @@ def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
     on_axis = data.site_xpos[sites] - np.einsum("nij,nj->ni", rotation, part.robot.offsets[chain])
     flange = world.frames.names.index(part.flange_name)
     lever = data.site_xpos[world.frames.site[flange]] - on_axis
-    turns = part.dh.revolute[chain][:, None]
+    turns = part.kinematics.revolute[chain][:, None]
     linear = np.where(turns, np.cross(axis, lever), axis) / part.reach
     return np.concatenate([linear, np.where(turns, axis, 0.0)], axis=1).T
 

@@ -92,7 +92,8 @@ def units_of(scene: Scene, item: Input) -> list[Dimension]:
         return [_ARROWS[arrow.kind] if arrow.unit is None else NONE] * item.count
     if item.kind in ("angles", "values") and item.key in _JOINTS:
         turning, sliding = _JOINTS[item.key]
-        return [turning if turns else sliding for turns in robot_of(scene, item).dh.revolute]
+        kinematics = robot_of(scene, item).kinematics
+        return [turning if turns else sliding for turns in kinematics.revolute]
     return [NONE] * item.count
 
 

@@ -121,7 +121,8 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
         if part.path is None:
             _set_poses(data, part.frames, frames[0, 1:])
         robot = part.of
-        _place(data, part, frames, robot.dh.frames(data.qpos[robot.qpos], _base(data, robot)))
+        actual = robot.kinematics.frames(data.qpos[robot.qpos], _base(data, robot))
+        _place(data, part, frames, actual)
 
 
 def _targets(
@@ -151,7 +152,7 @@ def _targets(
             label = (part.robot.mount or "").partition("/")[2]
             base = mount_pose(world.doubles[part.below].robot, label, below)
             base = base @ part.robot.base_frame
-    known[name] = frames = part.dh.frames(q, base)
+    known[name] = frames = part.kinematics.frames(q, base)
     return frames
 
 

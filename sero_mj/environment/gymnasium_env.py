@@ -236,10 +236,10 @@ def _bounds(robot: SerialRobot, signal: str, spec: specs.Array) -> tuple[Array, 
     elif signal.endswith("angles"):
         most = np.array([_FREE[kind] for kind in robot.types])
     else:  # a position
-        table = robot.dh
+        table = robot.kinematics
         limits = robot.position_limits
-        slides = np.zeros(1) if limits is None else np.abs(limits).max(axis=1)[~table.revolute]
-        lengths = [np.abs(table.a).sum(), np.abs(table.d).sum(), slides.sum()]
+        limits = np.zeros((robot.n, 2)) if limits is None else np.where(np.isinf(limits), 0, limits)
+        lengths = [table.step_lengths().sum(), np.abs(limits).max(axis=1)[~table.revolute].sum()]
         reach = float(sum(lengths) + np.abs(robot.T_n_flange[:3, 3]).sum())
         most = np.full(spec.shape, 2.0 * reach + np.abs(robot.base_frame[:3, 3]).max())
     low = np.broadcast_to(getattr(spec, "minimum", -np.inf), spec.shape)

@@ -69,8 +69,7 @@ class ManyEnvironments:
         self._left = np.zeros(m, np.intp)  # control steps until the end of the episode
         self._length = -(-environment.simulation.steps // environment.substeps)
         robot = environment.robot
-        self._base, self._dh = environment.base_frame, robot.dh
-        self._T_n_flange = robot.T_n_flange
+        self._base, self._robot = environment.base_frame, robot
         self._readings: Array = np.zeros((m, 3, robot.n))  # true: angles, velocities, torques
         is_perfect = environment.plant.sensors.is_perfect
         self._measured = self._readings if is_perfect else np.zeros_like(self._readings)
@@ -175,7 +174,7 @@ class ManyEnvironments:
 
     def _flanges_at(self, angles: Array) -> Array:
         """T_world_flange of joint angles (m, n), (m, 4, 4), m."""
-        return np.asarray(self._base @ (self._dh.frames(angles)[:, -1] @ self._T_n_flange))
+        return np.asarray(self._base @ self._robot.fwd_kin_base_to_flange(angles))
 
     def _observe(self, now: ManyStates) -> dict[str, Array]:
         """What is seen now, (m, ...), in arrays of its own."""

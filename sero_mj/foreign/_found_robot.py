@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInfo, field_validator
 
 from ..assemble.cartesian import NamedFrame
+from ..assemble.decor_sizes import Seen, Sizes, measure
 from ..assemble.double import AXES_OPACITY, Double
 from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
@@ -18,8 +19,7 @@ from ..assemble.robot_dynamics import GRAVITY
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
 from ..frames import Array, Ints
-from ._model_sizes import Sizes, measure, torque_limits
-from ._model_trees import Tree, without_scope
+from ._model_trees import ON_JOINT, Tree, without_scope
 
 # Fields that a user can set for a found robot; the others come from the model.
 FIELDS = (
@@ -41,6 +41,7 @@ FIELDS = (
     "enable_touch_sensor",
 )
 _BASE = "base"  # label of a base's frame
+_FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 _FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations have full width
 
 
@@ -121,6 +122,34 @@ class FoundRobot(SerialRobot):
         return np.full(self.n, self.axes_size) if self._axes is None else self._axes
 
 
+def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
+    """Returns the torque limits of joints, (n,), Nm or N; inf where the model states none.
+
+    The lower of the joint's `actuatorfrcrange` and the `forcerange` of its actuators (for a motor
+    without one its `ctrlrange`) times their gear.
+    """
+    limits = np.full(len(joints), np.inf)
+    for i, joint in enumerate(joints):
+        mine = np.isin(model.actuator_trntype, ON_JOINT) & (model.actuator_trnid[:, 0] == joint)
+        if mine.any():
+            limits[i] = sum(_actuator_limit(model, int(k)) for k in mine.nonzero()[0])
+        if model.jnt_actfrclimited[joint]:
+            limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
+    return np.where(limits > 0, limits, np.inf)
+
+
+def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
+    gear = abs(float(model.actuator_gear[actuator, 0]))
+    if model.actuator_forcelimited[actuator]:
+        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
+    is_motor = model.actuator_gaintype[actuator] == _FIXED_GAIN
+    is_motor &= model.actuator_biastype[actuator] == _NO_BIAS
+    if is_motor and model.actuator_ctrllimited[actuator]:
+        gain = abs(float(model.actuator_gainprm[actuator, 0]))
+        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
+    return float("inf")
+
+
 @dataclass(frozen=True, eq=False)
 class FoundPart(RobotPart):
     """Indices of a found robot in the model.
@@ -178,7 +207,7 @@ def found_part(
     Raises:
         DeclarationError: other fields, or values that do not fit.
     """
-    sizes = measure(model, rest, tree)
+    sizes = measure(model, rest, Seen(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []
     with collect(problems, f"robots.{tree.name}"):
         robot = _found_robot(model, tree, sizes, overrides)
@@ -190,7 +219,7 @@ def found_part(
     reach = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum()) if len(along) else 0.0
     return FoundPart(
         robot=robot,
-        dh=robot.dh,
+        kinematics=robot.kinematics,
         qpos=model.jnt_qposadr[tree.joints].astype(np.intp),
         dofs=model.jnt_dofadr[tree.joints].astype(np.intp),
         mocap=-1,

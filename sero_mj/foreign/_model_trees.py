@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ..assemble.world_view import geom_boxes
+from ..assemble.solids import geom_boxes, geoms_of
 from ..frames import Array, Ints
-from ._solids import geoms_of
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))

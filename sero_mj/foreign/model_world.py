@@ -21,14 +21,14 @@ from ..assemble.mjcf import build_surroundings
 from ..assemble.parts import DoublePart, DrawnDouble, make_tables
 from ..assemble.robot_parts import VALUE_INPUTS
 from ..assemble.scene import Scene, SceneToggles
+from ..assemble.solids import geom_boxes, is_shown
 from ..assemble.surroundings import View
-from ..assemble.world_view import WorldView, geom_boxes
+from ..assemble.world_view import WorldView
 from ..errors import DeclarationError, Problem, UnknownName
 from ..frames import Array, Bools, Ints
 from ._found_robot import FoundPart, found_part, list_found_frames
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import find_trees
-from ._solids import is_shown
 
 log = logging.getLogger(__name__)
 

@@ -315,7 +315,7 @@ def _built(
 
 
 def _without_meshes(fields: dict[str, Any]) -> dict[str, Any]:
-    return {**fields, "filenames": [], "directory": ""}
+    return {**fields, "filenames": [], "collisions": None, "directory": ""}
 
 
 def _installed(model: str) -> Path | None:

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 
 from ..assemble.double import OUT_OF_SIGHT
-from ..assemble.world_view import WorldView, geom_boxes
+from ..assemble.solids import geom_boxes
+from ..assemble.world_view import WorldView
 from ..drive.place import Placer
 from ..errors import DeclarationError, UnknownName, UsageError
 from ..frames import Array

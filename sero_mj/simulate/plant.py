@@ -331,7 +331,7 @@ class Plant:
         acceleration = self.data.qacc[self._motor_dofs]
         broken = ~(np.abs(acceleration) < mujoco.mjMAXVAL)
         parts = self.world.robots.values()
-        revolute = np.concatenate([part.dh.revolute for part in parts])
+        revolute = np.concatenate([part.kinematics.revolute for part in parts])
         row = int(np.argmax(broken) if broken.any() else np.argmax(np.abs(acceleration)))
         unit = "rad/s2" if revolute[row] else "m/s2"
         reason = (

@@ -354,17 +354,17 @@ def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
     with angular velocity w and acceleration u, the origin with acceleration s (gravity included),
     all in the flange's axes: force m s + u x h + w x (w x h), moment h x s + I u + w x (I w).
     """
-    table, base, flange = robot.dh, robot.base_frame, robot.T_n_flange
+    table, base, flange = robot.kinematics, robot.base_frame, robot.T_n_flange
 
     def jacobian(angles: Array) -> Array:
-        return table.jacobian(angles, base, flange)
+        return table.jacobian(angles, base, flange, robot.flange_link)
 
     J = jacobian(q)
     change = (jacobian(q + _MOVE * v) - jacobian(q - _MOVE * v)) / (2.0 * _MOVE)
     velocity = np.einsum("tij,tj->ti", J, v)
     acceleration = np.einsum("tij,tj->ti", J, a) + np.einsum("tij,tj->ti", change, v)
     acceleration[:, 2] += GRAVITY
-    R = (table.frames(q, base)[..., -1, :, :] @ flange)[:, :3, :3]
+    R = (table.frames(q, base)[..., robot.flange_link, :, :] @ flange)[:, :3, :3]
 
     def in_flange(vectors: Array) -> Array:
         return np.asarray(np.einsum("tji,tj->ti", R, vectors))

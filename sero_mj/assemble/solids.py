@@ -1,4 +1,4 @@
-"""What is seen of an external model: boxes about its geoms, and what is hidden inside of them."""
+"""What is seen of a compiled model: which geoms, and what is hidden inside of them."""
 
 from __future__ import annotations
 
@@ -34,6 +34,14 @@ def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> 
         mine[trunk] = True
     shown = mine & is_shown(model)
     return np.asarray((shown if shown.any() else mine).nonzero()[0])
+
+
+def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """Returns the lowest and highest corners of boxes about all geoms, (ngeom, 3) each, m."""
+    rotation = data.geom_xmat.reshape(-1, 3, 3)
+    centre = data.geom_xpos + np.einsum("nij,nj->ni", rotation, model.geom_aabb[:, :3])
+    half = np.einsum("nij,nj->ni", np.abs(rotation), model.geom_aabb[:, 3:])
+    return centre - half, centre + half
 
 
 class Solids:

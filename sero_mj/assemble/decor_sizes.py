@@ -1,19 +1,17 @@
-"""Measures the robots of an external model: limits and loads of joints, sizes of their decor."""
+"""Measures robots in a compiled model: sizes of their arrows and axes, loads of their joints."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from ..assemble.robot_dynamics import GRAVITY
-from ..assemble.world_view import geom_boxes
 from ..frames import Array, Ints
-from ._model_trees import ON_JOINT, Tree
-from ._solids import Solids, geoms_of
+from .robot_dynamics import GRAVITY
+from .solids import Solids, geom_boxes, geoms_of
 
-_FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 # Smallest radius of an arrow: of the link's length, or of half the length of the shorter of the
 # bodies that the joint connects, but of the robot's extent at most.
 _SMALLEST, _OF_HALF, _OF_ROBOT = 0.12, 0.25, 0.05
@@ -32,32 +30,18 @@ _AT_ONE_PLACE = 0.02  # of the robot's extent
 _LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
 
 
-def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the torque limits of joints, (n,), Nm or N; inf where the model states none.
+class Seen(NamedTuple):
+    """What of a model is a robot.
 
-    The lower of the joint's `actuatorfrcrange` and the `forcerange` of its actuators (for a motor
-    without one its `ctrlrange`) times their gear.
+    Attributes:
+        bodies: ids of its bodies.
+        joints: ids of its hinges and slides, (n,).
+        trunk: ids of the world's geoms that are part of it.
     """
-    limits = np.full(len(joints), np.inf)
-    for i, joint in enumerate(joints):
-        mine = np.isin(model.actuator_trntype, ON_JOINT) & (model.actuator_trnid[:, 0] == joint)
-        if mine.any():
-            limits[i] = sum(_actuator_limit(model, int(k)) for k in mine.nonzero()[0])
-        if model.jnt_actfrclimited[joint]:
-            limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
-    return np.where(limits > 0, limits, np.inf)
 
-
-def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
-    gear = abs(float(model.actuator_gear[actuator, 0]))
-    if model.actuator_forcelimited[actuator]:
-        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
-    is_motor = model.actuator_gaintype[actuator] == _FIXED_GAIN
-    is_motor &= model.actuator_biastype[actuator] == _NO_BIAS
-    if is_motor and model.actuator_ctrllimited[actuator]:
-        gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
-    return float("inf")
+    bodies: Ints
+    joints: Ints
+    trunk: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,31 +64,31 @@ class Sizes:
     load: Array
 
 
-def measure(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
+def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: Seen) -> Sizes:
     """Computes the sizes of a robot's decor.
 
     Args:
         model: compiled.
         data: in the pose to measure, after `mj_fwdPosition`.
-        tree: the robot.
+        robot: which one.
     """
-    anchors = data.xanchor[tree.joints]
+    anchors = data.xanchor[robot.joints]
     low, high = boxes = geom_boxes(model, data)
-    mine = geoms_of(model, tree.bodies, tree.trunk)
+    mine = geoms_of(model, robot.bodies, robot.trunk)
     extent = float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) if len(mine) else 0.0
-    links = _link_lengths(model, tree, anchors, extent)
+    links = _link_lengths(model, robot, anchors, extent)
     link = float(np.median(links))
-    radius = _radii(model, data, tree, boxes, links, extent)
+    radius = _radii(model, data, robot, boxes, links, extent)
     apart = np.linalg.norm(anchors[:, None] - anchors, axis=2)
     apart[apart <= _AT_ONE_PLACE * extent] = np.inf
     width = np.clip(apart.min(axis=1) / radius, _NARROWEST, 1.0)
-    return Sizes(link, radius, width, _AXES * radius, _loads(model, data, tree, link))
+    return Sizes(link, radius, width, _AXES * radius, _loads(model, data, robot, link))
 
 
 def _radii(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    tree: Tree,
+    robot: Seen,
     boxes: tuple[Array, Array],
     links: Array,
     extent: float,
@@ -114,12 +98,12 @@ def _radii(
     The smallest with which the arrow is seen, rarely larger than the bodies that the joint
     connects, and where these allow it like those of the joints beside it.
     """
-    anchors, axes = data.xanchor[tree.joints], data.xaxis[tree.joints]
+    anchors, axes = data.xanchor[robot.joints], data.xaxis[robot.joints]
     solids = Solids(model, data)
     of_skin = _OF_SKIN * extent if model.nskin else 0.0
     tried, hidden, smallest = [], [], []
-    for i, joint in enumerate(tree.joints):
-        lengths = _half_lengths(model, boxes, tree, int(joint))
+    for i, joint in enumerate(robot.joints):
+        lengths = _half_lengths(model, boxes, robot, int(joint))
         least = max(_SMALLEST * links[i], min(_OF_HALF * min(lengths), _OF_ROBOT * extent))
         most = max(*lengths, of_skin, least)
         count = int(np.ceil(np.log(most / least) / np.log(_STEP))) + 1
@@ -143,14 +127,14 @@ def _radii(
 
 
 def _half_lengths(
-    model: mujoco.MjModel, boxes: tuple[Array, Array], tree: Tree, joint: int
+    model: mujoco.MjModel, boxes: tuple[Array, Array], robot: Seen, joint: int
 ) -> list[float]:
     """Returns half the length of the bodies that a joint connects, m; 0 without any geom.
 
     Args:
         model: compiled.
         boxes: about all geoms, see `geom_boxes`.
-        tree: the robot.
+        robot: which one.
         joint: id.
     """
     low, high = boxes
@@ -159,20 +143,20 @@ def _half_lengths(
     for around in (body, int(model.body_parentid[body])):
         weld = int(model.body_weldid[around])
         welded = (model.body_weldid == weld).nonzero()[0]
-        mine = geoms_of(model, welded, tree.trunk if weld == 0 else None)
+        mine = geoms_of(model, welded, robot.trunk if weld == 0 else None)
         if len(mine):
             lengths.append(float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) / 2)
     return lengths or [0.0]
 
 
-def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, extent: float) -> Array:
+def _link_lengths(model: mujoco.MjModel, robot: Seen, anchors: Array, extent: float) -> Array:
     """Returns every joint's distance to the farther of its neighbours in the tree, (n,), m.
 
     Joints that coincide, as in a wrist or a hip, count as one.
     """
-    row = {int(body): i for i, body in enumerate(model.jnt_bodyid[tree.joints])}
+    row = {int(body): i for i, body in enumerate(model.jnt_bodyid[robot.joints])}
     before = np.full(len(anchors), -1)  # the parent joint of each
-    for i, body in enumerate(model.jnt_bodyid[tree.joints]):
+    for i, body in enumerate(model.jnt_bodyid[robot.joints]):
         at = int(body)
         while at and before[i] < 0:
             at = int(model.body_parentid[at])
@@ -191,11 +175,11 @@ def _link_lengths(model: mujoco.MjModel, tree: Tree, anchors: Array, extent: flo
     return links
 
 
-def _loads(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, link: float) -> Array:
-    bodies = model.jnt_bodyid[tree.joints]
+def _loads(model: mujoco.MjModel, data: mujoco.MjData, robot: Seen, link: float) -> Array:
+    bodies = model.jnt_bodyid[robot.joints]
     mass = model.body_subtreemass[bodies]
-    lever = np.linalg.norm(data.subtree_com[bodies] - data.xanchor[tree.joints], axis=1)
-    hinge = model.jnt_type[tree.joints] == mujoco.mjtJoint.mjJNT_HINGE
+    lever = np.linalg.norm(data.subtree_com[bodies] - data.xanchor[robot.joints], axis=1)
+    hinge = model.jnt_type[robot.joints] == mujoco.mjtJoint.mjJNT_HINGE
     load = GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
     for kind in (hinge, ~hinge):
         if kind.any():

@@ -1,0 +1,96 @@
+"""The geoms of a robot's links: mesh files and primitive shapes as declared, or generated ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ..errors import Problem, collect
+from ..frames import MIRROR, Array
+from .mjcf_elements import MESH, geom_type, half_sizes, mesh_asset, pose, shape_geom
+from .robot import SerialRobot
+from .robot_parts import LinkGeometry
+from .shapes import SHELL, LinkShape, generate_shapes
+
+Geom = dict[str, Any]
+
+
+def generated(robot: SerialRobot) -> list[list[LinkShape]]:
+    """Returns the generated shapes of a robot's base and links."""
+    return generate_shapes(robot.kinematics, robot.T_n_flange, robot.strokes, robot.flange_link)
+
+
+def drawn_geoms(
+    root: mujoco.MjSpec, robot: SerialRobot, problems: list[Problem], shrink: float = 1.0
+) -> list[list[Geom]]:
+    """Returns the attributes of the visible geoms of the base and every link, in their frames.
+
+    Args:
+        root: gets the meshes; those that it has are used again.
+        robot: declared or generated shapes.
+        problems: get those of files that cannot be read.
+        shrink: factor of all sizes, about each link's origin.
+    """
+    if not robot.filenames:
+        links = generated(robot)
+        return [[{"rgba": s.rgba, **shape_geom(s, shrink)} for s in link] for link in links]
+    scope = "" if shrink == 1.0 else f"double-{robot.name}-"
+    return _declared(root, robot, robot.filenames, "filenames", scope, problems, shrink)
+
+
+def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
+    """Returns those of the declared `collisions`; files that cannot be read are problems.
+
+    Raises:
+        DeclarationError: all of them.
+    """
+    problems: list[Problem] = []
+    links = robot.collisions or [[] for _ in range(robot.n + 1)]
+    geoms = _declared(root, robot, links, "collisions", "touching-", problems)
+    for geom in (geom for link in geoms for geom in link):
+        del geom["rgba"]
+    return geoms
+
+
+def _declared(
+    root: mujoco.MjSpec,
+    robot: SerialRobot,
+    links: list[list[LinkGeometry]],
+    key: str,
+    scope: str,
+    problems: list[Problem],
+    shrink: float = 1.0,
+) -> list[list[Geom]]:
+    geoms: list[list[Geom]] = [[] for _ in links]
+    for i, parts in enumerate(links):
+        for k, part in enumerate(parts):
+            rgba = SHELL if part.color is None else robot.colors[part.color]
+            at = pose(_placed(robot, part.frame, shrink))
+            if part.shape is not None:
+                assert part.size is not None  # checked by LinkGeometry
+                size = half_sizes(part.shape, part.size) * shrink
+                geoms[i].append({"type": geom_type(part.shape), "size": size, "rgba": rgba, **at})
+                continue
+            with collect(problems, f"{key}.{i}"):
+                name = f"{scope}link{i}_{k}"
+                if root.mesh(name) is None:
+                    path = Path(robot.directory) / (part.file or "")
+                    mesh_asset(root, name, path, shrink * mesh_scale(robot, part))
+                geoms[i].append({"type": MESH, "meshname": name, "rgba": rgba, **at})
+    return geoms
+
+
+def mesh_scale(robot: SerialRobot, part: LinkGeometry) -> Array:
+    """Returns m per unit of a mesh along x, y and z, (3,); negative where it is mirrored."""
+    scale = np.full(3, robot.mesh_scale) if part.scale is None else part.scale
+    return scale * (MIRROR.diagonal()[:3] if robot.mirrored else 1.0)
+
+
+def _placed(robot: SerialRobot, T: Array, shrink: float) -> Array:
+    """Returns the frame of a part in its link."""
+    T = MIRROR @ T @ MIRROR if robot.mirrored else T.copy()
+    T[:3, 3] *= shrink
+    return T

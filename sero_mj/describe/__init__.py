@@ -1,0 +1,6 @@
+"""Files in which others describe robots and scenes, as the tables of our own.
+
+In: a file of another format, and mesh files. Out: `Described`: the tables that a TOML file of ours
+would have, the lines they come from, and what was lost.
+Open first: `described.py`; then `robot_file.py`, which says what reads which ending.
+"""

@@ -1,0 +1,22 @@
+"""What a reader of a foreign file returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Described:
+    """A robot or a scene as the tables of our own file of it.
+
+    Attributes:
+        tables: as `tomllib` would read them.
+        lines: lines of the foreign file by dotted key of the tables; an error in a key that is not
+            there is at the line of the nearest key above it.
+        warnings: what was lost or taken for something else, a sentence for each.
+    """
+
+    tables: dict[str, Any]
+    lines: dict[str, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
