@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
-from .errors import did_you_mean
+from .errors import Problem, did_you_mean, nearest
 
 _PART = re.compile(r"([^.\[\]]+)((?:\[\d+\])*)")
 
@@ -34,17 +35,19 @@ def with_value(
     built: Any = None,
     below: Any = None,
     n: int = 0,
+    lists: Mapping[str, int] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Returns a table in which a dotted key has a value; nothing that was handed in is changed.
 
     Args:
         table: with other tables and lists in it.
         parts: of the key, a name first; tables on the way are made where there are none.
-        value: a number becomes one for each element where a list of numbers stands.
+        value: a number becomes one for each element where a list of numbers stands, or belongs.
         built: what was made of the table; lists that the table does not have are its arrays.
         below: another table, over which this one is laid; lists and frames that this one does not
             have are as they stand there.
         n: number of elements that one number in the table stands for; 0 where it is only that.
+        lists: how many elements lists have that may not be there yet, by their names.
 
     Raises:
         ValueError: a part is in no table or list.
@@ -61,13 +64,17 @@ def with_value(
         inner = {} if found is None else found
         if not isinstance(inner, Mapping):
             raise ValueError(f"'{name}' is no table")
-        changed[str(name)] = with_value(inner, rest, value, built=own, below=under, n=n)
+        changed[str(name)] = with_value(
+            inner, rest, value, built=own, below=under, n=n, lists=lists
+        )
         return changed
+    if found is None and rest and _is_number(own):
+        found = own
     current = found.tolist() if hasattr(found, "tolist") else found
     if rest and current is None and own is None:
         known = {*table, *getattr(type(built), "model_fields", {})}
         if name not in known:
-            raise ValueError(f"no list '{name}'{did_you_mean(str(name), known)}")
+            raise ValueError(f"unknown key{did_you_mean(str(name), known)}")
         raise ValueError(f"'{name}' has no elements yet; set it as a whole")
     if rest:
         if _is_number(current) and n:
@@ -75,23 +82,37 @@ def with_value(
         changed[str(name)] = _with_element(current, rest, value, str(name))
     elif _is_number(value) and isinstance(current, list) and all(map(_is_number, current)):
         changed[str(name)] = [value] * len(current)
+    elif _is_number(value) and current is None and name in lists:
+        changed[str(name)] = [value] * lists[str(name)]
     else:
         changed[str(name)] = value
     return changed
 
 
-def check_tables(table: Any, parts: list[str | int]) -> None:
-    """Checks that all tables on the way to a key are there.
+def lacking(
+    section: str, name: str, problems: Iterable[Problem], keys: Collection[str], others: list[str]
+) -> str | None:
+    """Says what a table lacks that is in no file; None where only what is set in it is wrong.
 
-    Raises:
-        ValueError: one is not, with the nearest name.
+    Args:
+        section: that it is in.
+        name: of it in there.
+        problems: why nothing could be built of it, by keys inside it.
+        keys: dotted keys by which it was made.
+        others: names of the tables that are in the file.
     """
-    names = [part for part in parts if isinstance(part, str)]
-    for k, name in enumerate(names[:-1]):
-        if not isinstance(table, Mapping) or name not in table:
-            near = did_you_mean(name, table) if isinstance(table, Mapping) and table else ""
-            raise ValueError(f"there is no [{'.'.join(names[: k + 1])}]{near}")
-        table = table[name]
+    for problem in problems:
+        place = f"{section}.{name}.{problem.key}."
+        if not any(f"{key}.".startswith(place) for key in keys):
+            if nearest(name, others):
+                return no_table(section, name, others)
+            return f"there is no [{section}.{name}], and for a new one {problem}"
+    return None
+
+
+def no_table(section: str, name: str, others: Iterable[str]) -> str:
+    """Says that a table is not there, with the nearest name."""
+    return f"there is no [{section}.{name}]{did_you_mean(name, others)}"
 
 
 def _with_element(values: Any, indices: list[str | int], value: Any, name: str) -> Any:

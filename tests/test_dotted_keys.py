@@ -89,7 +89,7 @@ def test_single_elements_of_a_scenarios_lists_are_set() -> None:
         ("lwr.name[0]", "'name' is no list; set it as a whole"),
         (
             "lwr.dynamics.coulom_friction[1]",
-            "no list 'coulom_friction'; did you mean 'coulomb_friction'?",
+            "unknown key; did you mean 'coulomb_friction'?",
         ),
         (
             "lwr.acceleration_limits[1]",
@@ -98,7 +98,27 @@ def test_single_elements_of_a_scenarios_lists_are_set() -> None:
         ("lwr.torque_limits.x", "'torque_limits' is no table"),
         ("lwr.torque_limits[x]", "expected names with dots, and indices such as [0]"),
         ("controllers.lwr.stifness", "unknown key; did you mean 'stiffness'?"),
-        ("controllers.lrw.stiffness", "there is no [controllers.lrw]; did you mean 'lwr'?"),
+        ("controllers.lrw.stiffness", "no robot 'lrw'; did you mean 'lwr'?"),
+        (
+            "controllers.lwr.null.stiffness",
+            "unknown key; available: damping, damping_every,",
+        ),
+        ("sensors.lwr.torqes.noise", "unknown key; did you mean 'torques'?"),
+        ("sensors.lwr.torques.nois", "unknown key; did you mean 'noise'?"),
+        ("targets.lwr.amplitude", "there is no [targets.lwr], and for a new one kind: is required"),
+        ("disturbances.pus.force[0]", "there is no [disturbances.pus]; did you mean 'push'?"),
+        ("disturbances.pus.begin", "there is no [disturbances.pus]; did you mean 'push'?"),
+        (
+            "disturbances.load.mass",
+            "there is no [disturbances.load], and for a new one kind: is",
+        ),
+        ("expect.new.above", "there is no [expect.new], and for a new one found none of them; exp"),
+        ("robots.lrw.show_axes", "there is no [robots.lrw]; did you mean 'lwr'?"),
+        ("lwr.dynamics.joint.friction", "unknown key; available: centers_of_mass,"),
+        ("view.look_art", "unknown key; did you mean 'look_at'?"),
+        ("arrows.tip.radius", "there is no [arrows.tip], and for a new one at: is required"),
+        ("groups.arms.show_axes", "no group 'arms'; none is available"),
+        ("lwr", "names no field; expected robot.field, e.g. lwr.joint_angles"),
         ("controlers.lwr.stiffness", "no robot 'controlers' to set this for; did you mean 'contro"),
         ("run.duratio", "unknown key; did you mean 'duration'?"),
     ],
@@ -152,3 +172,75 @@ def test_what_stands_in_a_robots_file_is_set_as_it_stands_there(tmp_path: Path) 
 def test_a_sweep_may_have_a_force_of_zero() -> None:
     scenario = read_scenario("impedance_push", {"disturbances.push.force": [0.0, 0.0, 0.0]})
     assert not scenario.disturbances["push"].force.any()
+
+
+def test_keys_reach_tables_that_the_file_does_not_have() -> None:
+    scenario = read_scenario(
+        "impedance_push",
+        {
+            "sensors.lwr.torques.noise": 0.1,
+            "sensors.lwr.velocities.bias[2]": 0.5,
+            "controllers.lwr.damping[1]": 0.3,
+            "monitor.torque_error": 0.4,
+            "run.gravity[2]": -1.6,
+            "faults.stuck": {"kind": "frozen_sensor", "signal": "torques"},
+            "disturbances.load.kind": "payload",
+            "disturbances.load.robot": "lwr",
+            "disturbances.load.mass": 2.0,
+            "expect.light.measure": "torque_share",
+            "expect.light.below": 0.9,
+            "view.distance": 2.25,
+            "objects.box.shape": "box",
+            "objects.box.size": [0.1, 0.1, 0.1],
+            "lwr.torques": 5,
+            "lwr.dynamics.coulomb_friction": 0.5,
+            "floor": False,
+        },
+    )
+    sensors, scene = scenario.sensors["lwr"], scenario.scene
+    assert sensors.torques.noise == 0.1
+    assert sensors.velocities.bias.tolist() == [0, 0, 0.5, 0, 0, 0, 0]
+    assert scenario.controllers["lwr"].damping.tolist() == [0.7, 0.3, *[0.7] * 5]
+    assert scenario.monitor.torque_error == 0.4 and scenario.run.gravity.tolist()[2] == -1.6
+    assert scenario.faults["stuck"].signal == "torques"
+    assert scenario.disturbances["load"].mass == 2.0 and "push" in scenario.disturbances
+    assert scenario.expect["light"].below == 0.9 and len(scenario.expect) > 5
+    assert scene.view.distance == 2.25 and not scene.floor
+    assert [each.name for each in scene.objects] == ["box"]
+    assert scene.robots["lwr"].torques.tolist() == [5.0] * 7
+    assert scene.robots["lwr"].dynamics.coulomb_friction.tolist() == [0.5] * 7
+
+
+def test_keys_of_scenes_and_of_groups_are_reached() -> None:
+    scene = load_scene(
+        "lwr_udp", {"sources.udp.port": 32123, "routes.lwr.commanded_torques": "udp.values1"}
+    )
+    assert scene.sources["udp"]["port"] == 32123
+    assert scene.routes["lwr.commanded_torques"] == "udp.values1"
+    plain = read_scenario("justin_push")
+    pushed = read_scenario(
+        "justin_push",
+        {
+            "controllers.justin_left_arm.stiffness": 100,  # over what is said of justin
+            "justin.torque_limits": 50,
+            "justin.base_frame.xyz[0]": 0.5,
+            "groups.justin.show_arrows": False,
+        },
+    )
+    stiffness, before = (
+        {name: float(np.max(each.stiffness)) for name, each in scenario.controllers.items()}
+        for scenario in (pushed, plain)
+    )
+    assert stiffness == {**before, "justin_left_arm": 100.0}
+    for name, robot in pushed.scene.robots.items():
+        assert robot.torque_limits.tolist() == [50.0] * robot.n
+        moved = robot.base_frame - plain.scene.robots[name].base_frame
+        assert moved[0, 3] == (0.5 if robot.mount is None else 0.0)
+        assert plain.scene.robots[name].show_arrows and not robot.show_arrows
+
+
+def test_lists_of_other_sizes_than_robots_of_a_group_have_are_told_once() -> None:
+    with pytest.raises(DeclarationError) as caught:
+        load_scene("justin", {"justin.torque_limits": [1, 2, 3]})
+    (problem,) = caught.value.problems
+    assert problem.message.startswith("found 3 entries; expected 2, one per row of dh_params (")

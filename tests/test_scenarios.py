@@ -151,7 +151,7 @@ def test_an_unknown_name_lists_what_there_is() -> None:
 
 def test_what_is_set_has_to_be_there(tmp_path: Path) -> None:
     for key, message in (
-        ("controllers.lwrr.stiffness", r"no \[controllers.lwrr\]; did you mean 'lwr'\?"),
+        ("controllers.lwrr.stiffness", r"no robot .lwrr.; did you mean 'lwr'\?"),
         ("run.duratio", r"unknown key; did you mean 'duration'\?"),
         ("controllers.lwr.stifness", r"stifness: unknown key; did you mean 'stiffness'\?"),
     ):

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from .. import paths
 from ..declaration import is_name
 from ..describe.robot_file import read_robot_file
-from ..dotted_keys import parts_of, with_value
+from ..dotted_keys import lacking, parts_of, with_value
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
@@ -23,6 +23,14 @@ from .scene import Scene, SceneToggles, origin_text
 from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")
+# Sections of tables by name; where several have the same name, the last one is meant by it alone.
+_ENTRIES = ("sources", "lights", "cameras", "objects", "frames", "arrows", "doubles", "robots")
+_TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
+_PLAIN = ("floor", "name", "description", "note")
+_OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys of a group with a model alone
+_OF_DYNAMICS = (
+    "motor_inertias", "viscous_friction", "coulomb_friction", "joint_stiffness", "joint_damping",
+)  # fmt: skip
 
 
 def read_scene_file(
@@ -36,8 +44,10 @@ def read_scene_file(
 
     Args:
         path: a TOML file.
-        overrides: values by dotted key (`robot.field`, `robot.dynamics.coulomb_friction[1]`),
-            which override the file; routes to these are dropped.
+        overrides: values by dotted key, which override the file: any key that it takes
+            (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or the name of a
+            robot, a group, an object, ... and a key of that (`lwr.dynamics.coulomb_friction[1]`).
+            Routes to these are dropped.
         tables: the tables of the file that belong to a scene; all of them when None.
         known: names of other sections of such files, suggested when one is mistyped.
 
@@ -48,9 +58,7 @@ def read_scene_file(
     Raises:
         DeclarationError: the file cannot be read at all.
     """
-    reader = _Reader(path, read_toml(path) if tables is None else tables, known)
-    for target, value in (overrides or {}).items():
-        reader.override(target, value)
+    reader = _Reader(path, read_toml(path) if tables is None else tables, known, overrides or {})
     scene = reader.scene()
     # What is wrong with the mount of a group is so for all of its robots.
     return scene, list(dict.fromkeys(scene.located(reader.problems)))
@@ -76,7 +84,7 @@ def group_from_model(
     """
     path = paths.find_group_model(model)
     entry = {"model": path, **fields}
-    reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, ())
+    reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
     robots, groups = reader.robots(), reader.groups()
     if reader.problems:
         raise DeclarationError(reader.problems)
@@ -84,18 +92,29 @@ def group_from_model(
 
 
 class _Reader:
-    """Reads the sections of one file and collects their problems."""
+    """Reads the sections of one file, with values over it, and collects their problems."""
 
-    def __init__(self, path: Path, tables: dict[str, Any], known: Collection[str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        tables: Mapping[str, Any],
+        known: Collection[str],
+        overrides: Mapping[str, Any],
+    ) -> None:
         self.path, self.known = path, known
-        self.tables = tables
+        self.tables = dict(tables)
         self.problems: list[Problem] = []
         self.broken: list[str] = []
         self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
         self._set_for: dict[tuple[str, str], str] = {}  # the group that a robot's key was set for
+        self._made: list[str] = []  # entries that are not in the file
+        self._of_groups: dict[str, dict[str, str]] = {}  # what is wrong with keys: message, robot
         self.expanded = Expanded()
-        if isinstance(tables.get("groups"), dict):
-            self._expand(tables["groups"])
+        others = self._override_groups(overrides)
+        if isinstance(self.tables.get("groups"), dict):
+            self._expand(self.tables["groups"])
+        for target, value in others.items():
+            self._override(target, value)
 
     def _expand(self, groups: dict[str, Any]) -> None:
         """Puts the robots of groups that have a model among those of the file."""
@@ -146,12 +165,15 @@ class _Reader:
             self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)
         for name, robot in scene.robots.items():  # what is set for it counts more than its group's
-            for key, value in self._settings.get(name, []):
+            for key, value in self._settings.get(f"robots.{name}", []):
                 field = key.partition("[")[0]
                 if field in SHARED:
                     with suppress(ValueError):  # told where the robot was built
                         changed = with_value({}, parts_of(key), value, built=robot)
                         setattr(robot, field, changed[field])
+        for key, messages in self._of_groups.items():  # robots of a group may have several sizes
+            texts = [f"{message} ({robot})" for message, robot in messages.items()]
+            self.wrong(key, "; ".join([*messages] if len(messages) == 1 else texts[:3]))
         self.problems += scene.problems()
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
@@ -169,39 +191,81 @@ class _Reader:
             group._declared = self.expanded.declared.get(f"groups.{name}", ())
         return list(groups.values())
 
-    def override(self, target: str, value: Any) -> None:
-        """Overrides `robot.field`, or a field of a double, an arrow, ..., of the file."""
-        name, _, field = target.partition(".")
-        entries: dict[str, Any] = {"toggles": self.tables.setdefault("toggles", {})}
-        for section in ("cameras", "objects", "frames", "arrows", "doubles", "robots"):
-            table = self.tables.get(section)
-            entries |= table if isinstance(table, dict) else {}
-        routes = self.tables.get("routes")
-        if field and name in (members := self._members()):
-            if field in SHARED and isinstance(value, list):
-                self.tables["groups"][name] = {**self.tables["groups"][name], field: value}
-                dropped = members[name]
-            else:
-                self._override_all(name, members[name], field, value)
-                dropped = []
-            if isinstance(routes, dict):
-                for each in (name, *dropped):
-                    routes.pop(f"{each}.{field}", None)
-        elif name not in entries:
-            names = [known for known in (*entries, *self._members()) if known != "toggles"]
-            near = did_you_mean(name, [*names, *self.known])
-            self.wrong(target, f"no robot '{name}' to set this for{near}")
-        elif not field:
-            self.wrong(target, f"names no field; expected robot.field, e.g. {name}.joint_angles")
-        elif isinstance(entries[name], dict):
-            if name == "toggles":
-                entries[name][field] = value
-            self._settings.setdefault(name, []).append((field, value))
-            if isinstance(routes, dict):
-                routes.pop(target, None)
+    def _override_groups(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
+        """Sets what is of the tables of groups, before these become robots; returns the rest.
 
-    def _override_all(self, group: str, robots: Sequence[str], field: str, value: Any) -> None:
+        That is `groups.NAME.KEY`, and of a group with a model what only such a group has.
+        """
+        others = {}
+        for target, value in overrides.items():
+            groups = self.tables.get("groups", {})
+            name, _, field = target.removeprefix("groups.").partition(".")
+            table = groups.get(name) if isinstance(groups, dict) else None
+            of_model = isinstance(table, dict) and "model" in table
+            key = field.partition(".")[0].partition("[")[0]
+            if not target.startswith("groups.") and not (of_model and key in _OF_MODEL):
+                others[target] = value
+            elif not isinstance(table, dict) or not field:
+                self.wrong(target, f"no group '{name}'{did_you_mean(name, groups)}")
+            else:
+                changed = self._with_value(table, target, field, value)
+                self.tables["groups"] = {**groups, name: changed}
+        return others
+
+    def _override(self, target: str, value: Any) -> None:
+        """Overrides a key of the file, or `NAME.KEY` of a robot, a group, an object, ... of it."""
+        first, _, rest = target.partition(".")
+        tables = {section: self.tables.get(section, {}) for section in (*_ENTRIES, "routes")}
+        entries = {
+            name: section
+            for section in _ENTRIES
+            for name in (tables[section] if isinstance(tables[section], dict) else ())
+        }
+        members = self._members()
+        section = entries.get(first, first)
+        if rest and first in members:
+            self._override_group(first, members[first], rest, value)
+        elif section in _ENTRIES and isinstance(tables[section], dict):
+            name, _, field = target.partition(".") if first in entries else rest.partition(".")
+            if not field:
+                example = f"{name or first}.joint_angles"
+                self.wrong(target, f"names no field; expected robot.field, e.g. {example}")
+                return
+            if name not in tables[section]:
+                self.tables[section] = {**tables[section], name: {}}
+                self._made.append(f"{section}.{name}")
+            self._settings.setdefault(f"{section}.{name}", []).append((field, value))
+            self._drop_routes(f"{name}.{field}")
+        elif first in _PLAIN and not rest:
+            self.tables[first] = value
+        elif first in _TABLES and rest:
+            table = self.tables.get(first, {})
+            if isinstance(table, dict):
+                self.tables[first] = self._with_value(table, target, rest, value, _TABLES[first]())
+        elif first == "routes" and rest and isinstance(tables["routes"], dict):
+            self.tables["routes"] = {**tables["routes"], rest.strip("'\""): value}
+        elif section not in _ENTRIES:
+            names = [*entries, *members]
+            every = [*names, *_ENTRIES, *_TABLES, *_PLAIN, "groups", "routes", *self.known]
+            near = did_you_mean(first, every if nearest(first, every) else names)
+            self.wrong(target, f"no robot '{first}' to set this for{near}")
+
+    def _with_value(
+        self, table: Mapping[str, Any], target: str, key: str, value: Any, built: Any = None
+    ) -> dict[str, Any]:
+        try:
+            return with_value(table, parts_of(key), value, built=built)
+        except ValueError as error:
+            self.wrong(target, str(error))
+            return dict(table)
+
+    def _override_group(self, group: str, robots: Sequence[str], field: str, value: Any) -> None:
         """Overrides a field of all robots of a group."""
+        if field in SHARED and isinstance(value, list):
+            groups = self.tables["groups"]
+            self.tables["groups"] = {**groups, group: {**groups[group], field: value}}
+            self._drop_routes(*(f"{each}.{field}" for each in (group, *robots)))
+            return
         key = field.partition(".")[0].partition("[")[0]
         if key not in SerialRobot.model_fields:
             near = did_you_mean(key, SerialRobot.model_fields)
@@ -209,7 +273,13 @@ class _Reader:
             return
         for robot in robots:
             self._set_for[robot, field] = group
-            self.override(f"{robot}.{field}", value)
+            self._override(f"{robot}.{field}", value)
+        self._drop_routes(f"{group}.{field}")
+
+    def _drop_routes(self, *targets: str) -> None:
+        if isinstance(self.tables.get("routes"), dict):
+            routes = self.tables["routes"].items()
+            self.tables["routes"] = {key: each for key, each in routes if key not in targets}
 
     def _members(self) -> dict[str, list[str]]:
         """Returns the robots of every group whose table is right in that."""
@@ -231,21 +301,34 @@ class _Reader:
             return build()
         except DeclarationError as error:
             declared = self.expanded.declared.get(key)
+            if key in self._made and (message := self._lacking(key, error.problems)):
+                section, _, name = key.partition(".")
+                target = f"{section}.{name}.{self._settings[key][0][0]}"
+                self.problems.append(Problem(target, message))
+                error = DeclarationError([])
             for problem in error.problems:
                 if (problem_set := self._as_set(key, problem)) is not None:
-                    self.problems.append(problem_set)
+                    found = self._of_groups.setdefault(problem_set.key, {})
+                    found.setdefault(problem_set.message, key.partition(".")[2])
                     continue
                 here = problem.inside(key) if declared is None else where(problem, declared)
                 self.problems.append(problem if problem.file else here)
         self.broken.append(key)
         return None
 
+    def _lacking(self, place: str, problems: Sequence[Problem]) -> str | None:
+        """What an entry lacks that is not in the file; see `lacking`."""
+        keys = [f"{place}.{field}" for field, _ in self._settings[place]]
+        section, _, name = place.partition(".")
+        others = [each for each in self.tables[section] if f"{section}.{each}" not in self._made]
+        return lacking(section, name, problems, keys, others)
+
     def _as_set(self, place: str, problem: Problem) -> Problem | None:
         """Returns the problem by the key that was set, where a robot in a group has it so."""
         section, _, name = place.partition(".")
         if section != "robots":
             return None
-        for field, _ in self._settings.get(name, []):
+        for field, _ in self._settings.get(place, []):
             if problem.key == field or problem.key.startswith(f"{field}."):
                 group = self._set_for.get((name, field))
                 if group is not None:
@@ -280,18 +363,22 @@ class _Reader:
         if not isinstance(table, dict):
             message = f"found {table!r}; expected a table [{place}]"
             raise DeclarationError([Problem("", message)])
-        settings = self._settings.get(name, [])
+        settings = self._settings.get(place, [])
         built = below = None
+        lists: dict[str, int] = {}
         if settings:  # over what the file says; elements of lists may be in a robot's own file
             with suppress(DeclarationError):
                 built = build(name, table)
+            if isinstance(built, SerialRobot):
+                lists = _lists_of(built)
             with suppress(DeclarationError, UnknownName):
                 if isinstance(table.get("model"), str):
                     path = paths.find_model(table["model"], self.path.parent)
                     below = read_robot_file(path).tables
         for key, value in settings:
             try:
-                table = with_value(table, parts_of(key), value, built=built, below=below)
+                parts = parts_of(key)
+                table = with_value(table, parts, value, built=built, below=below, lists=lists)
             except ValueError as error:
                 raise DeclarationError([Problem(key, str(error))]) from None
         return build(name, table)
@@ -349,6 +436,13 @@ class _Reader:
         fields = {**table, "name": name}
         set_directory([fields], self.path.parent)
         return Object(**fields)
+
+
+def _lists_of(robot: SerialRobot) -> dict[str, int]:
+    """Returns how many numbers a robot's lists have for which one number may be set."""
+    limits = ("velocity_limits", "torque_limits", "acceleration_limits")
+    values = dict.fromkeys(SHARED, robot.coupled.k)
+    return values | dict.fromkeys((*limits, *_OF_DYNAMICS), robot.n)
 
 
 def _named(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:

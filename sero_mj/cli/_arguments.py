@@ -182,7 +182,7 @@ def overrides(settings: Sequence[str]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for setting in settings:
         key, equals, text = setting.partition("=")
-        if not equals or "." not in key:
+        if not equals or not key.strip():
             raise UsageError(
                 f"--set {setting}: expected ROBOT.FIELD=VALUE, e.g. lwr.show_axes=true"
             )
@@ -211,22 +211,29 @@ def read_scene(name: str, settings: Sequence[str] = ()) -> Scene:
 
 
 @contextlib.contextmanager
-def named_settings(given: Mapping[str, Any]) -> Iterator[None]:
-    """Names `--set` in problems of what was set by it."""
+def named_settings(given: Mapping[str, Any], option: str = "--set") -> Iterator[None]:
+    """Names the option in problems of what was set by it."""
     try:
         yield
     except DeclarationError as error:
-        raise DeclarationError([_as_set(problem, given) for problem in error.problems]) from None
+        problems = (_as_set(problem, given, option) for problem in error.problems)
+        raise DeclarationError(list(dict.fromkeys(problems))) from None
 
 
-def _as_set(problem: Problem, given: Mapping[str, Any]) -> Problem:
-    """The problem as one of `--set`, where that is what brought it."""
+def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
+    """The problem as one of the option, where that is what brought it."""
     for target in given:
         field = target.partition(".")[2]
         # As keys stand in a scene, in a robot's own file, and where there is nothing to set.
-        for key in (rf"\w+\.{re.escape(target)}", re.escape(field), re.escape(target)):
+        for key in filter(
+            None, (rf"\w+\.{re.escape(target)}", re.escape(field), re.escape(target))
+        ):
             if found := re.fullmatch(rf"{key}(\..+)?", problem.key):
-                return Problem(f"--set {target}{found[1] or ''}", problem.message)
+                return Problem(f"{option} {target}{found[1] or ''}", problem.message)
+        # A table on the way to it is wrong as a whole, or unknown.
+        inside = problem.key, problem.key.partition(".")[2]
+        if any("." in key and target.startswith(f"{key}.") for key in inside):
+            return Problem(f"{option} {target}", problem.message)
     return problem
 
 

@@ -17,6 +17,7 @@ from ._arguments import (
     add_set_option,
     check_ending,
     check_whole,
+    named_settings,
     overrides,
     seed,
 )
@@ -35,9 +36,10 @@ examples:
 
 KEY is anything that `simulate --set` takes. VALUES is a range LOW:HIGH, evenly in orders of
 magnitude with log:LOW:HIGH, whole numbers with int:LOW:HIGH, or a list A,B,C. Samples are a Latin
-hypercube, or with --grid all values with all others. A variant that is unstable or cannot be built
-is a row with its error. Rows are written as they come: what was interrupted goes on with --resume.
-Exits with 1 when not every variant held.
+hypercube, none of them twice, or with --grid all values with all others, as are lists with fewer
+combinations than --samples. A variant that is unstable or cannot be built is a row with its
+error. Rows are written as they come: what was interrupted goes on with --resume. Exits with 1 when
+not every variant held.
 """
 
 
@@ -81,14 +83,18 @@ def run(options: argparse.Namespace) -> int:
     from ..study.sweep_results import SweepTable, summarise_sweep
 
     _check_options(options)
-    sweep = Sweep(
-        find_scenario(options.scenario).resolve(),
-        tuple(Vary.parse(option) for option in options.vary),
-        options.samples,
-        options.grid,
-        options.seed,
-        overrides(options.settings),
-    )
+    varied = tuple(Vary.parse(option) for option in options.vary)
+    fixed = overrides(options.settings)
+    keys = {vary.key: None for vary in varied}
+    with named_settings(fixed), named_settings(keys, "--vary"):
+        sweep = Sweep(
+            find_scenario(options.scenario).resolve(),
+            varied,
+            options.samples,
+            options.grid,
+            options.seed,
+            fixed,
+        )
     begin = time.perf_counter()
     with SweepTable(
         sweep, options.out, resume=options.resume, overwrite=options.overwrite

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from math import ceil
 from pathlib import Path
 from typing import Annotated, Any
@@ -50,14 +51,10 @@ class RobotSensors(Declaration):
             `velocities` alone, when None.
     """
 
-    angles: Mapping[str, Any] | None = None
-    velocities: Mapping[str, Any] | None = None
-    torques: Mapping[str, Any] | None = None
+    angles: SensorErrors = Field(default_factory=SensorErrors)
+    velocities: SensorErrors = Field(default_factory=SensorErrors)
+    torques: SensorErrors = Field(default_factory=SensorErrors)
     velocity_filter: float | None = Field(None, gt=0, le=1e5)
-
-    def errors(self, signal: str) -> SensorErrors:
-        """The errors of one signal."""
-        return SensorErrors(**(getattr(self, signal) or {}))
 
 
 class Run(Declaration):
@@ -186,25 +183,16 @@ class Scenario:
         self.run = Run()
         with collect(self.problems, "run"):
             self.run = Run(**run)
-        each = self._each
-        self.controllers: dict[str, ControllerDeclaration | Controller] = each(
-            "controllers", controllers, _controller
+        self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
+            "controllers", controllers
         )
-        self.targets: dict[str, Law] = each("targets", targets, law_from)
-        self.sensors: dict[str, RobotSensors] = each(
-            "sensors", sensors, lambda table: _built(RobotSensors, table)
-        )
+        self.targets: dict[str, Law] = self._each("targets", targets)
+        self.sensors: dict[str, RobotSensors] = self._each("sensors", sensors)
         for section in (self.controllers, self.targets, self.sensors):
             _share_out(section, scene)
-        self.disturbances: dict[str, Disturbance] = each(
-            "disturbances", disturbances, lambda table: by_kind(table, DISTURBANCES, Disturbance)
-        )
-        self.faults: dict[str, Fault] = each(
-            "faults",
-            faults,
-            lambda table: by_kind(table, FAULTS, Fault),  # type: ignore[type-abstract]
-        )
-        self.expect: dict[str, Expect] = each("expect", expect, lambda table: _built(Expect, table))
+        self.disturbances: dict[str, Disturbance] = self._each("disturbances", disturbances)
+        self.faults: dict[str, Fault] = self._each("faults", faults)
+        self.expect: dict[str, Expect] = self._each("expect", expect)
         self.monitor = Monitor()
         with collect(self.problems, "monitor"):
             self.monitor = _built(Monitor, monitor or {})
@@ -212,14 +200,14 @@ class Scenario:
         if self.problems:
             raise DeclarationError(scene.located(self.problems))
 
-    def _each(self, section: str, tables: Mapping[str, Any] | None, build: Any) -> dict[str, Any]:
+    def _each(self, section: str, tables: Mapping[str, Any] | None) -> dict[str, Any]:
         if tables is not None and not isinstance(tables, Mapping):
             self.problems.append(Problem(section, f"found {tables!r}; expected tables by name"))
             return {}
         found = {}
         for name, table in (tables or {}).items():
             with collect(self.problems, f"{section}.{name}"):
-                found[name] = build(table)
+                found[name] = build_entry(section, table)
         return found
 
     def _check_names(self) -> None:
@@ -326,9 +314,7 @@ class Scenario:
             for name, robot in self.scene.robots.items():
                 declared = self.sensors.get(name) or RobotSensors()
                 place = f"sensors.{name}.{signal}"
-                errors = SensorErrors()
-                with collect(self.problems, place):
-                    errors = declared.errors(signal)
+                errors: SensorErrors = getattr(declared, signal)
                 for key, values in parts.items():
                     value = np.asarray(getattr(errors, key))
                     if value.shape not in ((), (1,), (robot.n,)):
@@ -370,6 +356,19 @@ def _share_out(section: dict[str, Any], scene: Scene) -> None:
         section.setdefault(robot, own[first])
 
 
+def build_entry(section: str, table: Any) -> Any:
+    """Builds what a table of one of these sections declares; what is built stays as it is.
+
+    Args:
+        section: `controllers`, `targets`, `sensors`, `disturbances`, `faults` or `expect`.
+        table: of one of its names.
+
+    Raises:
+        DeclarationError: what is wrong in it.
+    """
+    return _BUILDERS[section](table)
+
+
 def _built(kind: Any, table: Any) -> Any:
     if isinstance(table, kind):
         return table
@@ -383,3 +382,13 @@ def _controller(table: Any) -> ControllerDeclaration | Controller:
         return controller_from(table)
     controller: Controller = table
     return controller
+
+
+_BUILDERS: Mapping[str, Callable[[Any], Any]] = {
+    "controllers": _controller,
+    "targets": law_from,
+    "sensors": partial(_built, RobotSensors),
+    "disturbances": partial(by_kind, kinds=DISTURBANCES, base=Disturbance),
+    "faults": partial(by_kind, kinds=FAULTS, base=Fault),  # type: ignore[type-abstract]
+    "expect": partial(_built, Expect),
+}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.scene_file import read_scene_file
-from ..dotted_keys import check_tables, parts_of, with_value
+from ..dotted_keys import lacking, no_table, parts_of, with_value
 from ..errors import (
     CsvError,
     DeclarationError,
@@ -23,9 +24,10 @@ from ..errors import (
 from ..frames import Array
 from ..paths import find_scenario, find_scene
 from ..record.csv_files import read_csv
+from ..runs.monitor import Monitor
 from ..runs.run_recording import read_run
 from ..toml_file import key_lines, located, read_toml
-from .scenario import Run, Scenario
+from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
 
 # s between two rows that are kept: encoders are not that good that more would tell accelerations.
@@ -50,12 +52,11 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
     of_scene: dict[str, Any] = {}
     of_own: dict[str, Any] = {}
     for key, value in (overrides or {}).items():
-        section, dot, rest = key.partition(".")
-        if section in (*SECTIONS, "run"):
-            of_own[key] = value
+        if key in ("scene", "description"):
+            own[key] = value
         else:
-            named = dot and "." in rest and section in tables
-            of_scene[rest if named else key] = value
+            is_own = key.partition(".")[0] in (*SECTIONS, "run")
+            (of_own if is_own else of_scene)[key] = value
     problems: list[Problem] = []
     scene = None
     try:
@@ -68,8 +69,7 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         problems += error.problems
     if scene is None or (problems and "robots" in " ".join(scene.broken)):
         raise DeclarationError(problems)  # all that is said of robots would be wrong as well
-    for key, value in of_own.items():
-        own = _set(own, key, value, scene, file)
+    problems += _set_all(own, of_own, scene, file)
     scene.description = str(own.get("description", scene.description))
     problems += _read_motions(own, scene, file)
     run = own.get("run", {})
@@ -139,19 +139,92 @@ def _other_scene(
     return read_scene_file(path, overrides)
 
 
-def _set(tables: dict[str, Any], key: str, value: Any, scene: Scene, file: Path) -> dict[str, Any]:
-    """Returns the tables of a scenario with a dotted key set; its table has to be there."""
+def _set_all(
+    own: dict[str, Any], settings: Mapping[str, Any], scene: Scene, file: Path
+) -> list[Problem]:
+    """Sets dotted keys in the tables of a scenario; tables that are not there are made.
+
+    Args:
+        own: the tables, by section; those that something is set in are replaced.
+        settings: values by key.
+        scene: has the robots and groups.
+        file: of the scenario, for problems.
+
+    Returns:
+        what is wrong with the keys, once for each.
+    """
+    problems: list[Problem] = []
+    made: dict[tuple[str, str], list[str]] = {}  # entries that are not in the file, by what keys
+    for key, value in settings.items():
+        try:
+            section, *parts = parts_of(key)
+            tables = own.get(str(section), {})
+            if not parts:
+                own[key] = value
+            elif not isinstance(tables, dict):
+                continue  # told where it is read
+            elif section in ("run", "monitor"):
+                built = (Run if section == "run" else Monitor)()
+                own[str(section)] = with_value(tables, parts, value, built=built)
+            else:
+                name = str(parts[0])
+                entry = _with_setting(str(section), name, tables, parts[1:], value, scene)
+                own[str(section)] = {**tables, name: entry}
+                if name not in tables or (section, name) in made:
+                    made.setdefault((str(section), name), []).append(key)
+        except ValueError as error:
+            problems.append(Problem(key, str(error), str(file)))
+    for (section, name), keys in made.items():
+        others = [each for each in own[section] if (section, each) not in made]
+        try:
+            build_entry(section, own[section][name])
+        except DeclarationError as error:
+            message = lacking(section, name, error.problems, keys, others)
+            if message is not None:
+                problems.append(Problem(keys[0], message, str(file)))
+                del own[section][name]
+    return problems
+
+
+def _with_setting(
+    section: str,
+    name: str,
+    tables: Mapping[str, Any],
+    parts: list[str | int],
+    value: Any,
+    scene: Scene,
+) -> Any:
+    """Returns an entry of a section with a value set in it.
+
+    What is set of a robot without an entry is laid over that of the innermost group with one.
+
+    Raises:
+        ValueError: a part is in no table or list, or there is no such robot.
+    """
+    table: Any = tables.get(name, {})
+    robots: list[str] = []
+    if section in ("controllers", "targets", "sensors"):
+        known = [*scene.robots, *scene.groups]
+        if name not in known and name not in tables:
+            raise ValueError(f"no robot '{name}'{did_you_mean(name, known)}")
+        around = [name, *scene.membership.around.get(name, [])]
+        table = next((tables[each] for each in around if each in tables), {})
+        robots = scene.membership.members.get(name, [name])
+    if not parts:
+        return value
+    if not isinstance(table, Mapping):
+        return table  # told where it is read
+    counts = {scene.robots[robot].n for robot in robots if robot in scene.robots}
+    n = counts.pop() if len(counts) == 1 else 0
+    built = None
+    with suppress(DeclarationError):
+        built = build_entry(section, table)
     try:
-        section, name, *rest = parts = parts_of(key)
-        if section == "run" and not rest and name not in Run.model_fields:
-            raise ValueError(f"unknown key{did_you_mean(str(name), Run.model_fields)}")
-        defaulted: dict[str, Any] = {part: {} for part in ("run", "monitor") if part == section}
-        tables = {**defaulted, **tables}
-        check_tables(tables, parts)
-        robot = scene.robots.get(str(name))
-        return with_value(tables, parts, value, n=0 if robot is None else robot.n)
-    except ValueError as error:
-        raise DeclarationError([Problem(key, str(error), str(file))]) from None
+        return with_value(table, parts, value, built=built, n=n)
+    except ValueError:
+        if table:
+            raise
+        raise ValueError(no_table(section, name, tables)) from None
 
 
 def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> dict[str, Any]:

@@ -91,6 +91,13 @@ class Vary:
         """Whether it is a range."""
         return not self.values
 
+    @property
+    def count(self) -> float:
+        """How many values there are; infinite for a range of other than whole numbers."""
+        if self.scale == "int":
+            return self.high - self.low + 1
+        return math.inf if self.is_range else len(self.values)
+
     def at(self, shares: Array) -> list[Any]:
         """The values so far along the range or the list.
 
@@ -186,8 +193,10 @@ class Sweep:
     Args:
         file: the scenario's.
         varied: the keys, and the values that they take.
-        samples: how many variants; of a grid, how many values of every range.
-        is_grid: whether all values are combined with all others; else a Latin hypercube.
+        samples: how many variants at most; of a grid, how many values of every range.
+        is_grid: whether all values are combined with all others; else a Latin hypercube, in which
+            no variant is twice. Where that many samples have room for all, as with short lists,
+            it is the same.
         seed: of the samples; the noise is that of the scenario in every variant.
         fixed: dotted keys that are set in all of them.
 
@@ -222,7 +231,11 @@ class Sweep:
         """The values of every variant, by key."""
         if self.is_grid:
             return full_grid(self.varied, self.samples)
-        return latin_hypercube(self.varied, self.samples, self.seed)
+        counts = [vary.count for vary in self.varied]
+        if math.prod(counts) <= self.samples:  # all that there are, without repeating any
+            return full_grid(self.varied, self.samples)
+        drawn = latin_hypercube(self.varied, self.samples, self.seed)
+        return list({repr(values): values for values in drawn}.values())
 
     @cached_property
     def columns(self) -> list[str]:
