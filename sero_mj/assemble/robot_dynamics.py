@@ -7,6 +7,7 @@ MuJoCo computes volumes, centres of mass and tensors; the density is declared or
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import mujoco
@@ -225,11 +226,19 @@ def _corners(model: mujoco.MjModel, mesh: int) -> Array:
 
 
 def _hull(cloud: Array) -> Array:
-    """Returns the vertices (k, 3) of the convex hull of points (m, 3)."""
+    """Returns the vertices (k, 3) of the convex hull of points (m, 3); they cannot be changed."""
+    return _kept_hull(np.ascontiguousarray(cloud).tobytes())
+
+
+@lru_cache(maxsize=128)  # the same meshes in every variant of a sweep: half the time of a world
+def _kept_hull(cloud: bytes) -> Array:
     root = mujoco.MjSpec()
-    root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", cloud))
+    points = np.frombuffer(cloud).reshape(-1, 3)
+    root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", points))
     model = root.compile()
     # Layout of mesh_graph: number of corners and faces, an address and a vertex per corner, ...
     graph = model.mesh_graph[model.mesh_graphadr[0] :]
     count = int(graph[0])
-    return np.asarray(_corners(model, 0)[graph[2 + count : 2 + 2 * count]])
+    hull = np.asarray(_corners(model, 0)[graph[2 + count : 2 + 2 * count]])
+    hull.flags.writeable = False
+    return hull
