@@ -5,8 +5,8 @@
 Poses, motions, joints, sizes, times and sensor noise are drawn at random, anew where the fault
 changes torques by less than 0.3 % of the joint's limit; every third run has joint torque control.
 With `pairs` each is compared with the same run without the fault. A run counts as right when the
-joint's first explanation (or the flange's) has the kind that was put into it; a clean one when
-nothing is told.
+joint's first explanation (or that of the flange or the links) has the kind that was put into it; a
+clean one when nothing is told.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 from collections import Counter, defaultdict
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,11 @@ from sero_mj import Scenario, Scene, SerialRobot, Simulation
 from sero_mj.errors import SimulationError
 from sero_mj.runs.run_log import RunLog
 from sero_mj.study.explain import explain_run, explain_runs
-from sero_mj.study.explanation import FLANGE
+from sero_mj.study.explanation import FLANGE, LINKS
 
 KINDS = (
     "none", "sensor sign", "drive sign", "sensor gain", "drive gain", "bias", "delay", "friction",
-    "noise", "payload", "stuck joint", "stuck sensor",
+    "noise", "payload", "stuck joint", "stuck sensor", "masses",
 )  # fmt: skip
 DURATION = 6.0
 PAIRS = "pairs" in sys.argv
@@ -63,6 +64,7 @@ def drawn_run(
                      "viscous": rng.uniform(1.0, 3.0)},
         "noise": {"kind": "sensor", "noise": limit * rng.uniform(0.003, 0.02)},
         "payload": {},
+        "masses": {},
         "stuck joint": {"kind": "friction", "added_coulomb": 1000.0},
         "stuck sensor": {"kind": "frozen_sensor"},
     }[kind]  # fmt: skip
@@ -84,7 +86,13 @@ def drawn_run(
     noise = 10 ** rng.uniform(-3, -1)
     about = {"joint": joint, "begin": begin, "motion": str(motion), "loop": looped, **fault}
     run: dict[str, Any] = {}
-    if kind == "payload":
+    heavy = lwr
+    if kind == "masses":  # the model knows nothing of it
+        scale = (1.0 + side * rng.uniform(0.02, 0.2)) * lwr.dynamics.mass_scale
+        dynamics = lwr.dynamics.model_copy(update={"mass_scale": scale})
+        heavy = lwr.model_copy(update={"dynamics": dynamics})
+        about["mass_scale"] = scale
+    elif kind == "payload":
         run["disturbances"] = {"load": load}
         about |= load
     elif kind != "none":
@@ -97,15 +105,15 @@ def drawn_run(
         "duration": DURATION, "torque_control": looped,
     }  # fmt: skip
 
-    def simulated(**more: Any) -> RunLog:
-        scene = Scene(robots=[lwr], floor=False)
+    def simulated(robot: SerialRobot, **more: Any) -> RunLog:
+        scene = Scene(robots=[robot], floor=False)
         simulation = Simulation(Scenario(scene, **always, seed=int(rng.integers(2**31)), **more))
         with suppress(SimulationError):  # a drive of the wrong sign runs off
             for _ in simulation.run():
                 pass
-        return simulation.log
+        return replace(simulation.log, robots={"lwr": lwr})
 
-    return simulated(**run), simulated() if PAIRS else None, joint, about
+    return simulated(heavy, **run), simulated(lwr) if PAIRS else None, joint, about
 
 
 def named(log: RunLog, other: RunLog | None, joint: str) -> list[str]:
@@ -116,11 +124,12 @@ def named(log: RunLog, other: RunLog | None, joint: str) -> list[str]:
     for each in told:
         first.setdefault(each.joint, each)
     words = []
-    for place in (joint, FLANGE, *(name for name in first if name not in (joint, FLANGE))):
+    own = joint, FLANGE, LINKS
+    for place in (*own, *(name for name in first if name not in own)):
         if place in first:
             each = first[place]
             part = each.part.rpartition(" ")[2]
-            where = "" if place in (joint, FLANGE) else " elsewhere"
+            where = "" if place in own else " elsewhere"
             words.append(f"{part} {each.kind}{where}")
     return words
 
@@ -144,7 +153,7 @@ def is_right(kind: str, words: list[str]) -> bool:
     expected = {
         "bias": "sensor bias", "delay": "sensor delay", "friction": "joint friction",
         "noise": "sensor noise", "payload": "flange payload", "stuck joint": "joint stuck",
-        "stuck sensor": "sensor stuck",
+        "stuck sensor": "sensor stuck", "masses": "links masses",
     }.get(kind, kind)  # fmt: skip
     return not words if kind == "none" else bool(words) and words[0] == expected
 

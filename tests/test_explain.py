@@ -27,7 +27,7 @@ from sero_mj.study.align import pair_with_commands
 from sero_mj.study.compare import compare_scene, explanations_table
 from sero_mj.study.explain import explain, explain_run, explain_runs
 from sero_mj.study.explain_search import _Edges, _erf
-from sero_mj.study.explanation import FLANGE, Explanation
+from sero_mj.study.explanation import FLANGE, LINKS, Explanation
 from sero_mj.study.torque_residuals import (
     _link_torques,
     _payload_torques,
@@ -115,6 +115,29 @@ def test_a_payload_is_found_by_all_joints_with_its_centre_and_its_end() -> None:
         assert [found.values[axis] for axis in "xyz"] == pytest.approx([0.02, -0.03, 0.1], abs=0.01)
         assert (found.begin, found.end) == pytest.approx((BEGIN, 2.1), abs=0.03)
         assert {"A2", "A3"} < set(found.joints)
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_other_masses_than_declared_are_no_payload(loop: bool) -> None:
+    log = swing(loop=loop)
+    robot = log.robots["lwr"]
+    scale = {"mass_scale": robot.dynamics.mass_scale / 1.1}  # the robot is 10 % heavier than it
+    declared = robot.model_copy(update={"dynamics": robot.dynamics.model_copy(update=scale)})
+    (found,) = told(replace(log, robots={"lwr": declared}))
+    assert (found.joint, found.kind, found.part) == (LINKS, "masses", "links")
+    assert found.size == pytest.approx(10.0, abs=0.1) and found.unit == "%"
+    assert found.from_start and found.end is None and found.confidence > 0.9
+    assert "% of what the robot's file declares, from the start" in str(found)
+    assert {"A1", "A2", "A3"} < set(found.joints)
+
+
+@pytest.mark.parametrize("joint", ["A2", "A5"])
+def test_a_drive_of_the_wrong_sign_is_named_though_its_loop_runs_off_at_once(joint: str) -> None:
+    log = swing(json.dumps({"kind": "controller", "gain": -1.0, "joints": [joint]}), loop=True)
+    assert log.times[-1] < BEGIN + 0.3
+    found, *_ = [each for each in told(log) if each.joint == joint]
+    assert (found.kind, found.part) == ("sign", "drive")
+    assert found.begin == pytest.approx(BEGIN, abs=0.05)
 
 
 def test_several_faults_are_told_apart() -> None:

@@ -13,6 +13,7 @@ the links' torques x that the model asks for and the commanded ones u:
     joint           friction                             motor f sign(dq) + v dq
                     stuck            the joint stands, and more acts on it than its friction holds
     flange          payload          link: linear in ten parameters, of all joints together
+    links           masses s         link s x, of all joints together, all along
 
 Each is fitted from every time on, and then up to every time. The kind, and the time, is that with
 the lowest Bayesian information criterion (Schwarz 1978); its odds against the others are the
@@ -34,7 +35,6 @@ from .explanation import MOST_SURE, Explanation
 from .torque_residuals import TorqueResiduals, torque_residuals
 
 _STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.2, 0.03  # s
-_ONE_WAY = 0.999  # mean of the sign of its velocity
 _ENDING, _FAST = 0.6, 0.004  # s, the last of a run, and the low pass there
 _ROUGHER = 2.0  # times what was before, above which noise is told
 _FINE, _LEAST_NOISE = 2e-4, 1.5e-3  # of the torque limit
@@ -142,31 +142,35 @@ def _wrong_drives(found: TorqueResiduals, link: Array, least: float) -> list[Exp
     """Drives of the wrong sign, by which a joint may have run to its stop before a fit has rows.
 
     What is left of the torque is twice what is commanded, also where the joint stands and friction
-    may hold a part, while the torque at the links is as their motion asks for.
+    may hold a part, while the torque at the links is as their motion asks for. Where a loop's drive
+    saturates, what it gives is the opposite of what it is asked for.
     """
     told = []
     left = np.where(np.isfinite(found.motor), found.motor, found.lag)
     # Where a joint turns, its inertia is not taken off, and where it stands, only its stop, where
-    # no link is known, may hold it. Where a loop's drive saturates it goes on in one direction.
+    # no link is known, may hold it.
     has_links = np.isfinite(link).any()
-    goes_on = ~found.slow & (np.abs(found.signs) > _ONE_WAY)
-    is_judged = np.isfinite(found.motor) | goes_on
-    is_judged |= np.isnan(link) & (found.slow | has_links)
+    is_judged = np.isfinite(found.motor) | np.isnan(link) & (found.slow | has_links)
     for joint, name in enumerate(found.robot.names):
-        asked = 2.0 * found.commanded[:, joint]
-        held = 2.0 * float(found.coulomb[joint])
+        held, scale = 2.0 * float(found.coulomb[joint]), float(found.scale[joint])
+        asked, error = 2.0 * found.commanded[:, joint], left[:, joint]
+        known, least_asked = is_judged[:, joint], max(5.0 * held, 0.04 * scale)
+        if found.torque_control:
+            asked = 2.0 * found.asked[:, joint]
+            error = asked / 2.0 - found.given[:, joint]
+            known, least_asked = np.isfinite(error), scale
         with np.errstate(invalid="ignore"):
-            is_much = np.abs(asked) > max(5.0 * held, 0.04 * float(found.scale[joint]))
-            is_wrong = np.abs(left[:, joint] - asked) < 0.15 * np.abs(asked) + held
+            is_much = np.abs(asked) > least_asked
+            is_wrong = np.abs(error - asked) < 0.15 * np.abs(asked) + held
             is_right = np.abs(link[:, joint]) < 0.15 * np.abs(asked)
-        first, last = _longest(is_wrong & is_much & is_judged[:, joint])
+        first, last = _longest(is_wrong & is_much & known)
         way = slice(max(first - LEAST_ROWS, 0), last)  # before its stop held it
         judged = np.isfinite(link[way, joint])
         if (last - first) * found.step < least or not judged.any():
             continue
         if is_right[way][judged].mean() < 0.5:
             continue
-        while first > 0 and abs(left[first - 1, joint]) > held + 0.01 * found.scale[joint]:
+        while first > 0 and abs(error[first - 1]) > held + 0.01 * scale:
             first -= 1
         told.append(Explanation(
             name, "sign", "drive", -1.0, "", np.nan, MOST_SURE, float(found.times[first]),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..frames import Array, Bools
-from .explanation import FLANGE, MOST_SURE, Explanation, Kind, Part
+from .explanation import FLANGE, LINKS, MOST_SURE, Explanation, Kind, Part
 from .torque_residuals import DELAYS, TorqueResiduals
 
 _erf = np.vectorize(erf)
@@ -31,12 +31,13 @@ _LEAST_VARIANCE = 1e-3  # of residuals in units of their standard deviations
 # Joints that differ, from which on a payload is looked for by all but one; and how many are tried.
 _LEAST_JOINTS, _MOST_TRIED = 3, 2
 _GRID, _ROUNDS_OF_EDGES = 18, 3
-# Standard deviations of what is expected: gain, share of the torque limit, payload (SI).
+# Standard deviations of what is expected: gain, share of the torque limit, payload (SI), masses.
 _GAIN, _SHARE = 1.0, 0.1
 _LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which one of `DELAYS` is fitted
 _MOST_GAIN = 2.6  # away from 1
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
-_LEAST_MASS = 0.03  # kg
+_MASSES = np.array([0.5])
+_LEAST_MASS, _LEAST_SHARE_OF_MASS = 0.03, 0.005  # kg; of the links' masses
 _UNEXPLAINED = 0.002  # of the torque limit
 _PUSHED = 2  # joints that something unknown acts on, from which on it may act on others as well
 
@@ -202,10 +203,10 @@ class Search:
         one = np.ones_like(zero)
         has_link = bool(self.known[0].any())
         true, late = found.model, found.late_model
-        for fit in self.fits:  # a payload is felt by sensors as well
-            if fit.kind == "payload":
+        for fit in self.fits:  # a payload, or other masses, are felt by sensors as well
+            if fit.joint < 0:
                 seen = self.edges.share(*fit.edges)[:, None]
-                extra = seen * np.nan_to_num(found.payload @ fit.parameters)
+                extra = seen * np.nan_to_num(self._of_bodies(fit.kind) @ fit.parameters)
                 slope = np.gradient(extra, found.step, axis=0)
                 true, late = true + extra, late - np.array(DELAYS)[:, None, None] * slope
         if not has_link:
@@ -242,35 +243,46 @@ class Search:
         """The next explanation: of all joints together, or of the joint that it helps most."""
         fits = self._singles()
         first = max(fits, key=lambda fit: fit.gain, default=None)
-        if first is None or not self.known[0].any() or self._has_payload:
+        if first is None or not self.known[0].any():
             return first
-        # Where a joint has a fault of its own, the payload is found by the others.
+        # Where a joint has a fault of its own, what is of all joints is found by the others.
         without = [None, *range(self.n)] if len(fits) >= _LEAST_JOINTS else [None]
-        sums = self._payload_sums()
-        tried = [self._payload(*sums, joint) for joint in without]
-        found = [payload for payload in tried if payload is not None]
-        found.sort(key=lambda payload: -payload.gain)
-        alternative, best, most = sum(fit.gain for fit in fits), None, 0.0
-        for payload in found[:_MOST_TRIED]:
-            self.fits.append(payload)
-            self.left -= payload.columns @ payload.parameters
-            others = self._singles()
-            total = payload.gain + sum(fit.gain for fit in others)
-            self.left += payload.columns @ payload.parameters
-            self.fits.pop()
-            # A joint may be left out for a fault of its own, not because it does not fit.
-            unfit = [fit for fit in others if fit.kind == "unexplained" and fit.is_on_link
-                     and payload.used is not None and not payload.used[fit.joint]]  # fmt: skip
-            if total > most and not unfit:
-                best, most = payload, total
-        if best is None or most <= alternative:
+        kinds: list[tuple[Kind, Part, Array]] = [
+            ("payload", "flange", _PAYLOAD), ("masses", "links", _MASSES)
+        ]  # fmt: skip
+        alternative = sum(fit.gain for fit in fits)
+        totals: list[tuple[float, _Fit]] = []
+        for kind, part, priors in kinds:
+            if any(fit.kind == kind for fit in self.fits):
+                continue
+            sums = self._sums_of_bodies(kind)
+            tried = [self._of_all_joints(kind, part, priors, *sums, joint) for joint in without]
+            found = [fit for fit in tried if fit is not None]
+            found.sort(key=lambda fit: -fit.gain)
+            totals += [
+                (total, fit) for fit in found[:_MOST_TRIED]
+                if (total := self._total_with(fit)) is not None
+            ]  # fmt: skip
+        if not totals:
             return first
-        best.confidence = _odds([most, alternative])
+        most, best = max(totals, key=lambda each: each[0])
+        if most <= alternative:
+            return first
+        rivals = [total for total, fit in totals if fit.kind != best.kind]
+        best.confidence = _odds([most, alternative, *rivals])
         return best
 
-    @property
-    def _has_payload(self) -> bool:
-        return any(fit.kind == "payload" for fit in self.fits)
+    def _total_with(self, common: _Fit) -> float | None:
+        """The score of a fit of all joints, and of those of what it leaves; None for none."""
+        self.fits.append(common)
+        self.left -= common.columns @ common.parameters
+        others = self._singles()
+        self.left += common.columns @ common.parameters
+        self.fits.pop()
+        # A joint may be left out for a fault of its own, not because it does not fit.
+        unfit = [fit for fit in others if fit.kind == "unexplained" and fit.is_on_link
+                 and common.used is not None and not common.used[fit.joint]]  # fmt: skip
+        return None if unfit else common.gain + sum(fit.gain for fit in others)
 
     def _singles(self) -> list[_Fit]:
         """The best explanation of every joint by itself, where there is one."""
@@ -350,17 +362,29 @@ class Search:
                     (2 * rows.start, last), float(gain - (count + 2.0) * np.log(facts)),
                     np.ones(1), np.array([np.nan]))  # fmt: skip
 
-    def _payload_sums(self) -> tuple[Array, list[_Sums]]:
-        """A body's torques per parameter, (K, n, 10), and normal equations joint by joint."""
-        link = self.found.payload / self.sigma[0, :, :, None]
+    def _of_bodies(self, kind: Kind) -> Array:
+        """Torques per parameter: of a body at the flange, or of all links' masses, (K, n, p)."""
+        return self.found.payload if kind == "payload" else self.found.model[..., None]
+
+    def _sums_of_bodies(self, kind: Kind) -> tuple[Array, list[_Sums]]:
+        """These torques by the residuals' deviations, and normal equations joint by joint."""
+        link = self._of_bodies(kind) / self.sigma[0, :, :, None]
         link = np.where(self.known[0][..., None] & np.isfinite(link), link, 0.0)
         sums = [self.edges.sums(link[None, :, j], self.left[:1, :, j]) for j in range(self.n)]
         return link, sums
 
-    def _payload(self, link: Array, sums: list[_Sums], without: int | None) -> _Fit | None:
-        """A body at the flange, by all joints, or all but one."""
+    def _of_all_joints(
+        self,
+        kind: Kind,
+        part: Part,
+        priors: Array,
+        link: Array,
+        sums: list[_Sums],
+        without: int | None,
+    ) -> _Fit | None:
+        """A body at the flange, or other masses of the links, by all joints, or all but one."""
         used = np.arange(self.n) != (-1 if without is None else without)
-        inverse = np.diag(1.0 / _PAYLOAD**2)
+        inverse = np.diag(1.0 / priors**2)
         totals, facts = (self.left**2).sum(axis=(0, 1)), float(self.facts.sum())
 
         def scores(first: Any, last: Any) -> Array:
@@ -377,7 +401,11 @@ class Search:
             enough = np.asarray(last) - np.asarray(first) >= 2 * LEAST_ROWS
             return np.where(enough, better.sum(axis=1) - (count + ends) * np.log(facts), -np.inf)
 
-        first, last, gain = self.edges.best(scores)
+        if kind == "masses":  # which do not change in a run
+            first, last = 0, self.edges.end
+            gain = float(scores(np.array([first]), np.array([last]))[0])
+        else:
+            first, last, gain = self.edges.best(scores)
         if not gain > _LEAST_SCORE:
             return None
         parts = [sums[j].between(first, last) for j in np.flatnonzero(used)]
@@ -386,14 +414,15 @@ class Search:
             np.sum([part[1] for part in parts], axis=0),
         )
         parameters, errors = _solved(H, g, inverse, float(totals.sum()), int(self.count.sum()))
-        columns = np.zeros((*self.y.shape, 10))
+        columns = np.zeros((*self.y.shape, len(priors)))
         columns[0] = link * self.edges.share(first, last)[:, None, None]
-        fit = _Fit(-1, "payload", "flange", columns, _PAYLOAD, (first, last), gain, parameters,
-                   errors, used=used)  # fmt: skip
+        fit = _Fit(-1, kind, part, columns, priors, (first, last), gain, parameters, errors,
+                   used=used)  # fmt: skip
         seen = np.ix_(self.edges.share(first, last) > 0.5, used)
         before = float((self.left[0][seen] ** 2).sum())
         after = float(((self.left - columns @ parameters)[0][seen] ** 2).sum())
-        is_body = abs(parameters[0]) > max(_LEAST_MASS, 3.0 * errors[0]) and after < 0.4 * before
+        least = max(_LEAST_MASS if kind == "payload" else _LEAST_SHARE_OF_MASS, 3.0 * errors[0])
+        is_body = abs(parameters[0]) > least and after < 0.4 * before
         return fit if is_body and self._matters(fit) else None
 
     def _effects(self, fit: _Fit) -> Array:
@@ -441,7 +470,7 @@ class Search:
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
         """All that was found, with what was found otherwise; joint by joint, the largest first."""
-        order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE])}
+        order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE, LINKS])}
         fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
         fits.sort(key=lambda fit: -float(self._effects(fit).max()))
         made = [*more, *(self._explanation(fit) for fit in fits)]
@@ -489,12 +518,15 @@ class Search:
         elif kind == "payload":
             unit, mass = "kg", fit.parameters[0]
             values = dict(zip("xyz", (fit.parameters[1:4] / mass).tolist(), strict=True))
+        elif kind == "masses":
+            size, error, unit = 100.0 * size, 100.0 * error, "%"
         elif kind == "unexplained":
             effect = (fit.columns[..., 0] * self.sigma)[:, :, fit.joint].ravel()
             size = float(effect[np.argmax(np.abs(effect))])
         first, last = fit.edges
+        of_all = FLANGE if kind == "payload" else LINKS
         return Explanation(
-            FLANGE if fit.joint < 0 else names[fit.joint], kind, fit.part, size, unit, error,
+            of_all if fit.joint < 0 else names[fit.joint], kind, fit.part, size, unit, error,
             fit.confidence, float(found.times[0] + 0.5 * first * found.step),
             None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
             first == 0, values, tuple(joints),

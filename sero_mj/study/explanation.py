@@ -9,10 +9,19 @@ from typing import Literal
 import numpy as np
 
 Kind = Literal[
-    "sign", "gain", "bias", "delay", "friction", "noise", "payload", "stuck", "unexplained"
+    "sign",
+    "gain",
+    "bias",
+    "delay",
+    "friction",
+    "noise",
+    "payload",
+    "masses",
+    "stuck",
+    "unexplained",
 ]
-Part = Literal["torque sensor", "drive", "joint", "flange", "sensor or drive"]
-FLANGE = "flange"
+Part = Literal["torque sensor", "drive", "joint", "flange", "links", "sensor or drive"]
+FLANGE, LINKS = "flange", "links"
 MOST_SURE = 0.99
 
 
@@ -21,11 +30,12 @@ class Explanation:
     """A difference that was found.
 
     Attributes:
-        joint: its name; `flange` for a payload.
+        joint: its name; `flange` for a payload, `links` for the masses of all of them.
         kind: what it is.
         part: where it is.
         size: the gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm),
-            noise's standard deviation (Nm), mass (kg), torque that is held (Nm), or peak (Nm).
+            noise's standard deviation (Nm), mass (kg), difference of the links' masses (%), torque
+            that is held (Nm), or peak (Nm).
         unit: of it; empty for a gain.
         error: standard error of the size; NaN where there is none.
         confidence: 0 to 1.
@@ -77,6 +87,7 @@ class Explanation:
             f"{self.values.get('viscous', 0.0):+.2g} {rate}",
             "noise": f"{size:.2g} {unit} of the {part}",
             "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m of the flange",
+            "masses": f"{size:+.1f}{_about(error)} % of what the robot's file declares",
             "stuck": stuck,
             "unexplained": f"up to {abs(size):.3g} {unit}; {unknown}",
         }
@@ -88,7 +99,7 @@ class Explanation:
         if self.kind in ("sign", "stuck", "unexplained"):
             return f"{self.kind} ({self.part})"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
-        is_signed = self.kind in ("bias", "friction", "payload") or self.is_difference
+        is_signed = self.kind in ("bias", "friction", "payload", "masses") or self.is_difference
         sign = "+" if is_signed else ""
         return f"{self.kind} {factor * self.size:{sign}.3g} {unit}".strip()
 

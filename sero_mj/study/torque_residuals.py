@@ -65,6 +65,9 @@ class TorqueResiduals:
         motor: commanded less measured torque, less what the motor's inertia and the declared
             friction take, (K, n); NaN as well where the joint is slow or turns.
         lag: commanded less measured torque as they are, (K, n).
+        asked: what joint torque control asks of the drives, within their limits, without what it
+            adds for friction, (K, n).
+        given: what the drives give, by what is measured and the motors' motion, (K, n).
         measured: (K, n).
         rates: of the torque that changes faster, measured or commanded, (K, n), Nm/s.
         model: the model's torques at the links, (K, n).
@@ -97,6 +100,8 @@ class TorqueResiduals:
     link: Array
     motor: Array
     lag: Array
+    asked: Array
+    given: Array
     measured: Array
     rates: Array
     model: Array
@@ -178,12 +183,13 @@ def torque_residuals(
         felt = robot.torque_control.inertia_ratio * dynamics.motor_inertias
     lag = commanded - measured
     friction = dynamics.viscous_friction * smooth + dynamics.coulomb_friction * signs
-    plain = low_pass(lag) - dynamics.motor_inertias * acceleration - friction
+    inertial = dynamics.motor_inertias * acceleration + friction
+    plain = low_pass(lag) - inertial
     with np.errstate(divide="ignore"):
         ratio = dynamics.motor_inertias / felt
     # What the loop asks of the drive, which saturates.
-    asked = measured + ratio * lag
-    saturated = np.abs(asked) > _FULL * _scale(robot, np.full_like(measured, np.inf))
+    asked, most = measured + ratio * lag, _scale(robot, np.full_like(measured, np.inf))
+    saturated = np.abs(asked) > _FULL * most
     looped = low_pass(np.where(saturated, np.nan, lag)) - felt * acceleration
     for each in (plain, looped):
         each[turns] = np.nan
@@ -197,6 +203,8 @@ def torque_residuals(
         link=low_pass(free) - low_pass(model),
         motor=looped if torque_control else plain,
         lag=low_pass(lag),
+        asked=low_pass(np.clip(asked, -most, most)),
+        given=low_pass(measured) + inertial,
         measured=low_pass(measured),
         rates=np.fmax(*(np.abs(low_pass.first(each)) for each in (measured, commanded))),
         model=low_pass(model),
