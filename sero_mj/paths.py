@@ -17,6 +17,7 @@ from .errors import DeclarationError, Problem, UnknownName, nearest
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 ROBOT_ENDINGS: tuple[str, ...] = ()  # of robot files in other formats than TOML
+SCENE_ENDINGS = (".x3d", ".x3dv", ".wrl")  # of scene files in other formats
 _PACKAGE = Path(__file__).resolve().parent
 _KINDS = (
     (stat.S_ISFIFO, "a pipe"),
@@ -109,9 +110,9 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     """Says what is wrong with a name that is meant as a path, where a list would not help.
 
     Raises:
-        DeclarationError: it ends in .toml and there is no such file.
+        DeclarationError: it ends as a file does, and there is no such file.
     """
-    if "\0" not in name and name.endswith((".toml", *ROBOT_ENDINGS)):
+    if "\0" not in name and name.lower().endswith((".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS)):
         path = (beside or Path()) / name
         what = "is a folder; expected a file"
         if not os.path.isdir(path):

@@ -88,6 +88,7 @@ class Scene:
         name: shown in titles and messages.
         file: the file it was read from.
         broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
+        lines: of the file by dotted key, where it is no TOML.
 
     Raises:
         DeclarationError: two robots have one name, or a route is neither text nor numbers.
@@ -114,6 +115,7 @@ class Scene:
         name: str = "scene",
         file: Path | None = None,
         broken: Collection[str] = (),
+        lines: Mapping[str, int] | None = None,
     ) -> None:
         if isinstance(robots, SerialRobot):
             robots = [robots]
@@ -151,6 +153,7 @@ class Scene:
         self.name = name
         self.file = file
         self.broken = frozenset(broken)
+        self._lines = lines
         for robot in robots or []:
             self.add(robot)
         self.doubles: dict[str, Double] = {}
@@ -395,7 +398,7 @@ class Scene:
         """Returns the problems with file and line added, for a scene read from a file."""
         if self.file is None:
             return problems
-        lines = key_lines(self.file)
+        lines = key_lines(self.file) if self._lines is None else self._lines
         return [
             problem if problem.file else located(problem, self.file, lines)
             for problem in (self._in_its_model(problem, lines) for problem in problems)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -10,7 +11,9 @@ from typing import Any, TypeVar
 
 from .. import paths
 from ..declaration import is_name
+from ..describe.described import Described
 from ..describe.robot_file import read_robot_file
+from ..describe.x3d import read_x3d
 from ..dotted_keys import lacking, parts_of, with_value
 from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 from ..toml_file import read_toml
@@ -23,6 +26,7 @@ from .scene import Scene, SceneToggles, origin_text
 from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")
+log = logging.getLogger(__name__)
 # Sections of tables by name; where several have the same name, the last one is meant by it alone.
 _ENTRIES = ("sources", "lights", "cameras", "objects", "frames", "arrows", "doubles", "robots")
 _TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
@@ -43,7 +47,7 @@ def read_scene_file(
     """Reads the valid parts of a scene file and reports the problems of the rest.
 
     Args:
-        path: a TOML file.
+        path: a TOML file, or a scene in X3D's classic encoding.
         overrides: values by dotted key, which override the file: any key that it takes
             (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or the name of a
             robot, a group, an object, ... and a key of that (`lwr.dynamics.coulomb_friction[1]`).
@@ -58,10 +62,22 @@ def read_scene_file(
     Raises:
         DeclarationError: the file cannot be read at all.
     """
-    reader = _Reader(path, read_toml(path) if tables is None else tables, known, overrides or {})
+    described = _described(path) if tables is None else Described(tables)
+    reader = _Reader(path, described.tables, known, overrides or {})
+    reader.lines = described.lines or None
     scene = reader.scene()
     # What is wrong with the mount of a group is so for all of its robots.
     return scene, list(dict.fromkeys(scene.located(reader.problems)))
+
+
+def _described(path: Path) -> Described:
+    """The tables of a file, whatever its format; what is not in them is logged."""
+    if path.suffix.lower() not in paths.SCENE_ENDINGS:
+        return Described(read_toml(path))
+    described = read_x3d(path)
+    for warning in described.warnings:
+        log.warning("%s: %s", path, warning)
+    return described
 
 
 def group_from_model(
@@ -103,6 +119,7 @@ class _Reader:
     ) -> None:
         self.path, self.known = path, known
         self.tables = dict(tables)
+        self.lines: dict[str, int] | None = None  # of the keys, where the file is no TOML
         self.problems: list[Problem] = []
         self.broken: list[str] = []
         self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
@@ -161,6 +178,7 @@ class _Reader:
                 if value is not None:
                     read[key] = value
         fields = {"name": self.path.stem, **read, "file": self.path, "broken": self.broken}
+        fields["lines"] = self.lines
         if not self.tables and not self.broken:
             self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)

@@ -2,5 +2,6 @@
 
 In: a file of another format, and mesh files. Out: `Described`: the tables that a TOML file of ours
 would have, the lines they come from, and what was lost.
-Open first: `described.py`; then `robot_file.py`, which says what reads which ending.
+Open first: `described.py`; then `robot_file.py`, which says what reads which ending, and `x3d.py`
+for scenes.
 """
