@@ -115,7 +115,7 @@ class Scene:
         name: str = "scene",
         file: Path | None = None,
         broken: Collection[str] = (),
-        lines: Mapping[str, int] | None = None,
+        lines: dict[str, int] | None = None,
     ) -> None:
         if isinstance(robots, SerialRobot):
             robots = [robots]

@@ -564,15 +564,33 @@ def _of_corners(
         pairs = np.stack([faces[chosen].ravel(), smooth[chosen].ravel()], axis=1)
         vertices, renamed = np.unique(pairs, axis=0, return_inverse=True)
         own = renamed.reshape(-1, 3)
-        if not get(node, "solid", "SFBool", True, problems) and _is_open(faces[chosen]):
+        if not get(node, "solid", "SFBool", True, problems) and _has_ends(faces[chosen]):
             own = np.concatenate([own, own[:, ::-1] + len(vertices)])
             vertices = np.concatenate([vertices, vertices])
         pieces.append((points[vertices[:, 0]], own, rgb))
     return pieces
 
 
-def _is_open(faces: Ints) -> bool:
+def is_open(vertices: Array, faces: Ints) -> bool:
     """Whether a surface has an edge that only one triangle has, so that one sees into it."""
+    _, names = np.unique(vertices, axis=0, return_inverse=True)
+    return _has_ends(names.ravel()[faces])
+
+
+def with_hull(vertices: Array) -> Array:
+    """Vertices (v, 3), and one more that no face has, just off the plane that all are in, if any.
+
+    MuJoCo makes a convex hull of every mesh, which those in a plane have not.
+    """
+    centre = vertices.mean(axis=0)
+    _, extents, axes = np.linalg.svd(vertices - centre, full_matrices=False)
+    if len(extents) == 3 and extents[2] > 1e-5 * extents[0]:
+        return vertices
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    return np.concatenate([vertices, [centre + 1e-3 * size * axes[2]]])
+
+
+def _has_ends(faces: Ints) -> bool:
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
     return bool((counts == 1).any())

@@ -19,7 +19,19 @@ from ..errors import did_you_mean
 from ..frames import Array, frame_from, rotation_about
 from .described import Described
 from .vrml import Document, Node, Problems, Route, Value, instance, read_document, read_field
-from .wrl import Seen, color_of, get, matrix, rotation, transform_of, triangles_of, visit
+from .wrl import (
+    Seen,
+    Triangles,
+    color_of,
+    get,
+    is_open,
+    matrix,
+    rotation,
+    transform_of,
+    triangles_of,
+    visit,
+    with_hull,
+)
 
 OWN_NODES = ("SerialRobot", "UdpReceiver", "ShmReader")
 PAPER_CONVENTION = "craig"
@@ -147,7 +159,7 @@ class _Reader:
         self.not_shown: dict[str, int] = {}
         self.left_out: list[str] = []  # ROUTEs
         self.names: dict[int, str] = {}  # ours, of nodes by their ids
-        self.placed: dict[int, Array] = {}  # where robots and sources stand
+        self.placed: dict[int, Array] = {}  # where robots, sources and shapes stand
         self.waiting: list[Seen] = []  # groups that a ROUTE moves
         self.fixed: set[int] = set()  # those of them that are a robot's children now
         self.taken: set[str] = set()
@@ -203,7 +215,7 @@ class _Reader:
     def _is_kept(self, node: Node) -> bool:
         return bool(own_kind(node)) or id(node) in self.moved
 
-    def _name(self, node: Node, text: str = "", line_key: str = "") -> str:
+    def _name(self, node: Node, text: str = "") -> str:
         """Our name of a node: that of its DEF where it can be one, and no other's."""
         if id(node) in self.names:
             return self.names[id(node)]
@@ -451,7 +463,9 @@ class _Reader:
             table = {"mjcf": mesh_text(pieces)}
         # A shape may be used many times, each of which is an object.
         text = geometry.name or geometry.kind.lower()
-        name = self._name(Node(shape.kind, shape.line), shape.name or text)
+        is_first = id(shape) not in self.placed
+        self.placed[id(shape)] = seen.T
+        name = self._name(shape if is_first else Node(shape.kind, shape.line), shape.name or text)
         return [(name, table)]
 
     def _primitive(self, geometry: Node, T: Array) -> dict[str, Any] | None:
@@ -654,9 +668,7 @@ class _Reader:
 
     def _warn(self) -> None:
         for name, files in self.missing.items():
-            self.warnings.append(
-                f"no geometry files {files}; {name} is drawn after its DH table"
-            )
+            self.warnings.append(f"no geometry files {files}; {name} is drawn after its DH table")
         if self.not_shown:
             shown = (f"{kind} (line {line})" for kind, line in self.not_shown.items())
             self.warnings.append(f"nodes that are not shown: {', '.join(shown)}")
@@ -687,17 +699,16 @@ def _rounded(values: Array) -> list[Any]:
     return rounded
 
 
-def mesh_text(pieces: Any) -> str:
-    """MJCF of triangles by colour, that collide with nothing."""
+def mesh_text(pieces: list[Triangles]) -> str:
+    """MJCF of triangles by colour, that collide with nothing; an open surface has no mass."""
     meshes, geoms = [], []
     for k, (vertices, faces, rgba) in enumerate(pieces):
-        points = " ".join(f"{value:.7g}" for value in np.asarray(vertices).ravel())
-        corners = " ".join(map(str, np.asarray(faces).ravel().tolist()))
-        meshes.append(f'<mesh name="m{k}" inertia="shell" vertex="{points}" face="{corners}"/>')
+        points = " ".join(f"{value:.7g}" for value in with_hull(vertices).ravel())
+        corners = " ".join(map(str, faces.ravel().tolist()))
+        kind, mass = ("shell", ' mass="0"') if is_open(vertices, faces) else ("convex", "")
+        mesh = f'<mesh name="m{k}" inertia="{kind}" vertex="{points}" face="{corners}"/>'
+        meshes.append(mesh)
         color = "" if rgba is None else f' rgba="{" ".join(f"{value:.6g}" for value in rgba)}"'
-        geoms.append(f'<geom type="mesh" mesh="m{k}" contype="0" conaffinity="0"{color}/>')
-    body = "\n".join(geoms)
-    return (
-        f"<mujoco><asset>\n{chr(10).join(meshes)}\n</asset><worldbody>\n{body}\n"
-        "</worldbody></mujoco>"
-    )
+        geoms.append(f'<geom type="mesh" mesh="m{k}" contype="0" conaffinity="0"{mass}{color}/>')
+    assets, body = "\n".join(meshes), "\n".join(geoms)
+    return f"<mujoco><asset>\n{assets}\n</asset><worldbody>\n{body}\n</worldbody></mujoco>\n"

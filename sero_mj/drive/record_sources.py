@@ -19,7 +19,7 @@ from ..assemble.scene import Scene
 from ..frames import Array
 from ..receive.source import Source
 from ..record.recorder import SIGNALS_RATE, Recorder
-from ..record.recording_format import Signals
+from ..record.recording_format import Signals, media_type
 from ._units import robot_of
 from .route import Route
 from .wiring import wire
@@ -71,9 +71,8 @@ def record_sources(
                     _add(recorder, name, source, scene, routes)
                     recorded.append(source)
             for file in [] if scene is None else scene.files():
-                recorder.attach(
-                    f"{file.parent.name}/{file.name}", "application/toml", file.read_bytes()
-                )
+                name = f"{file.parent.name}/{file.name}"
+                recorder.attach(name, media_type(name), file.read_bytes())
             yield recorder
         finally:
             for source in recorded:

@@ -217,5 +217,11 @@ class Signals:
         return f"{{{','.join(members)}}}", None if as_they_come else places
 
 
+def media_type(name: str) -> str:
+    """The media type of a scene's or a robot's file, by the ending of its name."""
+    types = {".toml": "application/toml", ".xml": "application/xml", ".urdf": "application/xml"}
+    return types.get(name[name.rfind(".") :].lower(), "text/plain")
+
+
 def _quoted(name: str) -> str:
     return json.dumps(name).replace("%", "%%")

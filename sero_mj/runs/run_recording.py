@@ -15,6 +15,7 @@ from .. import paths
 from ..assemble.group_model import Expanded, expand_groups
 from ..assemble.robot import SerialRobot, build_robot
 from ..assemble.scene import Scene
+from ..describe.x3d import read_x3d
 from ..errors import DeclarationError, RecordingError, UnknownName, UsageError, did_you_mean
 from ..frames import Array
 from ..record.recording import Recording
@@ -259,10 +260,10 @@ def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
-    """Every TOML file in a recording, by its name there.
+    """Tables of every scene and robot file in a recording, by its name there.
 
     Raises:
-        RecordingError: one is damaged or is no TOML.
+        RecordingError: one is damaged or cannot be read.
     """
     found = {}
     for name in recording.attachments:
@@ -272,6 +273,15 @@ def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
             except ValueError as error:
                 reason = f"file '{name}' in it is no TOML: {error}"
                 raise RecordingError(recording.path, reason) from error
+        elif name.lower().endswith(paths.SCENE_ENDINGS):
+            with TemporaryDirectory() as directory:
+                path = Path(directory) / name.split("/")[-1]
+                path.write_bytes(recording.read_attachment(name))
+                try:
+                    found[name] = read_x3d(path).tables
+                except DeclarationError as error:
+                    reason = f"file '{name}' in it cannot be read: {error.problems[0].message}"
+                    raise RecordingError(recording.path, reason) from error
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from .. import __version__
 from ..drive.record_sources import joint_names
 from ..frames import Array
-from ..record.recording_format import Signals
+from ..record.recording_format import Signals, media_type
 from ..record.recording_writer import RecordingWriter
 from ..runs.run_log import MEASURED, PER_JOINT, event_of
 from .scenario import Scenario
@@ -60,7 +60,7 @@ class RunRecorder:
         )
         for file in files_of(scenario):
             name = f"{file.parent.name}/{file.name}"
-            self._writer.attach(name, "application/toml", file.read_bytes())
+            self._writer.attach(name, media_type(name), file.read_bytes())
         timestep = scenario.run.timestep
         self._every = max(round(1.0 / (signals_rate * timestep)), 1) if signals_rate > 0 else 0
 
