@@ -1,0 +1,369 @@
+"""Any mesh file as what MuJoCo reads: pieces of one colour each.
+
+STL and OBJ pass through as they are wherever MuJoCo takes them. COLLADA is read by pycollada, with
+its unit, the transforms of its nodes, and the colours of its materials; everything else by trimesh.
+
+A file's up axis is not applied: descriptions of robots are written against viewers that show the
+coordinates as they stand in the file (RViz and Gazebo), and most exporters state no true one.
+Textures are not shown; a material that has one gets the mean colour of its picture.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import threading
+import warnings
+from collections import OrderedDict
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+
+from ..errors import DeclarationError, Problem
+from ..frames import Array, Ints
+from ..paths import read_file
+from .xml_file import parse_xml
+
+# What `read_mesh` takes; the first three MuJoCo reads itself.
+MESH_ENDINGS = (".stl", ".obj", ".msh", ".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
+MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
+MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
+_MOST_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
+_MOST_PICTURE_BYTES = 50_000_000  # of a texture
+_MOST_KEPT_BYTES = 200_000_000  # of converted meshes
+_MATERIAL_FILE = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
+_USED = re.compile(rb"^[ \t]*usemtl[ \t]+([^\r\n]+)", re.MULTILINE)
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+Rgba = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPiece:
+    """Triangles of one colour.
+
+    Attributes:
+        contents: of a file that MuJoCo reads.
+        ending: of that file, with its dot.
+        rgba: the file's own colour, 0 to 1; None where it has none.
+    """
+
+    contents: bytes
+    ending: str
+    rgba: Rgba | None = None
+
+
+_kept: OrderedDict[str, tuple[MeshPiece, ...]] = OrderedDict()
+_lock = threading.Lock()
+
+
+def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
+    """Reads a mesh file; lengths are in the unit that the file states, else in its own.
+
+    What was converted is kept, by the contents of the file, for the next time.
+
+    Raises:
+        DeclarationError: the file is missing, too large (`MOST_MESH_BYTES`,
+            `MOST_CONVERTED_BYTES`), of an unknown format, or has no triangles that can be drawn.
+    """
+    ending = path.suffix.lower()
+    if ending not in MESH_ENDINGS:
+        raise _wrong(path, f"found '{path.suffix}'; expected {', '.join(MESH_ENDINGS)}")
+    passed = ending in MESH_ENDINGS[:3]
+    try:
+        contents = read_file(path, MOST_MESH_BYTES if passed else MOST_CONVERTED_BYTES)
+    except FileNotFoundError:
+        raise _wrong(path, "no such file") from None
+    except (OSError, ValueError) as error:
+        raise _wrong(path, getattr(error, "strerror", None) or str(error)) from error
+    if passed and (pieces := _as_it_is(path, ending, contents)) is not None:
+        return pieces
+    if len(contents) > MOST_CONVERTED_BYTES:
+        most = f"{MOST_CONVERTED_BYTES / 1e6:g} MB"
+        found = f"{len(contents) / 1e6:.1f} MB of {ending[1:].upper()} that MuJoCo cannot read"
+        raise _wrong(path, f"found {found} without conversion; expected at most {most}")
+    # Materials and pictures stand beside the file, under names that it has.
+    key = f"{sha256(contents).hexdigest()}{ending}{path.parent}"
+    with _lock:
+        if key in _kept:
+            _kept.move_to_end(key)
+            return _kept[key]
+    pieces = _converted(path, ending, contents)
+    with _lock:
+        _kept[key] = pieces
+        while sum(len(p.contents) for each in _kept.values() for p in each) > _MOST_KEPT_BYTES:
+            _kept.popitem(last=False)
+    return pieces
+
+
+def _wrong(path: Path, reason: str) -> DeclarationError:
+    return DeclarationError([Problem("", f"mesh {path}: {reason}")])
+
+
+def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...] | None:
+    """The file itself as the only piece, if MuJoCo reads it and it has at most one colour."""
+    if ending == ".msh":
+        return (MeshPiece(contents, ending),)
+    if ending == ".stl":
+        count = int.from_bytes(contents[80:84], "little")
+        if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
+            return None  # in ASCII, cut off, or too many faces
+        corners = np.frombuffer(contents, _FACET, offset=84)["corners"].reshape(-1, 3)
+        _check(path, corners)
+        return (MeshPiece(contents, ending),)
+    colors = _material_colors(path, contents)
+    used = list(dict.fromkeys(name.strip() for name in _USED.findall(contents)))
+    if len({colors.get(name) for name in used}) > 1:
+        return None
+    points = re.findall(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", contents, re.MULTILINE)
+    try:
+        _check(path, np.array(points, np.bytes_).reshape(-1, 3).astype(np.float64))
+    except ValueError as error:
+        if isinstance(error, DeclarationError):
+            raise
+        raise _wrong(path, "has a vertex that is not three numbers") from None
+    if re.search(rb"^[ \t]*f[ \t]", contents, re.MULTILINE) is None:
+        raise _wrong(path, "has no faces")
+    return (MeshPiece(contents, ending, colors.get(used[0]) if used else None),)
+
+
+def _check(path: Path, points: Any) -> None:
+    """Raises DeclarationError for vertices (k, 3) of which MuJoCo makes no mesh."""
+    if not np.isfinite(points).all():
+        raise _wrong(path, "has vertices that are not finite numbers")
+    if len(points) < 3:
+        raise _wrong(path, "has no triangles")
+    # Few vertices may be fewer than four different ones, as MuJoCo asks for.
+    if len(points) < 100 and len(np.unique(points, axis=0)) < 4:
+        raise _wrong(path, "has fewer than 4 different vertices")
+
+
+def _material_colors(path: Path, contents: bytes) -> dict[bytes, Rgba]:
+    """Colours of an OBJ file's materials by name; none where their file cannot be read."""
+    colors: dict[bytes, Rgba] = {}
+    for file in _MATERIAL_FILE.findall(contents):
+        try:
+            text = read_file(path.parent / file.strip().decode(), _MOST_PICTURE_BYTES)
+        except (OSError, ValueError):
+            continue
+        for block in re.split(rb"^[ \t]*newmtl[ \t]+", text, flags=re.MULTILINE)[1:]:
+            name, _, rest = block.partition(b"\n")
+            diffuse = re.search(rb"^[ \t]*Kd[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", rest, re.MULTILINE)
+            picture = re.search(rb"^[ \t]*map_Kd[ \t]+([^\r\n]+)", rest, re.MULTILINE)
+            try:
+                color = None
+                if picture is not None:
+                    color = _mean_color(path.parent / picture[1].strip().decode())
+                if color is None and diffuse is not None:
+                    color = _rgba([float(value) for value in diffuse.groups()])
+            except ValueError:
+                continue
+            if color is not None:
+                colors[name.strip()] = color
+    return colors
+
+
+def _rgba(values: Any) -> Rgba | None:
+    """A colour of 3 or 4 numbers; None where it is none."""
+    try:
+        numbers = np.array([float(value) for value in values][:4])
+    except (TypeError, ValueError):
+        return None
+    if len(numbers) < 3 or not np.isfinite(numbers).all():
+        return None
+    red, green, blue = (round(float(value), 4) for value in np.clip(numbers[:3], 0, 1))
+    # Alpha is left out: exporters disagree on whether 0 or 1 is opaque.
+    return (red, green, blue, 1.0)
+
+
+def _mean_color(picture: Any) -> Rgba | None:
+    """Mean colour of a picture, a file or a Pillow image; None where it cannot be read."""
+    from PIL import Image
+
+    try:
+        if isinstance(picture, Path):
+            picture = Image.open(io.BytesIO(read_file(picture, _MOST_PICTURE_BYTES)))
+        pixels = np.asarray(picture.convert("RGBA").resize((16, 16)), np.float64) / 255.0
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None
+    shown = pixels[pixels[..., 3] > 0.5]
+    return _rgba(shown[:, :3].mean(axis=0)) if len(shown) else None
+
+
+def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]:
+    read = _collada_parts if ending == ".dae" else _trimesh_parts
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of libraries, at what they use themselves
+            parts = read(path, ending, contents)
+    except DeclarationError:
+        raise
+    except ImportError as error:
+        raise _wrong(path, f"reading {ending} takes the package '{error.name}'") from error
+    except RecursionError:
+        raise _wrong(path, "is nested too deeply") from None
+    except Exception as error:  # libraries let out anything of a broken file
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise _wrong(path, f"cannot be read: {reason}") from error
+    by_color: dict[Rgba | None, list[_Part]] = {}
+    for part in parts:
+        by_color.setdefault(part.rgba, []).append(part)
+    pieces = []
+    for rgba, same in by_color.items():
+        joined = _joined(same)
+        used = joined.vertices[joined.faces].reshape(-1, 3)
+        if len(used):
+            _check(path, used)
+            pieces.append(MeshPiece(_as_msh(joined), ".msh", rgba))
+    if not pieces:
+        raise _wrong(path, "has no triangles")
+    return tuple(pieces)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Triangles: vertices (v, 3) in m, normals (v, 3) or None, faces (f, 3), a colour."""
+
+    vertices: Array
+    normals: Array | None
+    faces: Ints
+    rgba: Rgba | None
+
+
+def _joined(parts: list[_Part]) -> _Part:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
+    normals = [part.normals for part in parts if part.normals is not None]
+    return _Part(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(normals) if len(normals) == len(parts) else None,
+        np.concatenate(faces),
+        parts[0].rgba,
+    )
+
+
+def _as_msh(part: _Part) -> bytes:
+    """MuJoCo's binary format: four counts, vertices, normals, texture coordinates, faces."""
+    used, faces = np.unique(part.faces, return_inverse=True)
+    normals = None if part.normals is None else part.normals[used]
+    counts = struct.pack("<4i", len(used), 0 if normals is None else len(used), 0, len(part.faces))
+    return (
+        counts
+        + part.vertices[used].astype("<f4").tobytes()
+        + (b"" if normals is None else normals.astype("<f4").tobytes())
+        + faces.astype("<i4").tobytes()
+    )
+
+
+def _moved(
+    vertices: Array, normals: Array | None, faces: Ints, T: Array, rgba: Rgba | None
+) -> _Part:
+    """A part moved by T (4, 4), which may scale and mirror it."""
+    linear = T[:3, :3]
+    if np.linalg.det(linear) < 0:
+        faces = faces[:, ::-1]
+    if normals is not None:
+        normals = normals @ np.linalg.pinv(linear)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = None if (length < 1e-12).any() else normals / length
+    return _Part(vertices @ linear.T + T[:3, 3], normals, faces, rgba)
+
+
+def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
+    import collada
+    from collada.common import DaeBrokenRefError, DaeError
+
+    document = collada.Collada(io.BytesIO(contents), ignore=[DaeError])
+    if any(isinstance(error, DaeBrokenRefError) for error in document.errors):
+        contents = _without_broken_materials(contents, {m.id for m in document.materials})
+        document = collada.Collada(io.BytesIO(contents), ignore=[DaeError])
+    if document.scene is None:
+        return []
+    unit = document.assetInfo.unitmeter
+    unit = 1.0 if unit is None else float(unit)
+    T_unit = np.diag([unit, unit, unit, 1.0])
+    parts = []
+    for bound in document.scene.objects("geometry"):
+        for primitive in bound.original.primitives:
+            # A polygon list makes triangles of itself; lines cannot.
+            has_polygons = hasattr(primitive, "triangleset")
+            triangles = primitive.triangleset() if has_polygons else primitive
+            corners = np.asarray(getattr(triangles, "vertex_index", None))
+            if corners.ndim != 2 or corners.shape[1] != 3 or not len(corners):
+                continue
+            node = bound.materialnodebysymbol.get(triangles.material)
+            rgba = None if node is None else _collada_color(path, node.target)
+            parts.append(_moved(*_with_normals(triangles, corners), T_unit @ bound.matrix, rgba))
+    return parts
+
+
+def _without_broken_materials(contents: bytes, known: set[str]) -> bytes:
+    """Takes materials that cannot be read off the geometry, which pycollada leaves out with them.
+
+    Often a picture is missing that a material is made of.
+    """
+    root = parse_xml(contents)
+    for bound in [*root.iter("{*}instance_material")]:
+        if bound.get("target", "").removeprefix("#") not in known:
+            bound.getparent().remove(bound)
+    return bytes(etree.tostring(root))
+
+
+def _with_normals(primitive: Any, corners: Ints) -> tuple[Array, Array | None, Ints]:
+    """Vertices, each with one normal, and faces; COLLADA has an index of its own for normals."""
+    vertices = np.asarray(primitive.vertex, np.float64)
+    if primitive.normal is None or primitive.normal_index is None:
+        return vertices, None, corners
+    normals = np.asarray(primitive.normal, np.float64)
+    pairs = corners.astype(np.int64) * len(normals) + np.asarray(primitive.normal_index)
+    different, faces = np.unique(pairs, return_inverse=True)
+    at = different // max(len(normals), 1)
+    return vertices[at], normals[different % max(len(normals), 1)], faces.reshape(-1, 3)
+
+
+def _collada_color(path: Path, material: Any) -> Rgba | None:
+    diffuse = getattr(getattr(material, "effect", None), "diffuse", None)
+    if diffuse is None:
+        return None
+    if hasattr(diffuse, "sampler"):  # a picture
+        file = getattr(diffuse.sampler.surface.image, "path", "") or ""
+        return _mean_color(path.parent / file.removeprefix("file://"))
+    return _rgba(diffuse)
+
+
+def _trimesh_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
+    import trimesh
+
+    resolver = trimesh.resolvers.FilePathResolver(str(path))
+    scene = trimesh.load_scene(
+        io.BytesIO(contents), file_type=ending[1:], resolver=resolver, process=False
+    )
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        faces = getattr(mesh, "faces", None)
+        if faces is None or not len(faces):
+            continue  # lines or points
+        has_normals = ending in (".obj", ".glb", ".gltf") and "vertex_normals" in mesh._cache
+        normals = np.asarray(mesh.vertex_normals, np.float64) if has_normals else None
+        vertices = np.asarray(mesh.vertices, np.float64)
+        parts.append(_moved(vertices, normals, np.asarray(faces), T, _trimesh_color(mesh)))
+    return parts
+
+
+def _trimesh_color(mesh: Any) -> Rgba | None:
+    visual = mesh.visual
+    if visual is None or not visual.defined:
+        return None
+    if visual.kind == "texture":
+        material = visual.material
+        picture = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        color = None if picture is None else _mean_color(picture)
+        return color or _rgba(np.asarray(material.main_color) / 255.0)
+    return _rgba(np.asarray(visual.main_color) / 255.0)

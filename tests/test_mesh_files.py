@@ -1,0 +1,294 @@
+"""Mesh files of any format as pieces that MuJoCo compiles, and the files that descriptions name."""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from sero_mj.describe import mesh_files
+from sero_mj.describe.mesh_files import MeshPiece, read_mesh
+from sero_mj.describe.package_files import find_file
+from sero_mj.describe.urdf import read_urdf
+from sero_mj.errors import DeclarationError
+from sero_mj.frames import Array
+
+BOX = trimesh.creation.box((1.0, 2.0, 3.0))
+
+
+def compiled(piece: MeshPiece, scale: float = 1.0) -> Array:
+    """Vertices (k, 3) of what MuJoCo makes of a piece."""
+    spec = mujoco.MjSpec()
+    spec.assets[f"piece{piece.ending}"] = piece.contents
+    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    spec.add_mesh(name="piece", file=f"piece{piece.ending}", inertia=shell, scale=[scale] * 3)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="piece", contype=0, conaffinity=0
+    )
+    model = spec.compile()
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.mesh_quat[0])
+    return np.asarray(model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0])
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(DeclarationError) as caught:
+        read_mesh(path)
+    return str(caught.value).replace(f"{path.parent}{os.sep}", "")
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj", "ply", "off", "glb", "dae"])
+def test_a_box_is_a_box_in_every_format(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"box.{ending.upper()}"
+    trimesh.Scene([BOX]).export(path, file_type=ending) if ending == "glb" else BOX.export(
+        path, file_type=ending
+    )
+    (piece,) = read_mesh(path)
+    corners = compiled(piece)
+    assert np.allclose(corners.min(axis=0), [-0.5, -1, -1.5], atol=1e-6)
+    assert np.allclose(corners.max(axis=0), [0.5, 1, 1.5], atol=1e-6)
+    if ending == "stl":
+        assert piece.contents == path.read_bytes()
+
+
+def test_an_stl_in_ascii_and_one_with_too_many_faces_are_converted(tmp_path: Path) -> None:
+    path = tmp_path / "ascii.stl"
+    path.write_text(trimesh.exchange.stl.export_stl_ascii(BOX), encoding="ascii")
+    (piece,) = read_mesh(path)
+    assert piece.ending == ".msh" and np.ptp(compiled(piece), axis=0) == pytest.approx([1, 2, 3])
+    path = tmp_path / "fine.stl"
+    facets = np.zeros(200_001, mesh_files._FACET)  # MuJoCo takes 200,000
+    facets["corners"] = np.tile(BOX.triangles, (20_000, 1, 1))[: len(facets)]
+    path.write_bytes(bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes())
+    (piece,) = read_mesh(path)
+    assert np.ptp(compiled(piece), axis=0) == pytest.approx([1, 2, 3])
+
+
+COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="millimetre" meter="0.001"/><up_axis>Y_UP</up_axis></asset>
+<library_images><image id="i"><init_from>{picture}</init_from></image></library_images>
+<library_effects>
+<effect id="red-fx"><profile_COMMON><technique sid="c"><lambert><diffuse>
+<color>0.8 0.1 0.2 1</color></diffuse></lambert></technique></profile_COMMON></effect>
+<effect id="pic-fx"><profile_COMMON><newparam sid="s"><surface type="2D"><init_from>i</init_from>
+</surface></newparam><newparam sid="p"><sampler2D><source>s</source></sampler2D></newparam>
+<technique sid="c"><lambert><diffuse><texture texture="p" texcoord="UV"/></diffuse></lambert>
+</technique></profile_COMMON></effect></library_effects>
+<library_materials><material id="red"><instance_effect url="#red-fx"/></material>
+<material id="pic"><instance_effect url="#pic-fx"/></material></library_materials>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="12">0 0 0 100 0 0 0 200 0 0 0 300</float_array>
+<technique_common><accessor source="#pa" count="4" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles material="m" count="4"><input semantic="VERTEX" source="#v" offset="0"/>
+<p>0 2 1 0 1 3 0 3 2 1 2 3</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s">
+<node><translate>1000 0 0</translate><rotate>0 0 1 90</rotate><scale>1 -1 1</scale>
+<instance_geometry url="#g"><bind_material><technique_common>
+<instance_material symbol="m" target="#red"/></technique_common></bind_material></instance_geometry>
+</node><node><instance_geometry url="#g"><bind_material><technique_common>
+<instance_material symbol="m" target="#{second}"/></technique_common></bind_material>
+</instance_geometry></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>
+"""
+
+
+def test_collada_has_units_nodes_and_colours(tmp_path: Path) -> None:
+    Image.new("RGB", (4, 4), (255, 128, 0)).save(tmp_path / "orange.png")
+    path = tmp_path / "two.dae"
+    path.write_text(COLLADA.format(picture="orange.png", second="pic"), encoding="utf-8")
+    red, orange = read_mesh(path)
+    assert red.rgba == (0.8, 0.1, 0.2, 1.0)
+    assert orange.rgba == pytest.approx((1.0, 128 / 255, 0.0, 1.0), abs=1e-4)
+    # Millimetres; the file's own axes, whatever it says is up; mirrored at y, turned about z.
+    assert np.allclose(np.ptp(compiled(orange), axis=0), [0.1, 0.2, 0.3])
+    corners = compiled(red)
+    assert np.allclose(corners.min(axis=0), [1.0, 0.0, 0.0], atol=1e-6)
+    assert np.allclose(corners.max(axis=0), [1.2, 0.1, 0.3], atol=1e-6)
+
+
+def faces_of(piece: MeshPiece) -> Array:
+    """Corners (f, 3, 3) of a piece in MuJoCo's own format."""
+    counts = struct.unpack("<4i", piece.contents[:16])
+    vertices = np.frombuffer(piece.contents, "<f4", 3 * counts[0], 16).reshape(-1, 3)
+    faces = np.frombuffer(
+        piece.contents, "<i4", 3 * counts[3], len(piece.contents) - 12 * counts[3]
+    )
+    return vertices[faces.reshape(-1, 3)].astype(np.float64)
+
+
+def test_mirrored_nodes_keep_their_faces_outside(tmp_path: Path) -> None:
+    path = tmp_path / "two.dae"
+    path.write_text(COLLADA.format(picture="none.png", second="red"), encoding="utf-8")
+    (both,) = read_mesh(path)  # of one colour: one piece
+    a, b, c = np.moveaxis(faces_of(both), 1, 0)
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+    assert volume.sum() == pytest.approx(2 * 0.1 * 0.2 * 0.3 / 6)
+
+
+def test_a_material_that_cannot_be_read_costs_the_colour_only(tmp_path: Path) -> None:
+    path = tmp_path / "two.dae"
+    text = COLLADA.format(picture="none.png", second="pic").replace(
+        '<image id="i">', '<image id="j">'
+    )
+    path.write_text(text, encoding="utf-8")
+    pieces = read_mesh(path)
+    assert [piece.rgba for piece in pieces] == [(0.8, 0.1, 0.2, 1.0), None]
+
+
+def test_obj_files_have_the_colours_of_their_materials(tmp_path: Path) -> None:
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 0 1\n", encoding="utf-8")
+    points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    path = tmp_path / "one.obj"
+    path.write_text(f"mtllib m.mtl\n{points}usemtl b\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    (piece,) = read_mesh(path)
+    assert piece.rgba == (0, 0, 1, 1) and piece.contents == path.read_bytes()
+    both = points + points.replace("v 0", "v 5")
+    faces = "usemtl a\nf 1 3 2\nf 1 2 4\nf 1 4 3\nusemtl b\nf 5 7 6\nf 5 6 8\nf 5 8 7\nf 6 7 8\n"
+    path = tmp_path / "two.obj"
+    path.write_text(f"mtllib m.mtl\n{both}{faces}")
+    assert sorted(piece.rgba or () for piece in read_mesh(path)) == [(0, 0, 1, 1), (1, 0, 0, 1)]
+
+
+@pytest.mark.parametrize(
+    ("name", "contents", "expected"),
+    [
+        ("a.mesh", b"", "mesh a.mesh: found '.mesh'; expected .stl, .obj, .msh, .dae"),
+        ("no.stl", None, "mesh no.stl: no such file"),
+        ("empty.stl", b"", "mesh empty.stl: "),
+        ("cut.stl", bytes(80) + struct.pack("<I", 9) + bytes(60), "mesh cut.stl: "),
+        ("nan.stl", bytes(80) + struct.pack("<I12fH", 1, *[np.nan] * 12, 0),
+         "mesh nan.stl: has vertices that are not finite numbers"),
+        ("point.stl", bytes(80) + struct.pack("<I", 1) + bytes(50),
+         "mesh point.stl: has fewer than 4 different vertices"),
+        ("text.obj", b"v 0 0 0\nv 1 x 0\nv 0 1 0\nf 1 2 3\n",
+         "mesh text.obj: has a vertex that is not three numbers"),
+        ("none.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n", "mesh none.obj: has no faces"),
+        ("bad.dae", b"<COLLADA", "mesh bad.dae: cannot be read: "),
+        ("other.dae", b"<robot/>", "mesh other.dae: "),
+        ("bad.ply", b"ply\nformat", "mesh bad.ply: cannot be read: "),
+        ("bad.glb", b"glTF\2\0\0\0\1\0\0\0", "mesh bad.glb: cannot be read: "),
+    ],
+)  # fmt: skip
+def test_what_is_no_mesh_is_refused(
+    tmp_path: Path, name: str, contents: bytes | None, expected: str
+) -> None:
+    if contents is not None:
+        (tmp_path / name).write_bytes(contents)
+    assert refused(tmp_path / name).startswith(expected)
+
+
+def test_a_file_that_is_too_large_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mesh_files, "MOST_MESH_BYTES", 100)
+    monkeypatch.setattr(mesh_files, "MOST_CONVERTED_BYTES", 50)
+    for name, size, most in (("a.stl", 200, "0.0001"), ("a.dae", 80, "5e-05")):
+        (tmp_path / name).write_bytes(bytes(size))
+        found = refused(tmp_path / name)
+        assert f"expected at most {most} MB" in found
+    (tmp_path / "b.stl").write_bytes(b"solid" + bytes(80))
+    assert "of STL that MuJoCo cannot read without conversion" in refused(tmp_path / "b.stl")
+
+
+def test_what_was_converted_is_kept_by_its_contents(tmp_path: Path) -> None:
+    path = tmp_path / "box.ply"
+    BOX.export(path)
+    first = read_mesh(path)
+    assert read_mesh(path)[0] is first[0]
+    trimesh.creation.box((2, 2, 2)).export(path)
+    assert np.ptp(compiled(read_mesh(path)[0]), axis=0) == pytest.approx([2, 2, 2])
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    folder = tmp_path / "ws" / "my_arm"
+    (folder / "urdf").mkdir(parents=True)
+    (folder / "meshes" / "in box").mkdir(parents=True)
+    BOX.export(folder / "meshes" / "box.stl")
+    BOX.export(folder / "meshes" / "in box" / "box.stl")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "package://my_arm/meshes/box.stl",
+        "package://my_arm//meshes/box.stl",
+        "package://other/meshes/box.stl",  # a copy of it, under another name
+        "model://my_arm/meshes/in%20box/box.stl",
+        "../meshes/box.stl",
+        "meshes/box.stl",
+        "meshes\\box.stl",
+    ],
+)
+def test_meshes_are_found_above_the_file(package: Path, name: str) -> None:
+    found = find_file(name, package / "urdf" / "arm.urdf")
+    assert found is not None and found.name == "box.stl" and package in found.parents
+
+
+def test_packages_are_found_where_the_environment_and_the_user_say(
+    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    far = tmp_path / "elsewhere" / "arm.urdf"
+    box = package / "meshes" / "box.stl"
+    name = "package://my_arm/meshes/box.stl"
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "GZ_SIM_RESOURCE_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    assert find_file(name, far) is None
+    assert find_file(f"file://{box}", far) == box
+    assert find_file(name, far, {"my_arm": package}) == box
+    for variable, folder in (
+        ("ROS_PACKAGE_PATH", package.parent),
+        ("ROS_PACKAGE_PATH", package),
+        ("ROS_PACKAGE_PATH", tmp_path),  # a stack
+        ("GZ_SIM_RESOURCE_PATH", package.parent),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setenv(variable, f"/nowhere{os.pathsep}{folder}")
+            assert find_file(name, far) == box
+    prefix = tmp_path / "prefix"
+    (prefix / "share").mkdir(parents=True)
+    (prefix / "share" / "my_arm").symlink_to(package)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))
+    found = find_file(name, far)
+    assert found is not None and found.samefile(box)
+    assert find_file("package://my_arm/\0", far) is None
+
+
+def test_missing_meshes_cost_themselves_and_are_named_once(package: Path) -> None:
+    (package / "meshes" / "bad.dae").write_text("<COLLADA")
+    visuals = "".join(
+        f'<visual><geometry><mesh filename="{name}" scale="{scale}"/></geometry>\n'
+        '<material name="m"><color rgba="1 0 0 1"/></material></visual>'
+        for name, scale in (
+            ("package://my_arm/meshes/box.stl", "0.001 0.001 0.001"),
+            ("package://odd/meshes/no.stl", "1 1 1"),
+            ("../meshes/none.dae", "1 1 1"),
+            ("package://odd/meshes/no.stl", "1 1 1"),
+            ("../meshes/bad.dae", "1 1 1"),
+        )
+    )
+    path = package / "urdf" / "arm.urdf"
+    path.write_text(
+        f'<robot name="arm"><link name="a">{visuals}</link><link name="b"/><joint name="j" '
+        'type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    read = read_urdf(path)
+    assert read.tables["filenames"] == [[{"file": "box.stl", "scale": 0.001, "color": "m"}], []]
+    assert Path(read.tables["directory"]) == package / "meshes"
+    missing, unread, _ = read.warnings
+    assert missing == (
+        "2 mesh files are not found and not shown: package://odd/meshes/no.stl (<visual> of 'a', "
+        "line 2; <visual> of 'a', line 4), ../meshes/none.dae (<visual> of 'a', line 3); "
+        "--package odd=DIR says where it is"
+    )
+    assert unread.startswith(f"mesh {package}/meshes/bad.dae: cannot be read: ")

@@ -1,0 +1,475 @@
+"""URDF files as tables of a robot, against a walk through the XML that knows nothing of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sero_mj import DhTable
+from sero_mj.describe.described import Described
+from sero_mj.describe.urdf import UrdfFile, read_urdf
+from sero_mj.errors import DeclarationError
+from sero_mj.frames import Array, frame, rotation_about, rotation_from_rpy
+
+# A gripper on an arm: axes along and across, a fixed sensor with a mass, a mimic finger, odd names,
+# a prismatic joint, a continuous one, materials global and local.
+GRIPPER = """<?xml version="1.0"?>
+<robot name="arm 1.0">
+  <material name="red"><color rgba="0.8 0.1 0.1 1"/></material>
+  <link name="base_link">
+    <inertial><origin xyz="0 0 0.1"/><mass value="4"/>
+      <inertia ixx="0.02" iyy="0.03" izz="0.025" ixy="0.001" ixz="0" iyz="-0.002"/></inertial>
+    <visual><geometry><cylinder radius="0.1" length="0.2"/></geometry>
+      <material name="red"/></visual>
+    <collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision>
+  </link>
+  <joint name="turn.table" type="continuous">
+    <parent link="base_link"/><child link="upper"/>
+    <origin xyz="0.1 -0.2 0.3" rpy="0.2 -0.3 0.4"/><axis xyz="0 0 2"/>
+    <dynamics damping="0.5" friction="0.1"/>
+  </joint>
+  <link name="upper">
+    <inertial><origin xyz="0.05 0 0.1" rpy="0.1 0.2 0.3"/><mass value="2"/>
+      <inertia ixx="0.01" iyy="0.012" izz="0.005" ixy="0" ixz="0.001" iyz="0"/></inertial>
+    <visual><origin xyz="0 0 0.1" rpy="0 1.5 0"/><geometry><sphere radius="0.05"/></geometry>
+      <material name="own"><color rgba="0 0.5 1 0.5"/></material></visual>
+  </link>
+  <joint name="sensor_joint" type="fixed">
+    <origin xyz="0.3 0.1 0" rpy="0.5 0.1 -0.7"/><parent link="upper"/><child link="sensor"/>
+  </joint>
+  <link name="sensor">
+    <inertial><origin xyz="0 0 0.02"/><mass value="0.5"/>
+      <inertia ixx="0.001" iyy="0.001" izz="0.0015" ixy="0" ixz="0" iyz="0.0002"/></inertial>
+    <visual><geometry><box size="0.1 0.05 0.02"/></geometry><material name="red"/></visual>
+  </link>
+  <joint name="slide" type="prismatic">
+    <origin xyz="0 0.1 0.2" rpy="0 0.4 0"/><parent link="sensor"/><child link="lower"/>
+    <axis xyz="0.6 0 -0.8"/><limit lower="0.1" upper="0.4" velocity="0.3" effort="200"/>
+  </joint>
+  <link name="lower"/>
+  <joint name="finger a" type="revolute">
+    <origin xyz="0 0.02 0.1"/><parent link="lower"/><child link="left"/>
+    <axis xyz="-1 0 0"/><limit lower="-0.5" upper="1" velocity="2" effort="0"/>
+  </joint>
+  <link name="left"><inertial><mass value="0.1"/>
+      <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="finger-b" type="revolute">
+    <origin xyz="0 -0.02 0.1"/><parent link="lower"/><child link="right"/>
+    <axis xyz="0 1 0"/><limit lower="-0.5" upper="1" velocity="2" effort="0"/>
+    <mimic joint="finger a" multiplier="-2" offset="0.25"/>
+  </joint>
+  <link name="right"><inertial><mass value="0.1"/>
+      <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>
+"""
+CHAIN = GRIPPER[: GRIPPER.index('  <joint name="finger a"')] + "</robot>\n"
+
+
+def write(folder: Path, text: str, name: str = "robot.urdf") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def described(tmp_path: Path, text: str, **more: Any) -> Described:
+    return read_urdf(write(tmp_path, text), **more)
+
+
+def problems(tmp_path: Path, text: str) -> list[str]:
+    """What is wrong with a file, without its folder."""
+    with pytest.raises(DeclarationError) as caught:
+        described(tmp_path, text)
+    return [str(problem).replace(f"{tmp_path}/", "") for problem in caught.value.problems]
+
+
+def floats(element: ElementTree.Element | None, name: str, default: str = "0 0 0") -> Array:
+    text = default if element is None else element.get(name, default)
+    return np.array([float(word) for word in text.split()])
+
+
+def origin(element: ElementTree.Element) -> Array:
+    found = element.find("origin")
+    return frame(rotation_from_rpy(floats(found, "rpy")), floats(found, "xyz"))
+
+
+def about(axis: Array, angle: float) -> Array:
+    """Rotation about any axis, by Rodrigues' formula."""
+    x, y, z = axis / np.linalg.norm(axis)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+def poses_in_xml(text: str, values: dict[str, float]) -> dict[str, Array]:
+    """T_base_link of every link of a URDF."""
+    root = ElementTree.fromstring(text)
+    below: dict[str, list[ElementTree.Element]] = {}
+    children = set()
+    for joint in root.findall("joint"):
+        below.setdefault(joint.find("parent").get("link"), []).append(joint)  # type: ignore
+        children.add(joint.find("child").get("link"))  # type: ignore
+    (base,) = [
+        link.get("name") for link in root.findall("link") if link.get("name") not in children
+    ]
+    found, waiting = {base: np.eye(4)}, [base]
+    while waiting:
+        parent = waiting.pop()
+        for joint in below.get(parent, []):
+            child = joint.find("child").get("link")  # type: ignore
+            axis = floats(joint.find("axis"), "xyz", "1 0 0")
+            value = values.get(joint.get("name"), 0.0)
+            moved = np.eye(4)
+            if joint.get("type") == "prismatic":
+                moved[:3, 3] = value * axis / np.linalg.norm(axis)
+            elif joint.get("type") != "fixed":
+                moved[:3, :3] = about(axis, value)
+            found[child] = found[parent] @ origin(joint) @ moved
+            waiting.append(child)
+    return found
+
+
+def poses_in_tables(tables: dict[str, Any], q: Array) -> Array:
+    """T_base_body of the base and every link of the tables."""
+    names = tables["joint_names"]
+    revolute = np.array([kind == "revolute" for kind in tables["joint_types"]])
+    if "dh_params" in tables:
+        table = DhTable.from_rows(tables["dh_params"], tables["dh_convention"], revolute=revolute)
+        found = table.frames(q, np.array(tables.get("dh_base_frame", np.eye(4)))).copy()
+        found[0] = np.eye(4)
+        return found
+    parents = tables.get("parents", ["base", *names[:-1]])
+    poses = {"base": np.eye(4)}
+    for name, parent, T, turns, value in zip(
+        names, parents, tables["joint_frames"], revolute, q, strict=True
+    ):
+        moved = frame(rotation_about(2, value)) if turns else frame(position=[0, 0, value])
+        poses[name] = poses[parent] @ np.array(T) @ moved
+    return np.array([*poses.values()])
+
+
+@pytest.mark.parametrize("text", [GRIPPER, CHAIN])
+def test_links_are_where_the_file_has_them(tmp_path: Path, text: str) -> None:
+    file = UrdfFile(write(tmp_path, text))
+    tables = file.described.tables
+    assert ("dh_params" in tables) == (text == CHAIN)
+    for q in np.random.default_rng(0).uniform(-2, 2, (20, len(tables["joint_names"]))):
+        values = {joint.name: value for joint, value in zip(file.tree.joints, q, strict=True)}
+        found = poses_in_tables(tables, q)
+        for link, T in poses_in_xml(text, values).items():
+            body, T_body_link = file.tree.T_body_link[link]
+            assert np.allclose(found[body] @ T_body_link, T, rtol=0, atol=1e-9)
+
+
+def points_of(mass: float, center: Array, tensor: Array) -> tuple[Array, Array]:
+    """Six point masses that have a body's mass, centre and tensor."""
+    moments, axes = np.linalg.eigh(np.trace(tensor) / 2 * np.eye(3) - tensor)
+    away = (axes * np.sqrt(3 * moments / mass)).T
+    return np.concatenate([center + away, center - away]), np.full(6, mass / 6)
+
+
+@pytest.mark.parametrize("text", [GRIPPER, CHAIN])
+def test_inertias_are_those_of_the_point_masses_of_all_links(tmp_path: Path, text: str) -> None:
+    tables = described(tmp_path, text).tables
+    dynamics = tables["dynamics"]
+    q = np.array([0.3, 0.2, -0.4, 0.7])[: len(tables["joint_names"])]
+    names = ["turn.table", "slide", "finger a", "finger-b"][: len(q)]
+    at = poses_in_xml(text, dict(zip(names, q, strict=True)))
+    points, masses = [], []
+    for link in ElementTree.fromstring(text).findall("link"):
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        mass = float(floats(inertial.find("mass"), "value")[0])
+        xx, yy, zz, xy, xz, yz = (
+            float(inertial.find("inertia").get(name))  # type: ignore
+            for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        )
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        local, each = points_of(mass, np.zeros(3), tensor)
+        T = at[link.get("name")] @ origin(inertial)
+        points.append(local @ T[:3, :3].T + T[:3, 3])
+        masses.append(each)
+    ours, our_masses = [], []
+    for T, mass, center, six in zip(
+        poses_in_tables(tables, q), dynamics["masses"], dynamics["centers_of_mass"],
+        dynamics["inertias"], strict=True,
+    ):  # fmt: skip
+        if mass:
+            xx, yy, zz, xy, xz, yz = six
+            tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            local, each = points_of(mass, np.array(center), tensor)
+            ours.append(local @ T[:3, :3].T + T[:3, 3])
+            our_masses.append(each)
+    for power in (0, 1, 2):
+        sums = []
+        for p, m in ((points, masses), (ours, our_masses)):
+            cloud, weights = np.concatenate(p), np.concatenate(m)
+            sums.append(
+                [weights.sum(), weights @ cloud, (weights[:, None] * cloud).T @ cloud][power]
+            )
+        assert np.allclose(*sums, rtol=1e-9, atol=1e-12)
+    assert dynamics["masses"][:2] == [4.0, 2.5]
+
+
+def test_limits_couplings_colours_and_shapes(tmp_path: Path) -> None:
+    read = described(tmp_path, GRIPPER)
+    tables = read.tables
+    assert tables["name"] == "arm_1_0"
+    assert tables["joint_names"] == ["turn_table", "slide", "finger_a", "finger-b"]
+    assert tables["joint_types"] == ["revolute", "prismatic", "revolute", "revolute"]
+    assert tables["parents"] == ["base", "turn_table", "slide", "slide"]
+    inf = np.inf
+    assert tables["position_limits"] == [[-inf, inf], [0.1, 0.4], [-0.5, 1.0], [-0.5, 1.0]]
+    assert tables["velocity_limits"] == [inf, 0.3, 2.0, 2.0]
+    assert tables["torque_limits"] == [inf, 200.0, inf, inf]  # zero is none
+    assert tables["couplings"] == {"finger-b": {"to": "finger_a", "ratio": -2.0, "offset": 0.25}}
+    assert tables["joint_angles"] == [0.0, 0.1, 0.0, 0.25]  # where 0 is out of reach
+    assert tables["dynamics"]["viscous_friction"] == [0.5, 0, 0, 0]
+    assert tables["dynamics"]["coulomb_friction"] == [0.1, 0, 0, 0]
+    assert tables["colors"] == {"red": [0.8, 0.1, 0.1, 1.0], "own": [0.0, 0.5, 1.0, 0.5]}
+    base, upper, *rest = tables["filenames"]
+    assert base == [{"shape": "cylinder", "size": [0.1, 0.2], "color": "red"}]
+    assert [each["color"] for each in upper] == ["own", "red"]
+    assert upper[0]["size"] == [0.05] and upper[1]["size"] == [0.1, 0.05, 0.02]
+    assert np.allclose(np.array(upper[0]["frame"])[:3, 3], [0, 0, 0.1])
+    assert rest == [[], [], []]
+    assert tables["collisions"] == [[{"shape": "box", "size": [0.2, 0.2, 0.2]}], [], [], [], []]
+    # The flange is on the hand, not on one of its fingers.
+    assert tables["flange_on"] == "slide"
+    lines = GRIPPER.splitlines()
+    for key, text in (
+        ("joint_names.2", 'joint name="finger a"'),
+        ("filenames.1.1", "box size"),
+        ("torque_limits.1", "limit lower"),
+        ("couplings.finger-b", 'joint name="finger-b"'),
+        ("dynamics.masses.1", 'link name="upper"'),
+    ):
+        assert text in lines[read.lines[key] - 1], key
+    assert read.warnings == [
+        "names of joints changed: 'turn.table' is turn_table, 'finger a' is finger_a",
+        "moving links without mass: 'lower'",
+    ]
+
+
+def test_a_chain_has_a_table_and_its_flange(tmp_path: Path) -> None:
+    text = CHAIN.replace(
+        "</robot>",
+        '<joint name="t" type="fixed"><origin xyz="0 0 0.1" rpy="0 0 1"/><parent link="lower"/>'
+        '<child link="tool0"/></joint><link name="tool0"/></robot>',
+    )
+    file = UrdfFile(write(tmp_path, text))
+    tables = file.described.tables
+    assert file.tree.flange == "tool0"
+    assert "joint_frames" not in tables and "parents" not in tables
+    q = np.array([0.4, 0.3])
+    T = poses_in_tables(tables, q)[-1] @ np.array(tables["flange_frame"])
+    expected = poses_in_xml(text, {"turn.table": 0.4, "slide": 0.3})["tool0"]
+    assert np.allclose(T, expected, rtol=0, atol=1e-9)
+
+
+def test_a_floating_root_is_a_free_base(tmp_path: Path) -> None:
+    text = GRIPPER.replace(
+        '  <link name="base_link">',
+        '<link name="world"/><joint name="root" type="floating"><parent link="world"/>'
+        '<child link="base_link"/><origin xyz="0 0 1"/></joint><link name="base_link">',
+    )
+    tables = described(tmp_path, text).tables
+    assert tables["free_base"] is True
+    assert np.array(tables["base_frame"])[:3, 3].tolist() == [0, 0, 1]
+    assert len(tables["joint_names"]) == 4
+
+
+BAD = """<robot name="bad">
+  <link name="a"><inertial><mass value="-1"/></inertial></link>
+  <link name="b"><visual><geometry><boxx size="1 1 1"/></geometry></visual>
+    <inertial><mass value="1"/><inertia ixx="one" iyy="1" izz="1"/></inertial></link>
+  <link name="b"/>
+  <link/>
+  <joint name="j1" type="revolut"><parent link="a"/><child link="b"/></joint>
+  <joint name="j2" type="revolute"><parent link="a"/><child link="bb"/>
+    <axis xyz="0 0 0"/></joint>
+  <joint name="j3" type="revolute"><parent link="a"/>
+    <child link="b"/><axis xyz="0 0 0"/>
+    <limit lower="1" upper="-1" velocity="-1" effort="1"/></joint>
+  <joint name="j4" type="prismatic"><child link="b"/><origin xyz="0 0" rpy="0 nan 0"/></joint>
+  <joint name="j3" type="fixed"/>
+</robot>
+"""
+
+
+def test_all_that_is_wrong_is_told_at_once_with_its_line(tmp_path: Path) -> None:
+    assert problems(tmp_path, BAD) == [
+        "robot.urdf:2: link 'a': <mass>: found -1 kg; expected 0 or more",
+        "robot.urdf:3: link 'b': <visual>: no geometry <boxx>; did you mean 'box'?",
+        "robot.urdf:4: link 'b': <inertia>: found ixx = 'one'; expected 1 number",
+        "robot.urdf:5: link 'b': is there already, line 3",
+        'robot.urdf:6: link: has no name; expected name="..."',
+        "robot.urdf:7: joint 'j1': found type 'revolut'; did you mean 'revolute'?",
+        "robot.urdf:8: joint 'j2': <child>: no link 'bb'; did you mean 'b'?",
+        "robot.urdf:11: joint 'j3': <axis>: found 0 0 0; expected a direction",
+        "robot.urdf:12: joint 'j3': <limit>: found lower = 1, upper = -1; expected lower < upper",
+        "robot.urdf:12: joint 'j3': <limit>: found velocity = -1; expected 0 or more",
+        "robot.urdf:13: joint 'j4': has no <parent link=\"...\">",
+        "robot.urdf:13: joint 'j4': <origin>: found xyz = '0 0'; expected 3 numbers",
+        "robot.urdf:13: joint 'j4': <origin>: found rpy = '0 nan 0'; expected 3 numbers",
+        "robot.urdf:14: joint 'j3': is there already, line 10",
+    ]  # fmt: skip
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute") -> str:
+    return (
+        f'\n<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint>'
+    )
+
+
+LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd")
+
+
+@pytest.mark.parametrize(
+    ("joints", "expected"),
+    [
+        (
+            joint("1", "a", "b") + joint("2", "c", "b") + joint("3", "b", "d"),
+            ["robot.urdf:3: joint '2': carries link 'b', which joint '1' carries; expected one "
+             "joint for each link"],
+        ),
+        (
+            joint("1", "a", "b") + joint("2", "b", "c"),
+            ["robot.urdf:1: link 'd': no joint has it as <child>; expected one, as the base is "
+             "'a'"],
+        ),
+        (
+            joint("1", "a", "b") + joint("2", "c", "d") + joint("3", "d", "c"),
+            ["robot.urdf:1: link 'c': joints go round in a circle: 'c', 'd'; expected a tree"],
+        ),
+        (
+            joint("1", "a", "b")
+            + joint("2", "b", "c", "planar")
+            + joint("3", "c", "d", "floating"),
+            ["robot.urdf:3: joint '2': is planar; expected revolute, continuous, prismatic, fixed; "
+             "two prismatic joints and a revolute one do the same",
+             "robot.urdf:4: joint '3': is floating; expected revolute, continuous, prismatic, "
+             "fixed; free_base = true frees the base"],
+        ),
+        (
+            "".join(joint(a + b, a, b, "fixed") for a, b in ("ab", "bc", "cd")),
+            ["robot.urdf:1: robot: has no joint that moves; expected one or more"],
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_no_tree_is_refused(tmp_path: Path, joints: str, expected: list[str]) -> None:
+    assert problems(tmp_path, f"{LINKS}{joints}\n</robot>") == expected
+
+
+ENTITIES = "".join(
+    f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "robot.urdf:1: is not XML that can be read: Document is empty"),
+        ("solid model", "robot.urdf:1: is not XML that can be read: Start tag expected"),
+        ("<robot>\n<link>\n</robot>", "robot.urdf:3: is not XML that can be read: Opening and end"),
+        ("<robot>" + "<a>" * 400, "robot.urdf:1: is not XML that can be read: Excessive depth"),
+        (f'<!DOCTYPE r [<!ENTITY a "lol">{ENTITIES}]><robot name="&i;"/>', "declares entities"),
+        ('<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot>&a;</robot>',
+         "robot.urdf: is not XML that can be read: declares entities ('a'); expected none"),
+        ("\n<mujoco/>",
+         "robot.urdf:2: is an MJCF file; expected a URDF file, whose root is <robot>"),
+        ("<robot/>", "robot.urdf:1: robot: has no <link>; expected one or more"),
+    ],
+)  # fmt: skip
+def test_what_is_no_urdf_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+    found = problems(tmp_path, text)
+    assert expected in found[0]
+
+
+def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
+    for path, message in ((tmp_path / "no.urdf", "no such file"), (tmp_path, "Is a directory")):
+        with pytest.raises(DeclarationError, match=message):
+            read_urdf(path)
+
+
+XACRO = """<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:property name="length" value="0.25"/>
+<link name="a"/><link name="b"/>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+<origin xyz="0 0 ${2 * length}"/><limit lower="-1" upper="1"/></joint>
+</robot>"""
+
+
+def test_xacro_is_expanded_where_it_is_installed(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    tables = described(tmp_path, XACRO).tables
+    assert np.array(tables["flange_frame"])[:3, 3].tolist() == [0, 0, 0.5]
+    wrong = XACRO.replace("2 * length", "2 * lenth")
+    assert "xacro cannot expand it" in problems(tmp_path, wrong)[0]
+    included = XACRO.replace("<link", '<xacro:include filename="$(find odd)/x.xacro"/><link', 1)
+    assert "package 'odd' is not found: --package odd=DIR" in problems(tmp_path, included)[0]
+
+
+def test_without_xacro_it_is_said_how_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xacro", None)
+    (found,) = problems(tmp_path, XACRO)
+    assert "is xacro, which becomes URDF by a package: `pip install sero-mj[xacro]`" in found
+    # Only where it is used: what was made by xacro declares its namespace still.
+    assert described(tmp_path, GRIPPER.replace("<robot", '<robot xmlns:xacro="xacro"'))
+
+
+def test_mimics_without_meaning_and_odd_limits_are_warned_of(tmp_path: Path) -> None:
+    text = GRIPPER.replace('joint="finger a" mult', 'joint="finger_a" mult').replace(
+        'lower="0.1" upper="0.4"', 'lower="0" upper="0"'
+    )
+    read = described(tmp_path, text)
+    assert "couplings" not in read.tables
+    assert read.tables["position_limits"][1] == [-np.inf, np.inf]
+    line = text[: text.index('name="finger-b"')].count("\n") + 1
+    mimic = f"'finger-b' (line {line}): no joint 'finger_a'; did you mean 'finger a'?"
+    assert f"joints whose <mimic> is left out: {mimic}" in read.warnings
+    limits = [warning for warning in read.warnings if "limits are equal" in warning]
+    assert limits == [
+        "joints whose limits are equal are taken as without limits: 'slide' (line 32)"
+    ]
+
+
+WORDS = ["0", "1", "-1", "nan", "1e400", "", "a", "revolute", "fixed", "upper", "lower", "slide"]
+
+
+@given(st.data())
+def test_mutated_files_raise_nothing_but_declaration_errors(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "mutated.urdf"
+    text = GRIPPER
+    for _ in range(data.draw(st.integers(1, 4))):
+        kind = data.draw(st.sampled_from(["cut", "word", "element", "character"]))
+        start = data.draw(st.integers(0, max(len(text) - 1, 0)))
+        if kind == "cut":
+            text = text[:start] + text[start + data.draw(st.integers(1, 60)) :]
+        elif kind == "character":
+            text = text[:start] + data.draw(st.characters(exclude_categories=["Cs"])) + text[start:]
+        else:
+            root = ElementTree.fromstring(GRIPPER)
+            each = data.draw(st.sampled_from([*root.iter()]))
+            if kind == "word" and each.attrib:
+                name = data.draw(st.sampled_from(sorted(each.attrib)))
+                each.set(name, data.draw(st.sampled_from(WORDS)))
+            else:
+                each[:] = data.draw(st.permutations([*each]))[1:]
+            text = ElementTree.tostring(root, encoding="unicode")
+    path.write_text(text, encoding="utf-8")
+    try:
+        tables = read_urdf(path).tables
+    except DeclarationError as error:
+        assert str(error)
+    else:
+        assert len(tables["joint_names"]) >= 1
