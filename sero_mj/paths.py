@@ -16,7 +16,7 @@ from typing import BinaryIO
 from .errors import DeclarationError, Problem, UnknownName, nearest
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
-ROBOT_ENDINGS: tuple[str, ...] = ()  # of robot files in other formats than TOML
+ROBOT_ENDINGS: tuple[str, ...] = (".urdf", ".xacro")  # of robot files in other formats than TOML
 SCENE_ENDINGS = (".x3d", ".x3dv", ".wrl")  # of scene files in other formats
 _PACKAGE = Path(__file__).resolve().parent
 _KINDS = (
@@ -114,6 +114,8 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     """
     if "\0" not in name and name.lower().endswith((".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS)):
         path = (beside or Path()) / name
+        if os.path.isfile(path):
+            return  # another kind of file than what is looked for
         what = "is a folder; expected a file"
         if not os.path.isdir(path):
             near = nearest(path.stem, [Path(n).stem for n in _files(path.parent, path.suffix)])

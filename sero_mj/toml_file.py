@@ -90,7 +90,9 @@ def _other_format(contents: bytes) -> str | None:
     tag = root[1].decode()
     what = {"robot": "a URDF file", "mujoco": "an MJCF file", "sdf": "an SDF file"}
     how = "a robot is a Denavit-Hartenberg table in TOML"
-    if tag in ("robot", "mujoco"):
+    if tag == "robot":
+        how += ", or URDF in a file that ends in .urdf"
+    elif tag == "mujoco":
         how += "; sero_mj.overlay shows this model as it is, in Python"
     return f"is {what.get(tag, f'XML <{tag}>')}; expected a TOML file: {how}"
 

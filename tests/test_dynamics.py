@@ -17,6 +17,7 @@ from sero_mj.assemble.dynamics import Dynamics, balanced_tensor, inertia_problem
 from sero_mj.assemble.robot import SerialRobot, build_robot
 from sero_mj.assemble.robot_dynamics import robot_dynamics
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError
@@ -222,10 +223,27 @@ def test_a_mesh_that_mujoco_refuses_is_named(tmp_path):
     (tmp_path / "flat.stl").write_bytes(stl(flat[FACES]))
     fields = {"directory": str(tmp_path), "filenames": ["", "flat.stl"]}
     robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0, 0, 0, 0.2]], **fields)
-    with pytest.raises(
-        DeclarationError, match=r"^robots.arm.filenames.1: .*flat.stl is not a mesh"
-    ):
+    with pytest.raises(DeclarationError, match=r"^robots.arm.filenames.1: .*flat.stl: has fewer"):
         World(Scene(robots=[robot]), dynamic=True)
+    sheet = CORNERS[[0, 1, 2, 3]]
+    sheet[3] = [0.4, 0.3, 0]
+    (tmp_path / "flat.stl").write_bytes(stl(sheet[FACES]))
+    plate = Object(name="plate", mesh="flat.stl", mass=1.0, directory=str(tmp_path))
+    with pytest.raises(DeclarationError, match=r"^objects.plate.mesh: .*flat.stl is not a mesh"):
+        World(Scene(objects=[plate]))
+
+
+def test_a_flat_mesh_of_a_link_weighs_what_a_sheet_of_a_millimetre_does(tmp_path):
+    sheet = CORNERS[[0, 1, 2, 3]]
+    sheet[3] = [0.4, 0.3, 0]
+    (tmp_path / "flat.stl").write_bytes(stl(sheet[FACES]))
+    robot = SerialRobot(
+        dh_convention="craig", dh_params=[[0, 0, 0, 0.2]], directory=str(tmp_path),
+        filenames=["", "flat.stl"], dynamics={"density": 1000.0},
+    )  # fmt: skip
+    dynamics = robot_dynamics(robot)
+    assert dynamics.masses[1] == pytest.approx(1000 * 0.3 * 0.3 * 1e-3, rel=1e-4)
+    World(Scene(robots=[robot]), dynamic=True)
 
 
 def test_frames_of_figures_are_those_that_are_declared(lwr):

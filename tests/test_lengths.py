@@ -130,7 +130,7 @@ def test_a_scene_says_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_a_model_of_another_format_is_told_as_what_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], contents: bytes, expected: str
 ) -> None:
-    file = tmp_path / "robot.urdf"
+    file = tmp_path / "robot.toml"
     file.write_bytes(contents)
     with pytest.raises(SystemExit) as ended:
         main(["view", str(file), "--web"])
@@ -138,7 +138,8 @@ def test_a_model_of_another_format_is_told_as_what_it_is(
     said = f"sero-mj: {file}: is {expected}; expected a TOML file: a robot is a Denavit-Hartenberg"
     err = capsys.readouterr().err
     assert err.startswith(said)
-    assert ("sero_mj.overlay shows this model" in err) == ("XML" not in said and "SDF" not in said)
+    assert ("sero_mj.overlay shows this model" in err) == ("MJCF" in said)
+    assert ("a file that ends in .urdf" in err) == ("URDF" in said)
 
 
 def test_a_recording_is_no_scene(tmp_path: Path) -> None:

@@ -144,6 +144,23 @@ def test_a_material_that_cannot_be_read_costs_the_colour_only(tmp_path: Path) ->
     assert [piece.rgba for piece in pieces] == [(0.8, 0.1, 0.2, 1.0), None]
 
 
+def test_vrml_has_the_colours_of_its_materials(tmp_path: Path) -> None:
+    path = tmp_path / "two.wrl"
+    path.write_text(
+        "#VRML V2.0 utf8\nTransform { translation 1 0 0 children Shape {\n"
+        "geometry Box { size 1 2 3 }\n"
+        "appearance Appearance { material Material { diffuseColor 1 0 0 transparency 0.5 } } } }\n"
+        "Shape { geometry Sphere { radius 0.5 } }",
+        encoding="utf-8",
+    )
+    box, sphere = read_mesh(path)
+    assert (box.rgba, sphere.rgba) == ((1.0, 0.0, 0.0, 0.5), None)
+    corners = compiled(box)
+    assert np.allclose([corners.min(axis=0), corners.max(axis=0)], [[0.5, -1, -1.5], [1.5, 1, 1.5]])
+    path.write_text("#VRML V2.0 utf8\nTransform {", encoding="utf-8")
+    assert refused(path) == "two.wrl:2: the { of Transform is not closed"
+
+
 def test_obj_files_have_the_colours_of_their_materials(tmp_path: Path) -> None:
     (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 0 1\n", encoding="utf-8")
     points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
@@ -162,7 +179,7 @@ def test_obj_files_have_the_colours_of_their_materials(tmp_path: Path) -> None:
     ("name", "contents", "expected"),
     [
         ("a.mesh", b"", "mesh a.mesh: found '.mesh'; expected .stl, .obj, .msh, .dae"),
-        ("no.stl", None, "mesh no.stl: no such file"),
+        ("no.stl", None, "mesh no.stl: No such file or directory"),
         ("empty.stl", b"", "mesh empty.stl: "),
         ("cut.stl", bytes(80) + struct.pack("<I", 9) + bytes(60), "mesh cut.stl: "),
         ("nan.stl", bytes(80) + struct.pack("<I12fH", 1, *[np.nan] * 12, 0),

@@ -179,8 +179,9 @@ WRONG = [
         " expected a file inside the directory, without '..'",
     ),
     (
-        {"filenames": ["", "b.wrl"]},
-        "filenames.1.0.file: found 'b.wrl'; expected a mesh that MuJoCo reads (.stl, .obj, .msh)",
+        {"filenames": ["", "b.doc"]},
+        "filenames.1.0.file: found 'b.doc'; expected a mesh (.stl, .obj, .msh, "
+        ".dae, .wrl, .x3dv, .ply, .off, .glb, .gltf, .3mf)",
     ),
     (
         {"filenames": ["", {"file": "b.stl", "colour": "red"}]},

@@ -283,8 +283,9 @@ def test_object_fields_are_checked():
             "mesh: found '/a.stl'; expected a file inside the directory, without '..'",
         ),
         (
-            {"mesh": "a.dae"},
-            "mesh: found 'a.dae'; expected a mesh that MuJoCo reads (.stl, .obj, .msh)",
+            {"mesh": "a.doc"},
+            "mesh: found 'a.doc'; expected a mesh (.stl, .obj, .msh, "
+            ".dae, .wrl, .x3dv, .ply, .off, .glb, .gltf, .3mf)",
         ),
     ],
 )
@@ -305,11 +306,14 @@ NO_FILE = "No such file or directory"
 UNREADABLE = [
     (
         f'{ARM}filenames = ["a.stl",\n "text.stl"]\ndirectory = "."',
-        [f"s.toml:3: robots.arm.filenames.0: mesh a.stl: {NO_FILE}"],
+        [
+            f"s.toml:3: robots.arm.filenames.0: mesh a.stl: {NO_FILE}",
+            "s.toml:4: robots.arm.filenames.1: mesh text.stl: has no triangles",
+        ],
     ),
     (
         f'{ARM}directory = "."\nfilenames = ["text.stl", "text.stl"]',
-        [f"s.toml:4: robots.arm.filenames.{i}: text.stl is not a mesh" for i in (0, 1)],
+        [f"s.toml:4: robots.arm.filenames.{i}: mesh text.stl: has no tri" for i in (0, 1)],
     ),
     (
         '[objects.a]\n\nmesh = "a.stl"\n[objects.b]\nmesh = "b.stl"',
@@ -321,8 +325,8 @@ UNREADABLE = [
     (
         '[objects.a]\n\nmesh = "text.stl"\n[objects.b]\nmesh = "text.obj"',
         [
-            "s.toml:3: objects.a.mesh: text.stl is not a mesh that MuJoCo reads: ",
-            "s.toml:5: objects.b.mesh: text.obj is not a mesh that MuJoCo reads: ",
+            "s.toml:3: objects.a.mesh: mesh text.stl: has no triangles",
+            "s.toml:5: objects.b.mesh: mesh text.obj: has no triangles",
         ],
     ),
     (

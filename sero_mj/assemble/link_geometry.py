@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import Problem, collect
 from ..frames import MIRROR, Array
-from .mjcf_elements import MESH, geom_type, half_sizes, mesh_asset, pose, shape_geom
+from .mjcf_elements import MESH, geom_type, half_sizes, mesh_assets, pose, shape_geom
 from .robot import SerialRobot
 from .robot_parts import LinkGeometry
 from .shapes import SHELL, LinkShape, generate_shapes
@@ -38,7 +38,7 @@ def drawn_geoms(
         links = generated(robot)
         return [[{"rgba": s.rgba, **shape_geom(s, shrink)} for s in link] for link in links]
     scope = "" if shrink == 1.0 else f"double-{robot.name}-"
-    return _declared(root, robot, robot.filenames, "filenames", scope, problems, shrink)
+    return _declared(root, robot, "filenames", scope, problems, shrink)
 
 
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
@@ -48,8 +48,7 @@ def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
         DeclarationError: all of them.
     """
     problems: list[Problem] = []
-    links = robot.collisions or [[] for _ in range(robot.n + 1)]
-    geoms = _declared(root, robot, links, "collisions", "touching-", problems)
+    geoms = _declared(root, robot, "collisions", "touching-", problems)
     for geom in (geom for link in geoms for geom in link):
         del geom["rgba"]
     return geoms
@@ -58,28 +57,30 @@ def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
 def _declared(
     root: mujoco.MjSpec,
     robot: SerialRobot,
-    links: list[list[LinkGeometry]],
     key: str,
     scope: str,
     problems: list[Problem],
     shrink: float = 1.0,
 ) -> list[list[Geom]]:
-    geoms: list[list[Geom]] = [[] for _ in links]
-    for i, parts in enumerate(links):
+    solid = key == "collisions"
+    geoms: list[list[Geom]] = [[] for _ in range(robot.n + 1)]
+    for i, parts in enumerate(getattr(robot, key)):
         for k, part in enumerate(parts):
-            rgba = SHELL if part.color is None else robot.colors[part.color]
+            rgba = None if part.color is None else robot.colors[part.color]
             at = pose(_placed(robot, part.frame, shrink))
             if part.shape is not None:
                 assert part.size is not None  # checked by LinkGeometry
                 size = half_sizes(part.shape, part.size) * shrink
-                geoms[i].append({"type": geom_type(part.shape), "size": size, "rgba": rgba, **at})
+                look = SHELL if rgba is None else rgba
+                geoms[i].append({"type": geom_type(part.shape), "size": size, "rgba": look, **at})
                 continue
             with collect(problems, f"{key}.{i}"):
-                name = f"{scope}link{i}_{k}"
-                if root.mesh(name) is None:
-                    path = Path(robot.directory) / (part.file or "")
-                    mesh_asset(root, name, path, shrink * mesh_scale(robot, part))
-                geoms[i].append({"type": MESH, "meshname": name, "rgba": rgba, **at})
+                path = Path(robot.directory) / (part.file or "")
+                scale = shrink * mesh_scale(robot, part)
+                file = f"{scope}link{i}_{k}"
+                for mesh, own in mesh_assets(root, file, path, scale, solid=solid):
+                    look = next((each for each in (rgba, own) if each is not None), SHELL)
+                    geoms[i].append({"type": MESH, "meshname": mesh, "rgba": look, **at})
     return geoms
 
 

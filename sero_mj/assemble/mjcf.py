@@ -32,7 +32,7 @@ from .mjcf_dynamics import (
     set_inertia,
     set_up_dynamics,
 )
-from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, half_sizes, mesh_asset, pose
+from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, half_sizes, mesh_assets, pose
 from .mounts import base_frames, carrier, mount_order
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
@@ -355,23 +355,39 @@ def _add_object(
     if item.shape == "axes":
         body.add_site(name=f"axes_{item.name}", group=SITE_GROUP, **pose(T))
         return
-    kind: dict[str, Any]
+    looks: list[dict[str, Any]] = [{}]
     if item.mesh is not None:
         path = Path(item.directory) / item.mesh
         try:
             scale = item.mesh_scale * (frames.MIRROR.diagonal()[:3] if mirrored else 1.0)
-            asset = mesh_asset(root, f"object_{item.name}", path, scale)
+            meshes = mesh_assets(root, f"object_{item.name}", path, scale, solid=True)
         except DeclarationError as error:
             raise DeclarationError([p.inside("mesh") for p in error.problems]) from error
-        kind = {"type": MESH, "meshname": asset}
+        looks = [{"type": MESH, "meshname": mesh, "rgba": rgba} for mesh, rgba in meshes]
+        if len(meshes) > 1 and item.mass is not None:
+            for look, share in zip(looks, _mass_shares(path, scale), strict=True):
+                look["mass"] = item.mass * share
     else:
         assert item.size is not None and item.shape is not None  # checked by Object
-        kind = {"type": geom_type(item.shape), "size": half_sizes(item.shape, item.size)}
-    if item.mass is not None:
-        kind["mass"] = item.mass
-    geom = body.add_geom(name=item.name, rgba=item.rgba, group=OBJECT_GROUP, **kind, **pose(T))
-    if item.friction is not None:
-        set_friction(geom, item.friction)
+        looks = [{"type": geom_type(item.shape), "size": half_sizes(item.shape, item.size)}]
+    for k, look in enumerate(looks):
+        if look.get("rgba") is None or "rgba" in item.model_fields_set:
+            look["rgba"] = item.rgba
+        if item.mass is not None:
+            look.setdefault("mass", item.mass)
+        name = f"{item.name}_{k}" if k else item.name
+        geom = body.add_geom(name=name, group=OBJECT_GROUP, **look, **pose(T))
+        if item.friction is not None:
+            set_friction(geom, item.friction)
+
+
+def _mass_shares(path: Path, scale: Any) -> Array:
+    """Returns how the mass of a mesh file is shared by the hulls of its colours, (k,)."""
+    root = mujoco.MjSpec()
+    for mesh, _ in mesh_assets(root, "mesh", path, scale, solid=True):
+        root.worldbody.add_body().add_geom(type=MESH, meshname=mesh)
+    masses = root.compile().body_mass[1:]
+    return np.asarray(masses / masses.sum())
 
 
 def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..describe.mesh_files import Rgba, read_mesh
 from ..errors import DeclarationError, Problem
 from ..frames import Array
 from ..paths import open_file, read_file
@@ -21,6 +22,7 @@ _MOST_BYTES = 100_000_000  # of a file of MJCF
 MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 _CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
 
 
@@ -134,26 +136,36 @@ def pose(T: Array) -> dict[str, Array]:
     return {"pos": T[:3, 3], "quat": quat}
 
 
-def mesh_asset(spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike) -> str:
-    """Adds a mesh file to the assets and returns the mesh's name.
+def mesh_assets(
+    spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike, *, solid: bool
+) -> list[tuple[str, Rgba | None]]:
+    """Adds a mesh file to the assets.
 
     Args:
-        spec: gets it.
+        spec: gets it; meshes of these names that it has are used again.
         name: of the mesh.
-        path: of the file.
+        path: of the file, in any format that `read_mesh` takes.
         scale: m per unit, one number or along x, y and z; negative ones mirror it.
+        solid: whether it has to have a volume, as it touches or has a mass.
+
+    Returns:
+        name and colour of a mesh for each colour in the file; None where the file has none.
 
     Raises:
         DeclarationError: the file cannot be read.
     """
-    try:
-        contents = read_file(path, MOST_ASSET_BYTES)
-    except OSError as error:
-        raise DeclarationError([Problem("", f"mesh {path}: {error.strerror}")]) from error
-    # Inertia by the convex hull, so that a mesh with holes has a mass; drawing is not affected.
-    file = add_file(spec, path, contents)
-    spec.add_mesh(name=name, file=file, scale=np.broadcast_to(scale, 3), inertia=_CONVEX)
-    return name
+    meshes = []
+    for k, piece in enumerate(read_mesh(path)):
+        meshes.append((f"{name}_{k}" if k else name, piece.rgba))
+        if spec.mesh(meshes[-1][0]) is None:
+            spec.add_mesh(
+                name=meshes[-1][0],
+                file=add_file(spec, path.with_suffix(piece.ending), piece.contents),
+                scale=np.broadcast_to(scale, 3),
+                # By the convex hull, so that a mesh with holes has a mass; a flat one has no hull.
+                inertia=_CONVEX if solid or not piece.is_flat else _SHELL,
+            )
+    return meshes
 
 
 def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:

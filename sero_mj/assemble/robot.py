@@ -395,6 +395,31 @@ class SerialRobot(Declaration):
         path = paths.find_model(model)
         return build_robot({"name": paths.model_name(path), **overrides}, path)
 
+    @classmethod
+    def from_urdf(
+        cls,
+        path: Path | str,
+        packages: Mapping[str, Path | str] | None = None,
+        **overrides: Any,
+    ) -> SerialRobot:
+        """Reads a URDF file, or xacro if the package `xacro` is installed.
+
+        A chain gets a Denavit-Hartenberg table that has its frames, where there is one, anything
+        else `joint_frames`. Links that are fixed to each other are one. What was lost (meshes that
+        are not found, say) is told as warnings by `logging`.
+
+        Args:
+            path: of the file.
+            packages: folders of ROS packages by name, for `package://NAME/...`; others are
+                searched for above the file and on the paths that the environment names.
+            **overrides: any field of this class.
+
+        Raises:
+            DeclarationError: what is wrong in the file or the overrides.
+        """
+        path = Path(path)
+        return build_robot({"name": paths.model_name(path), **overrides}, path, packages)
+
     @property
     def kinematics(self) -> JointTree:
         """Its DH table, or the frames of its joints."""
@@ -614,20 +639,25 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     return values
 
 
-def build_robot(fields: Mapping[str, Any], model: Path | None = None) -> SerialRobot:
+def build_robot(
+    fields: Mapping[str, Any],
+    model: Path | None = None,
+    packages: Mapping[str, Path | str] | None = None,
+) -> SerialRobot:
     """Builds a robot from its fields, which override those of a robot file if one is given.
 
     Args:
         fields: fields of `SerialRobot` that override the file's; entries of `dynamics`
             and `torque_control` one by one.
         model: the robot file; its `directory` is relative to its folder.
+        packages: folders of ROS packages by name, for URDF.
 
     Raises:
         DeclarationError: problems in the file carry its name and line; the others do not.
     """
     if model is None:
         return SerialRobot(**fields)
-    described = read_robot_file(model)
+    described = read_robot_file(model, packages)
     below = dict(described.tables)
     for warning in described.warnings:
         log.warning("%s: %s", model, warning)

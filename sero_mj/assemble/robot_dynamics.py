@@ -34,6 +34,8 @@ _VISCOUS = 0.008
 _FIRST_MODE = 10.0  # Hz, motor against held link
 _DAMPING_RATIO = 0.03  # of that mode
 _STEEL = 7800.0  # kg/m3; no link is denser
+# Meshes this much thinner than they are long have no hull; these have one of a sheet of 1 mm.
+_FLAT, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
 # Lower bound: MuJoCo refuses bodies of smaller mass.
 _LEAST_MASS = 1e-6  # kg
 _LEAST_GYRATION = 0.01  # m, of a link without a mass
@@ -174,7 +176,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     places: list[Array] = []
     for i, geoms in enumerate(drawn_geoms(root, robot, problems)):
         for geom in (geom for geom in geoms if geom["type"] == MESH):
-            root.worldbody.add_geom(type=MESH, meshname=geom["meshname"])
+            root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
             owners.append(i)
             places.append(frames.frame(frames.rotation_from_quat(geom["quat"]), geom["pos"]))
     if problems:
@@ -226,7 +228,16 @@ def _corners(model: mujoco.MjModel, mesh: int) -> Array:
 
 
 def _hull(cloud: Array) -> Array:
-    """Returns the vertices (k, 3) of the convex hull of points (m, 3); they cannot be changed."""
+    """Returns the vertices (k, 3) of the convex hull of points (m, 3); they cannot be changed.
+
+    Points in a plane are those of a sheet of a millimetre.
+    """
+    middle = cloud.mean(axis=0)
+    extents, axes = np.linalg.eigh((cloud - middle).T @ (cloud - middle) / len(cloud))
+    thin = extents < _FLAT**2 * max(extents[2], 1e-12)
+    if thin.any():
+        away = _THICKNESS * axes.T[thin].sum(axis=0)
+        cloud = np.concatenate([cloud - away, cloud + away])
     return _kept_hull(np.ascontiguousarray(cloud).tobytes())
 
 

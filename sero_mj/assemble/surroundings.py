@@ -17,11 +17,11 @@ from pydantic import (
 )
 
 from ..declaration import Declaration, Frame, Name, Point, Rgba, Vector
+from ..describe.mesh_files import MESH_ENDINGS
 from ..frames import Array
 from .mjcf_elements import is_mjcf_object
 
 _MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
-MESH_FORMATS = (".stl", ".obj", ".msh")
 
 # Meaning of the entries of `size` for each shape, m.
 SHAPE_SIZES = {
@@ -47,10 +47,10 @@ def _inside(file: str) -> str:
 
 
 def _of_a_mesh(file: str) -> str:
-    """Returns a file name after checking its folder and that MuJoCo can read the format."""
-    if Path(_inside(file)).suffix.lower() not in MESH_FORMATS:
-        formats = ", ".join(MESH_FORMATS)
-        raise ValueError(f"found '{file}'; expected a mesh that MuJoCo reads ({formats})")
+    """Returns a file name after checking its folder and that it is a mesh."""
+    if Path(_inside(file)).suffix.lower() not in MESH_ENDINGS:
+        formats = ", ".join(MESH_ENDINGS)
+        raise ValueError(f"found '{file}'; expected a mesh ({formats})")
     return file
 
 

@@ -26,6 +26,7 @@ from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults
+from .mjcf_elements import mesh_assets
 from .mounts import carrier
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, robot_dynamics
@@ -409,21 +410,19 @@ def _mesh_problems(scene: Scene) -> list[Problem]:
     return [
         problem
         for key, folder, file in meshes
-        if file is not None and (problem := _mesh_problem(key, Path(folder) / file)) is not None
+        if file is not None and (problem := _mesh_problem(key, Path(folder) / file))
     ]
 
 
 def _mesh_problem(key: str, path: Path) -> Problem | None:
-    file = f"mesh{path.suffix.lower()}"
-    xml = (
-        f'<mujoco><asset><mesh name="mesh" file="{file}" inertia="convex"/></asset>'
-        '<worldbody><geom type="mesh" mesh="mesh"/></worldbody></mujoco>'
-    )
+    solid = "filenames" not in key  # what is only drawn may be flat
+    root = mujoco.MjSpec()
     try:
-        mujoco.MjModel.from_xml_string(xml, {file: path.read_bytes()})
+        for mesh, _ in mesh_assets(root, "mesh", path, 1.0, solid=solid):
+            kind = mujoco.mjtGeom.mjGEOM_MESH
+            root.worldbody.add_geom(type=kind, meshname=mesh, contype=solid, conaffinity=solid)
+        root.compile()
     except (ValueError, OSError) as error:
-        reason = str(error).splitlines()[0].removeprefix("Error: ").replace(file, path.name)
-        if path.suffix.lower() == ".stl" and b"facet normal" in path.read_bytes()[:1000]:
-            reason = "it is an ASCII STL; save it as a binary one"
+        reason = str(error).splitlines()[0].removeprefix("Error: ")
         return Problem(key, f"{path} is not a mesh that MuJoCo reads: {reason}")
     return None

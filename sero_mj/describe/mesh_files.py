@@ -1,7 +1,8 @@
 """Any mesh file as what MuJoCo reads: pieces of one colour each.
 
 STL and OBJ pass through as they are wherever MuJoCo takes them. COLLADA is read by pycollada, with
-its unit, the transforms of its nodes, and the colours of its materials; everything else by trimesh.
+its unit, the transforms of its nodes, and the colours of its materials; VRML97 by `wrl.py`;
+everything else by trimesh.
 
 A file's up axis is not applied: descriptions of robots are written against viewers that show the
 coordinates as they stand in the file (RViz and Gazebo), and most exporters state no true one.
@@ -16,7 +17,8 @@ import struct
 import threading
 import warnings
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -27,10 +29,13 @@ from lxml import etree
 from ..errors import DeclarationError, Problem
 from ..frames import Array, Ints
 from ..paths import read_file
+from .wrl import read_wrl
 from .xml_file import parse_xml
 
 # What `read_mesh` takes; the first three MuJoCo reads itself.
-MESH_ENDINGS = (".stl", ".obj", ".msh", ".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
+MESH_ENDINGS = (
+    ".stl", ".obj", ".msh", ".dae", ".wrl", ".x3dv", ".ply", ".off", ".glb", ".gltf", ".3mf",
+)  # fmt: skip
 MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
 MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
 _MOST_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
@@ -38,6 +43,8 @@ _MOST_PICTURE_BYTES = 50_000_000  # of a texture
 _MOST_KEPT_BYTES = 200_000_000  # of converted meshes
 _MATERIAL_FILE = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
 _USED = re.compile(rb"^[ \t]*usemtl[ \t]+([^\r\n]+)", re.MULTILINE)
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
+_FLAT = 1e-5  # thickness over length
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 Rgba = tuple[float, float, float, float]
@@ -56,6 +63,25 @@ class MeshPiece:
     contents: bytes
     ending: str
     rgba: Rgba | None = None
+
+    @cached_property
+    def points(self) -> Array:
+        """Its vertices (k, 3), in the unit of the file; a vertex may be there several times."""
+        if self.ending == ".stl":
+            corners = np.frombuffer(self.contents, _FACET, offset=84)["corners"]
+            return np.asarray(corners.reshape(-1, 3), np.float64)
+        if self.ending == ".obj":
+            found = np.array(_VERTEX.findall(self.contents), np.bytes_)
+            return found.reshape(-1, 3).astype(np.float64)
+        count = int.from_bytes(self.contents[:4], "little")
+        return np.frombuffer(self.contents, "<f4", 3 * count, 16).reshape(-1, 3).astype(np.float64)
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether it is in a plane, so that it has no volume and no convex hull."""
+        away = self.points - self.points.mean(axis=0)
+        moments = np.linalg.eigvalsh(away.T @ away)
+        return bool(moments[0] < _FLAT**2 * moments[2])
 
 
 _kept: OrderedDict[str, tuple[MeshPiece, ...]] = OrderedDict()
@@ -77,8 +103,6 @@ def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
     passed = ending in MESH_ENDINGS[:3]
     try:
         contents = read_file(path, MOST_MESH_BYTES if passed else MOST_CONVERTED_BYTES)
-    except FileNotFoundError:
-        raise _wrong(path, "no such file") from None
     except (OSError, ValueError) as error:
         raise _wrong(path, getattr(error, "strerror", None) or str(error)) from error
     if passed and (pieces := _as_it_is(path, ending, contents)) is not None:
@@ -107,29 +131,32 @@ def _wrong(path: Path, reason: str) -> DeclarationError:
 
 def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...] | None:
     """The file itself as the only piece, if MuJoCo reads it and it has at most one colour."""
+    piece = MeshPiece(contents, ending)
     if ending == ".msh":
-        return (MeshPiece(contents, ending),)
+        vertices, normals, texture, faces = struct.unpack("<4i", contents[:16].ljust(16, b"\0"))
+        size = 16 + 12 * vertices + 12 * normals + 8 * texture + 12 * faces
+        if len(contents) != size or min(vertices, normals, texture, faces) < 0:
+            raise _wrong(path, "is not as long as its counts of vertices and faces say")
+        _check(path, piece.points)
+        return (piece,)
     if ending == ".stl":
         count = int.from_bytes(contents[80:84], "little")
         if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
             return None  # in ASCII, cut off, or too many faces
-        corners = np.frombuffer(contents, _FACET, offset=84)["corners"].reshape(-1, 3)
-        _check(path, corners)
-        return (MeshPiece(contents, ending),)
+        _check(path, piece.points)
+        return (piece,)
     colors = _material_colors(path, contents)
     used = list(dict.fromkeys(name.strip() for name in _USED.findall(contents)))
     if len({colors.get(name) for name in used}) > 1:
         return None
-    points = re.findall(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", contents, re.MULTILINE)
     try:
-        _check(path, np.array(points, np.bytes_).reshape(-1, 3).astype(np.float64))
-    except ValueError as error:
-        if isinstance(error, DeclarationError):
-            raise
+        points = piece.points
+    except ValueError:
         raise _wrong(path, "has a vertex that is not three numbers") from None
+    _check(path, points)
     if re.search(rb"^[ \t]*f[ \t]", contents, re.MULTILINE) is None:
         raise _wrong(path, "has no faces")
-    return (MeshPiece(contents, ending, colors.get(used[0]) if used else None),)
+    return (replace(piece, rgba=colors.get(used[0]) if used else None),)
 
 
 def _check(path: Path, points: Any) -> None:
@@ -196,7 +223,7 @@ def _mean_color(picture: Any) -> Rgba | None:
 
 
 def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]:
-    read = _collada_parts if ending == ".dae" else _trimesh_parts
+    read = _READERS.get(ending, _trimesh_parts)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of libraries, at what they use themselves
@@ -336,6 +363,17 @@ def _collada_color(path: Path, material: Any) -> Rgba | None:
     return _rgba(diffuse)
 
 
+def _wrl_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
+    parts = []
+    for vertices, faces, color in read_wrl(path):
+        rgba: Rgba | None = None
+        if color is not None:
+            red, green, blue, alpha = (float(value) for value in color)
+            rgba = (red, green, blue, alpha)
+        parts.append(_Part(vertices, None, faces, rgba))
+    return parts
+
+
 def _trimesh_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     import trimesh
 
@@ -367,3 +405,6 @@ def _trimesh_color(mesh: Any) -> Rgba | None:
         color = None if picture is None else _mean_color(picture)
         return color or _rgba(np.asarray(material.main_color) / 255.0)
     return _rgba(np.asarray(visual.main_color) / 255.0)
+
+
+_READERS = {".dae": _collada_parts, ".wrl": _wrl_parts, ".x3dv": _wrl_parts}

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from ..toml_file import key_lines, read_toml
 from .described import Described
 
 
-def read_robot_file(path: Path) -> Described:
+def read_robot_file(path: Path, packages: Mapping[str, Path | str] | None = None) -> Described:
     """Returns a robot's tables; file names in them are relative to the file's folder.
 
     Args:
         path: of the file, whose ending says its format: TOML, or one of `paths.ROBOT_ENDINGS`.
+        packages: folders of ROS packages by name, for URDF.
 
     Raises:
         DeclarationError: the file cannot be read.
     """
+    if path.suffix in (".urdf", ".xacro"):
+        from .urdf import read_urdf
+
+        return read_urdf(path, packages)
     return Described(read_toml(path), key_lines(path))

@@ -75,7 +75,8 @@ class UrdfFile:
         self._has_lines = True
         self._lost: dict[str, list[str]] = {}  # mesh files that were not found, and who has them
         self._unread: dict[Path, str] = {}
-        self._pieces: dict[Path, bool] = {}  # whether a mesh file has colours of its own
+        self._colored: dict[Path, bool] = {}  # whether a mesh file has colours of its own
+        self._flat: set[Path] = set()
         self._odd: dict[str, list[str]] = {}  # what is taken for something else, and where
         root = self._root()
         self._materials = self._colors(root)
@@ -104,7 +105,7 @@ class UrdfFile:
             tables["free_base"] = True
         if not np.array_equal(base_frame, np.eye(4)):
             tables["base_frame"] = base_frame.tolist()
-        tables |= {**self.tree.tables, "arrow_radius": "fit", "axes_size": "fit"}
+        tables |= {**self.tree.tables, "fit_arrows": True}
         warnings = [
             *(f"{what}: {_some(where)}" for what, where in self._odd.items()),
             *self._warnings,
@@ -307,22 +308,34 @@ class UrdfFile:
         if (scale == 0).any():
             self._note("meshes scaled to nothing, left out", mesh, f"'{link}'")
             return None
+        file = self._mesh_file(mesh, name, tag, link)
+        if file is None:
+            return None
+        # What a mesh file says of its colours wins.
+        color = None if self._colored[file] else color
+        return Geometry(T, file, scale, color=color, line=mesh.sourceline)
+
+    def _mesh_file(self, mesh: Element, name: str, tag: str, link: str) -> Path | None:
+        """The file of a mesh; None for one that cannot be found, read or used."""
         file = find_file(name, self.path, self._packages)
         if file is None:
             line = f", line {mesh.sourceline}" if self._has_lines else ""
             self._lost.setdefault(name, []).append(f"<{tag}> of '{link}'{line}")
             return None
-        if file not in self._pieces and file not in self._unread:
+        if file not in self._colored and file not in self._unread:
             try:
-                colored = any(piece.rgba is not None for piece in read_mesh(file))
-                self._pieces[file] = colored
+                pieces = read_mesh(file)
+                self._colored[file] = any(piece.rgba is not None for piece in pieces)
+                if any(piece.is_flat for piece in pieces):
+                    self._flat.add(file)
             except DeclarationError as error:
-                self._unread[file] = error.problems[0].message
-        if file in self._unread:
+                self._unread[file] = str(error.problems[0])
+        if tag == "collision" and file in self._flat:
+            self._note(
+                "flat meshes of <collision> left out, as they have no hull", mesh, f"'{link}'"
+            )
             return None
-        # What a mesh file says of its colours wins.
-        color = None if self._pieces[file] else color
-        return Geometry(T, file, scale, color=color, line=mesh.sourceline)
+        return None if file in self._unread else file
 
     def _tell_about_meshes(self) -> None:
         if self._lost:
