@@ -18,7 +18,7 @@ from sero_mj.errors import UsageError
 from sero_mj.runs.run_log import RunLog
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.identify import Estimate, _regression, as_toml, identify, remarks
+from sero_mj.study.identify import Estimate, _brief, _regression, as_toml, identify, remarks
 
 MASS, DURATION = 2.5, 6.0
 
@@ -234,3 +234,8 @@ def test_runs_without_torques_or_motion_are_refused() -> None:
     still = {**log.signals, "lwr_joint_angles": np.tile(HOME, (len(log.times), 1))}
     with pytest.raises(UsageError, match="still: no joint of 'lwr' moves; expected a run that"):
         identify(RunLog(log.robots, still, log.times, "still"), "lwr")
+
+
+def test_zero_has_no_sign_in_figures() -> None:
+    assert [_brief(Estimate(value)) for value in (-0.0004, -0.0006)] == ["0.000", "-0.001"]
+    assert _brief(Estimate(None)) == "not told"

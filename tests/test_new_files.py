@@ -14,8 +14,9 @@ from conftest import ROOT
 from test_cli import run
 
 from sero_mj import Mirror, SerialRobot, World, load_scene
-from sero_mj.cli.listing import scenario_tables
+from sero_mj.cli.listing import scenario_tables, scene_tables
 from sero_mj.cli.schema import KINDS, schema_of
+from sero_mj.declaration import Declaration
 from sero_mj.plugins import SOURCES, plugins
 
 SHIPPED = {
@@ -76,6 +77,14 @@ def test_it_knows_every_kind_and_says_what_keys_mean() -> None:
     robot = schema["properties"]["robots"]["additionalProperties"]["properties"]
     assert robot["velocity_limits"]["description"] == "(n,), rad/s or m/s."
     assert "model" in robot and "name" not in robot
+
+
+def test_every_table_of_a_robot_is_documented() -> None:
+    documented = set(scene_tables().values())
+    fields = (field.annotation for field in SerialRobot.model_fields.values())
+    tables = {kind for kind in fields if isinstance(kind, type) and issubclass(kind, Declaration)}
+    assert {each.__name__ for each in tables} >= {"Dynamics", "TorqueControl"}
+    assert tables <= documented
 
 
 def test_a_schema_is_printed_or_written(capsys: Any, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import math
 import re
 import signal
@@ -277,6 +278,19 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         scene.routes = routes_from_recording(scene.routes, name, recorded[name])
         if start is not None:
             scene.sources[name]["start"] = start
+
+
+def print_json(found: Any) -> None:
+    """Prints JSON types; null stands for NaN and infinity, which JSON does not have."""
+    print(json.dumps(_finite(found), indent=2))
+
+
+def _finite(found: Any) -> Any:
+    if isinstance(found, Mapping):
+        return {key: _finite(value) for key, value in found.items()}
+    if isinstance(found, list | tuple):
+        return [_finite(value) for value in found]
+    return None if isinstance(found, float) and not math.isfinite(found) else found
 
 
 def print_table(table: Table) -> None:

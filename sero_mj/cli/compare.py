@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from ._arguments import (
     add_picture_options,
     check_ending,
     not_negative,
+    print_json,
     print_table,
     read_recorded_run,
     read_scene,
@@ -120,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("--tolerance-torque: there are no torques in both recordings")
     if options.json:
         found = as_json(pair, differences, explanations)
-        print(json.dumps({**found, "about": about, "exceeded": list(map(str, over))}, indent=2))
+        print_json({**found, "about": about, "exceeded": list(map(str, over))})
     elif not options.quiet:
         print_table(as_table(pair, differences))
         if pair.correlation is not None:

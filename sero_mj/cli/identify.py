@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from ..errors import RenderError
@@ -13,6 +12,7 @@ from ._arguments import (
     add_part_options,
     check_ending,
     check_part,
+    print_json,
     print_table,
     read_recorded_run,
     read_scene,
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
         log = log.between(options.begin, options.end)
     found = identify(log, choose_robot(log, options.robot))
     if options.json:
-        print(json.dumps(as_json(found), indent=2))
+        print_json(as_json(found))
     elif not options.quiet:
         print_table(as_table(found))
         for line in remarks(found):

@@ -107,7 +107,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
     from ..assemble.cartesian import ReceivedFrame, SmartArrow
     from ..assemble.couplings import Coupling
     from ..assemble.double import Double
-    from ..assemble.dynamics import Dynamics
+    from ..assemble.dynamics import Dynamics, TorqueControl
     from ..assemble.groups import Group
     from ..assemble.robot import SerialRobot
     from ..assemble.scene import SceneToggles
@@ -117,6 +117,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
     return {
         "robot.toml, or [robots.NAME]": SerialRobot,
         "[dynamics] of a robot": Dynamics,
+        "[torque_control] of a robot": TorqueControl,
         "couplings of a robot, JOINT = { ... }": Coupling,
         "[groups.NAME]": Group,
         "[doubles.NAME]": Double,

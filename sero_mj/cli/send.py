@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
 from ..paths import list_scenarios
@@ -13,7 +13,6 @@ from ._sending import Sender, add_sink_options, goes_to_shm, make_sink
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
-    from ..receive.fri import FriReceiver
     from ..receive.source import Source
     from ..receive.structure import Structure
     from ..send.playback import Playback
@@ -93,7 +92,6 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
     from ..drive.wiring import wire
-    from ..receive.fri import FriReceiver
     from ..receive.structure import Structure
     from ..send.play import choose_source
 
@@ -113,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
     if file is not None:
         return _send_file(options, source)
     refuse(options, ("speed", "loop", "recorded"), " is for --play FILE")
-    if isinstance(source, FriReceiver):
+    if source.protocol == "fri":
         return _send_fri(options, scene, source)
     why = ' is for a scene whose source is of kind = "fri"'
     refuse(options, ("cycle", "loss", "quality", "seed"), why)
@@ -233,7 +231,7 @@ def _send_simulation(options: argparse.Namespace) -> int:
     return 0
 
 
-def _send_fri(options: argparse.Namespace, scene: Scene, source: FriReceiver) -> int:
+def _send_fri(options: argparse.Namespace, scene: Scene, source: Any) -> int:
     """Sends as the controller of the robot that the source moves; returns 0."""
     from ..send.fri_controller import FriController, NetworkFaults
     from ..send.sender import UdpSink

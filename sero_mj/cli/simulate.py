@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from pathlib import Path
@@ -20,6 +19,7 @@ from ._arguments import (
     not_negative,
     overrides,
     positive,
+    print_json,
     print_table,
     seed,
 )
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
         _render(simulation, options)
     outcomes, findings = simulation.outcomes(), simulation.findings()
     if options.json:
-        print(json.dumps(_as_json(simulation, seconds, error, outcomes, findings), indent=2))
+        print_json(_as_json(simulation, seconds, error, outcomes, findings))
     else:
         _print(simulation, seconds, outcomes, findings, quiet=options.quiet)
     if error is not None:
@@ -243,13 +243,8 @@ def _as_json(
         "took": seconds,
         "error": None if error is None else str(error),
         "expect": [
-            {"name": o.name, "holds": o.holds, "text": o.text, "value": _finite(o.value)}
-            for o in outcomes
+            {"name": o.name, "holds": o.holds, "text": o.text, "value": o.value} for o in outcomes
         ],
         "findings": [vars(finding) for finding in findings],
         "joints": summary.as_json(summary.summarise(simulation.log, findings)),
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if abs(value) < float("inf") else None

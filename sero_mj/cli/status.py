@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, positive, read_scene, until_ended
+from ._arguments import Commands, add_command, positive, print_json, read_scene, until_ended
 
 if TYPE_CHECKING:
     from ..receive.source import Source
@@ -59,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
             _watch(sources, options.duration, live=not options.json)
         found = [report(source) for source in sources]
     if options.json:
-        print(json.dumps(found, indent=2))
+        print_json(found)
     elif not sys.stdout.isatty():
         _print(found)
     return 0 if all(entry["good"] for entry in found) else 1

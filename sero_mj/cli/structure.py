@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import StructureError, UsageError
-from ._arguments import Commands, add_command, check_whole, port, positive, read_scene, refuse
+from ._arguments import (
+    Commands,
+    add_command,
+    check_whole,
+    port,
+    positive,
+    print_json,
+    read_scene,
+    refuse,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -82,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     if layout is None:
         _print_page()
     elif options.json:
-        print(json.dumps(_layout_as_json(layout), indent=2))
+        print_json(_layout_as_json(layout))
     else:
         _print_layout(layout)
     return 0
@@ -127,11 +135,7 @@ def _print_scene(options: argparse.Namespace) -> int:
     scene = read_scene(options.scene)
     layouts = {name: source.layout for name, source in wire(scene).sources.items()}
     if options.json:
-        print(
-            json.dumps(
-                {name: _layout_as_json(layout) for name, layout in layouts.items()}, indent=2
-            )
-        )
+        print_json({name: _layout_as_json(layout) for name, layout in layouts.items()})
         return 0
     for name, layout in layouts.items():
         _print_layout(layout, f"source {name}: ")
@@ -261,7 +265,7 @@ def _sniff(options: argparse.Namespace, layout: Structure | None) -> int:
             _listen(sniffer, options, show)
         seconds = time.monotonic() - begin
         if options.json:
-            print(json.dumps(_sniffed_as_json(sniffer, layout, seconds), indent=2))
+            print_json(_sniffed_as_json(sniffer, layout, seconds))
         else:
             _make_console().print(_picture(sniffer, layout, _summary(place, sniffer, seconds)))
     return 0
@@ -405,10 +409,6 @@ def _sniffed_as_json(sniffer: Sniffer, layout: Structure | None, seconds: float)
         }
         if layout is not None and _fits(stream, layout):
             values = layout.decode(stream.last[-1])
-            found["values"] = {}
-            for event, array in values.items():
-                numbers = array.astype(object)
-                numbers[~np.isfinite(array)] = None  # JSON has no NaN and no infinity
-                found["values"][event] = numbers.tolist()
+            found["values"] = {event: array.tolist() for event, array in values.items()}
         streams.append(found)
     return {"seconds": seconds, "packets": sniffer.received, "streams": streams}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -19,6 +18,7 @@ from ._arguments import (
     check_whole,
     named_settings,
     overrides,
+    print_json,
     seed,
 )
 
@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
 
         plot_sweep(sweep, table.rows, options.plot)
     if options.json:
-        print(json.dumps(_as_json(sweep, summary, seconds), indent=2))
+        print_json(_as_json(sweep, summary, seconds))
     elif not options.quiet:
         _print(sweep, table, summary, seconds, before)
     if not is_whole:
@@ -219,7 +219,7 @@ def _as_json(sweep: Sweep, summary: SweepSummary, seconds: float) -> dict[str, A
                 "held": each.held,
                 "known": each.known,
                 "lowest": at(*each.lowest),
-                "median": None if math.isnan(each.median) else each.median,
+                "median": each.median,
                 "highest": at(*each.highest),
             }
             for each in summary.outcomes

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -215,6 +215,7 @@ class FriReceiver(UdpReceiver):
     time: str = "timestamp"
     answer: bool = False
 
+    protocol: ClassVar[str] = "fri"
     # Where nobody has said what is routed, frames may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(FRAMES)
     _answers: int = PrivateAttr(0)

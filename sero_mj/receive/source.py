@@ -123,6 +123,8 @@ class Source(Declaration):
     time_scale: float = Field(1.0, gt=0, lt=1e100)
     debug_level: int = Field(1, ge=0, le=3)
 
+    # What its sender has to keep to beside the structure: `fri`, or nothing more.
+    protocol: ClassVar[str] = ""
     # Where the structure comes from, for kinds whose structure cannot be declared.
     _structure_is: ClassVar[str] = ""
     _intake: Intake | None = PrivateAttr(None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,6 +87,12 @@ def unit_of(signal: str, joint_type: str) -> str:
     return f"{length}/s" if signal.endswith("velocities") else length
 
 
+def one_unit(units: Iterable[str]) -> str:
+    """The unit that several things have; empty where they have several."""
+    first, *others = dict.fromkeys(units)
+    return "" if others else first
+
+
 def _difference(joint: str, signal: str, unit: str, times: Array, values: Array) -> Difference:
     row = peak(values)
     if row is None:
@@ -128,18 +134,11 @@ def as_json(
         "begin": float(pair.times[0]),
         "end": float(pair.times[-1]),
         "rows": len(pair.times),
-        "differences": [_plain(each) for each in differences],
+        "differences": [asdict(each) for each in differences],
         "explanations": None if explanations is None else [
-            {**_plain(each), "text": str(each)} for each in explanations
+            {**asdict(each), "text": str(each)} for each in explanations
         ],
     }  # fmt: skip
-
-
-def _plain(row: Difference | Explanation) -> dict[str, Any]:
-    return {
-        key: None if isinstance(value, float) and np.isnan(value) else value
-        for key, value in asdict(row).items()
-    }
 
 
 def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
@@ -156,8 +155,8 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     if pair.has_one_motion:
         shown = [signal for signal in shown if signal != "joint_angles"]
     for signal in shown:
-        units = {shown_as(unit_of(signal, kind))[1] for kind in pair.robot.types}
-        unit = f", {units.pop()}" if len(units) == 1 else ""
+        unit = one_unit(shown_as(unit_of(signal, kind))[1] for kind in pair.robot.types)
+        unit = unit and f", {unit}"
         table.add_column(f"{signal.replace('_', ' ')}\nrms{unit}", justify="right")
         table.add_column(f"peak{unit}", justify="right")
         table.add_column("at, s", justify="right")

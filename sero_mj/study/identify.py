@@ -34,7 +34,7 @@ from ..assemble.robot import SerialRobot
 from ..errors import UsageError
 from ..frames import Array
 from ..runs.run_log import RunLog
-from .compare import unit_of
+from .compare import one_unit, unit_of
 from .figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, save_figures, styled
 from .reduction import rms
 from .torque_residuals import TorqueResiduals, torque_residuals
@@ -299,23 +299,17 @@ def _condition(X: Array) -> float:
 
 def as_json(found: Identified) -> dict[str, Any]:
     """What was found as JSON types; what is not told is None, with the reason."""
-
-    def plain(value: Any) -> Any:
-        return None if isinstance(value, float) and not np.isfinite(value) else value
-
     return {
         "run": found.run,
         "robot": found.robot.name,
         "begin": found.begin,
         "end": found.end,
-        "joints": [
-            {key: plain(value) for key, value in asdict(each).items()} for each in found.joints
-        ],
+        "joints": [asdict(each) for each in found.joints],
         "payload": {
             "mass": asdict(found.mass),
             "center_of_mass": [asdict(each) for each in found.center],
         },
-        "condition": plain(found.condition),
+        "condition": found.condition,
     }
 
 
@@ -326,8 +320,8 @@ def as_table(found: Identified) -> Table:
 
     title = f"{found.run}: {found.robot.name}, {found.begin:.3f} s to {found.end:.3f} s"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    units = {unit_of("torques", kind) for kind in found.robot.types}
-    unit = f", {units.pop()}" if len(units) == 1 else ""
+    unit = one_unit(unit_of("torques", kind) for kind in found.robot.types)
+    unit = unit and f", {unit}"
     table.add_column("joint", no_wrap=True)
     for heading in (f"Coulomb\nfriction{unit}", f"viscous\nfriction{unit and unit + ' s/rad'}",
                     "motor\ninertia, kg m2", f"torque\noffset{unit}"):  # fmt: skip
@@ -406,7 +400,8 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _brief(estimate: Estimate) -> str:
-    return "not told" if estimate.value is None else f"{estimate.value:.3f}"
+    # No sign of zero.
+    return "not told" if estimate.value is None else f"{round(estimate.value, 3) + 0.0:.3f}"
 
 
 def plot_identified(found: Identified, path: Path | str) -> None:
@@ -424,8 +419,7 @@ def plot_identified(found: Identified, path: Path | str) -> None:
 
     path = check_suffix(path)
     robot = found.robot
-    units = {unit_of("torques", kind) for kind in robot.types}
-    unit = units.pop() if len(units) == 1 else "Nm or N"
+    unit = one_unit(unit_of("torques", kind) for kind in robot.types) or "Nm or N"
     limits = robot.torque_bounds
     with styled():
         figure = Figure(

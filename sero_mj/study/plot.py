@@ -13,7 +13,7 @@ from ..errors import UsageError, did_you_mean
 from ..frames import Array
 from ..runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
-from .compare import unit_of
+from .compare import one_unit, unit_of
 from .explanation import Explanation
 from .figure import (
     BLUE,
@@ -140,8 +140,8 @@ def _draw_run(
     several = len({robot for robot, _ in chosen}) > 1
     rows = [(log.robots[robot].names[k], _beneath(log, robot, k, named=several))
             for robot, k in chosen]  # fmt: skip
-    units = {unit_of("torques", log.robots[robot].types[k]) for robot, k in chosen}
-    unit = units.pop() if len(units) == 1 else "Nm or N"
+    unit = one_unit(unit_of("torques", log.robots[robot].types[k]) for robot, k in chosen)
+    unit = unit or "Nm or N"
     columns = [(f"torque, {unit}", 1.25)]
     if has_both:
         columns.append((f"torque error, {unit}", 1.0))
