@@ -7,7 +7,9 @@ import pytest
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
 from sero_mj.control.compiler import Compiler, fingerprint
+from sero_mj.control.robot_model import RobotModel, world_without_meshes
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
@@ -97,3 +99,20 @@ def test_a_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.Mon
     monkeypatch.setattr("sero_mj.control.compiler.World", refuse)
     monkeypatch.setattr("sero_mj.control.robot_model.World", refuse)
     Simulation(read_scenario(name), compiler=compiler)
+
+
+@pytest.mark.parametrize("name", ["lwr", "hit_finger", "biped_leg"])
+def test_a_controllers_model_is_that_of_the_robot_with_its_meshes(name: str) -> None:
+    robot = SerialRobot.from_model(name)
+    whole = World(Scene(robots=[robot], floor=False), dynamic=True)
+    bare = world_without_meshes(robot)
+    assert robot.filenames and whole.model.nmesh > 0 and bare.model.nmesh == 0
+    models = RobotModel.of(robot, whole), RobotModel.of(robot, bare), RobotModel.of(robot)
+    found = []
+    for model in models:
+        model.update(np.linspace(-0.4, 0.7, robot.n), np.linspace(1.0, -1.0, robot.n))
+        parts = (model.gravity(), model.coriolis(), model.mass(), model.flange_position)
+        found.append([part.copy() for part in parts])
+    for part, *others in zip(*found, strict=True):
+        for other in others:
+            np.testing.assert_array_equal(other, part)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -47,6 +47,7 @@ class World(WorldView):
         scene: what to compile.
         dynamic: whether to compile it for simulation: links have masses and collide, joints
             have friction and may be elastic (see `assemble.mjcf_dynamics`).
+        dynamics: of its robots, where `dynamic`, instead of what they declare.
 
     Attributes:
         dynamic: whether it is compiled for simulation.
@@ -61,7 +62,13 @@ class World(WorldView):
         DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
     """
 
-    def __init__(self, scene: Scene, *, dynamic: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        dynamic: bool = False,
+        dynamics: Mapping[str, RobotDynamics] | None = None,
+    ) -> None:
         self.scene = scene
         self.dynamic = dynamic
         problems = scene.problems()  # checked again, since entries may have been added to the scene
@@ -70,7 +77,8 @@ class World(WorldView):
         _warn_of_lengths(scene)
         self.inputs = list_inputs(scene)
         self.slots, self.flags, count = userdata_slots(scene)
-        self.dynamics = _dynamics(scene) if dynamic else {}
+        known = dynamics_of(scene) if dynamic and dynamics is None else dynamics
+        self.dynamics = dict(known or {})
         root = build_spec(scene, self.dynamics if dynamic else None)
         root.nuserdata = count
         self._spec = root
@@ -340,7 +348,12 @@ def _warn_of_lengths(scene: Scene) -> None:
             )
 
 
-def _dynamics(scene: Scene) -> dict[str, RobotDynamics]:
+def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
+    """Masses, friction and elasticity of all robots of a scene, by name.
+
+    Raises:
+        DeclarationError: what is wrong with them.
+    """
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []
     for name, robot in scene.robots.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..assemble.scene import Scene
 from ..assemble.world import World
 from ..declaration import Declaration
 from ..frames import Array
-from .robot_model import RobotModel
+from .robot_model import RobotModel, world_without_meshes
 
 EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2
 _MAX_WORLDS = 8  # worlds that are remembered; a sweep over masses has a new one every time
@@ -40,7 +40,8 @@ class Compiler:
         Raises:
             DeclarationError: what MuJoCo cannot compile.
         """
-        world = copy.copy(self._find(scene))
+        key = fingerprint([scene.robots, scene.objects, scene.floor])
+        world = copy.copy(self._find(key, lambda: World(scene, dynamic=True)))
         world.model = copy.copy(world.model)
         world.model.opt.gravity[:] = gravity
         world.scene = scene
@@ -56,15 +57,15 @@ class Compiler:
         Raises:
             DeclarationError: MuJoCo cannot compile the robot.
         """
-        world = self._find(Scene(robots=[robot], floor=False))
+        key = "without meshes", fingerprint(robot)
+        world = self._find(key, lambda: world_without_meshes(robot))
         world.model.opt.gravity[:] = gravity
         return RobotModel.of(robot, world)
 
-    def _find(self, scene: Scene) -> World:
-        key = fingerprint([scene.robots, scene.objects, scene.floor])
+    def _find(self, key: object, make: Callable[[], World]) -> World:
         world = self._worlds.pop(key, None)
         if world is None:
-            world = World(scene, dynamic=True)
+            world = make()
             if len(self._worlds) >= _MAX_WORLDS:
                 self._worlds.pop(next(iter(self._worlds)))
         self._worlds[key] = world  # the one that was asked for last stands last

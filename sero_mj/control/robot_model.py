@@ -28,7 +28,7 @@ from mujoco import (
 
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
-from ..assemble.world import World
+from ..assemble.world import World, dynamics_of
 from ..frames import Array, frame, inverse
 from .whole_body import Mounting
 
@@ -188,7 +188,7 @@ class RobotModel:
             DeclarationError: MuJoCo cannot compile the robot.
         """
         if world is None:
-            world = World(Scene(robots=[robot], floor=False), dynamic=True)
+            world = world_without_meshes(robot)
         part = world.robots[robot.name]
         joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
         return cls(world.model, joints, body=part.flange_body, name=robot.name)
@@ -326,6 +326,19 @@ class RobotModel:
             self._swapped_cinert[...], self._swapped_cdof_dot[...] = self._cinert, self._cdof
             self._swapped_qvel[...] = self._velocities
             self._is_swapped = True
+
+
+def world_without_meshes(robot: SerialRobot) -> World:
+    """A dynamic world with a robot alone, of the masses that its meshes give it.
+
+    To compile these meshes as well takes many times as long, and a controller sees none of them.
+
+    Raises:
+        DeclarationError: MuJoCo cannot compile the robot.
+    """
+    known = dynamics_of(Scene(robots=[robot], floor=False))
+    bare = robot.model_copy(update={"filenames": [], "collisions": []})
+    return World(Scene(robots=[bare], floor=False), dynamic=True, dynamics=known)
 
 
 def skeleton(
