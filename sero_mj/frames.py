@@ -46,6 +46,21 @@ def rotation_about(axis: int, angle: float | Array) -> Array:
     return matrix
 
 
+def rotation_to_z(rotation: Array, axis: Array) -> Array:
+    """Returns the rotation (3, 3) nearest to another one whose z axis is this one.
+
+    Args:
+        rotation: (3, 3).
+        axis: (3,), of any length but zero.
+    """
+    z = np.asarray(axis, np.float64) / np.linalg.norm(axis)
+    x = rotation[:, 0] - (rotation[:, 0] @ z) * z
+    if np.linalg.norm(x) < 0.5:  # x is nearly along z; y is not
+        x = np.cross(rotation[:, 1], z)
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
 def rotation_from_rpy(rpy: Array) -> Array:
     """Rotation (3, 3) from roll, pitch, yaw in rad about the fixed x, y, z axes (as in URDF)."""
     roll, pitch, yaw = rpy

@@ -16,7 +16,8 @@ from typing import BinaryIO
 from .errors import DeclarationError, Problem, UnknownName, nearest
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
-ROBOT_ENDINGS: tuple[str, ...] = (".urdf", ".xacro")  # of robot files in other formats than TOML
+# Of robot files in other formats than TOML.
+ROBOT_ENDINGS: tuple[str, ...] = (".urdf", ".xacro", ".xml")
 SCENE_ENDINGS = (".x3d", ".x3dv", ".wrl")  # of scene files in other formats
 _PACKAGE = Path(__file__).resolve().parent
 _KINDS = (

@@ -39,7 +39,10 @@ ORDER = (
 ROOMS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
 ABOVE_ALL = ("errors", "paths", "plugins", "declaration", "frames", "toml_file", "dotted_keys")
 # What the independent check and the packet layer must do without.
-NO_MUJOCO = ("describe", "assemble.dh", "frames", "assemble.shapes", "receive", "record.replay")
+NO_MUJOCO = (
+    *("describe.x3d", "describe.wrl", "assemble.dh", "assemble.shapes", "frames", "receive"),
+    "record.replay",
+)
 MUJOCO = ("mujoco", "dm_control")
 HOMES: dict[str, str] = sero_mj._HOME
 

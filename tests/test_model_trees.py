@@ -10,7 +10,7 @@ from foreign_models import arm, compiled, jaco
 import sero_mj
 from sero_mj.assemble.decor_sizes import measure
 from sero_mj.assemble.solids import Solids
-from sero_mj.foreign._found_robot import torque_limits
+from sero_mj.describe.mjcf_tree import torque_limits
 from sero_mj.foreign._model_trees import Tree, find_trees, without_scope
 
 

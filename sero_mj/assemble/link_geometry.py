@@ -8,9 +8,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..errors import Problem, collect
+from ..errors import DeclarationError, Problem, collect
 from ..frames import MIRROR, Array
 from .mjcf_elements import MESH, geom_type, half_sizes, mesh_assets, pose, shape_geom
+from .mjcf_links import drawn_links, touching_links
 from .robot import SerialRobot
 from .robot_parts import LinkGeometry
 from .shapes import SHELL, LinkShape, generate_shapes
@@ -34,23 +35,31 @@ def drawn_geoms(
         problems: get those of files that cannot be read.
         shrink: factor of all sizes, about each link's origin.
     """
+    scope = "" if shrink == 1.0 else f"double-{robot.name}-"
+    if robot.mjcf is not None:
+        with collect(problems, ""):
+            return drawn_links(root, robot, scope, shrink)
+        return [[] for _ in range(robot.n + 1)]
     if not robot.filenames:
         links = generated(robot)
         return [[{"rgba": s.rgba, **shape_geom(s, shrink)} for s in link] for link in links]
-    scope = "" if shrink == 1.0 else f"double-{robot.name}-"
     return _declared(root, robot, "filenames", scope, problems, shrink)
 
 
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
-    """Returns those of the declared `collisions`; files that cannot be read are problems.
+    """Returns those of the declared `collisions`, or of MJCF.
 
     Raises:
-        DeclarationError: all of them.
+        DeclarationError: files that cannot be read.
     """
+    if robot.mjcf is not None:
+        return touching_links(root, robot)
     problems: list[Problem] = []
     geoms = _declared(root, robot, "collisions", "touching-", problems)
     for geom in (geom for link in geoms for geom in link):
         del geom["rgba"]
+    if problems:
+        raise DeclarationError(problems)
     return geoms
 
 

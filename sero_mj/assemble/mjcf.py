@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from .. import frames
+from ..describe.mjcf_file import as_spec
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Array, nice
 from .double import DOUBLE_GROUP, Double, path_fade
@@ -32,7 +33,7 @@ from .mjcf_dynamics import (
     set_inertia,
     set_up_dynamics,
 )
-from .mjcf_elements import MESH, SITE_GROUP, as_spec, geom_type, half_sizes, mesh_assets, pose
+from .mjcf_elements import MESH, SITE_GROUP, geom_type, half_sizes, mesh_assets, pose
 from .mounts import base_frames, carrier, mount_order
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
@@ -418,7 +419,8 @@ def _add_double(
     at_zero = robot.kinematics.frames(np.zeros(robot.n), T_world_base)
     centres = joint_centres(robot)
     for names, share in zip(rows, path_fade(len(rows)), strict=True):
-        look = {"rgba": double.rgba * [1, 1, 1, share], "group": DOUBLE_GROUP}
+        rgba = double.rgba * [1, 1, 1, share]
+        look = {"rgba": rgba, "group": DOUBLE_GROUP, "material": ""}
         for i, name in enumerate(names):
             body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
             for geom in geoms[i]:

@@ -17,6 +17,7 @@ from ..frames import Array, Bools
 from .dynamics import principal_moments
 from .link_geometry import touching_geoms
 from .mjcf_elements import MESH, hull_asset
+from .mjcf_links import excluded_links
 from .mounts import carrying_link
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics
@@ -41,6 +42,7 @@ _TIME_CONSTANT = [0.03, 1.0]
 COUPLING = "-coupling"  # behind a joint's name: the constraint that couples it
 # Gears and tendons that couple joints give way by 1e-4 rad at most.
 _GEAR = {"solref": [0.004, 1.0], "solimp": [0.99, 0.9999, 1e-4, 0.5, 2.0]}
+_ON_FLOOR = 1 << 30  # the mask of geoms that touch the floor, and not each other
 _FAR = 1e6  # rad or m, for a joint with a limit on one side
 # Joint limits are soft, as rubber end stops are.
 _STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
@@ -66,7 +68,7 @@ def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
     floor = root.geom("floor")
     if floor is not None:
         # Links mounted in the floor do not collide with it, see _collide.
-        floor.contype, floor.conaffinity = 0, 1
+        floor.contype, floor.conaffinity = 0, 1 | _ON_FLOOR
 
 
 def set_friction(geom: Any, coefficient: float) -> None:
@@ -178,13 +180,17 @@ def _add_deflection(
 def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
     """Adds collision geoms to links: the declared ones, else hulls of meshes, and shapes."""
     sunk = _links_near_base(robot)
-    declared = None if robot.collisions is None else touching_geoms(piece, robot)
+    is_declared = robot.collisions is not None or robot.mjcf is not None
+    declared = touching_geoms(piece, robot) if is_declared else None
     for i in range(robot.n + 1):
         body = piece.body(f"link{i}") if i else piece.worldbody
         touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1}
         if declared is not None:
             for geom in declared[i]:
-                body.add_geom(group=HULL_GROUP, mass=0, **touches, **geom)
+                own = {**touches, **geom}
+                # With a mask that others must have, it touches the floor, which has none.
+                own["contype"] = 0 if sunk[i] else own["contype"] or _ON_FLOOR
+                body.add_geom(group=HULL_GROUP, mass=0, **own)
             continue
         for geom in body.geoms:
             if geom.type != MESH:
@@ -213,6 +219,8 @@ def _links_near_base(robot: SerialRobot) -> Bools:
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     """Excludes collisions between links of one housing, in a scene with the robot attached."""
     bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
+    for i, k in [] if robot.mjcf is None else excluded_links(robot):
+        root.add_exclude(bodyname1=bodies[i][0], bodyname2=bodies[k][0])
     table = robot.kinematics
     near = _ONE_HOUSING * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
     steps, moves = table.step_lengths(), table.moves

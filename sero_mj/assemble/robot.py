@@ -23,6 +23,7 @@ from pydantic import (
 
 from .. import paths
 from ..declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
+from ..describe.mjcf_robot import mjcf_tables
 from ..describe.robot_file import read_robot_file
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import MIRROR, Array, Bools, Ints
@@ -52,12 +53,12 @@ from .robot_parts import (
     frame_labels,
 )
 from .shapes import clear_radii, housing_radii
-from .surroundings import Object, set_directory
+from .surroundings import Object, check_mjcf, set_directory
 
 log = logging.getLogger(__name__)
 
 BASE = "base"  # what carries a joint that is on no other one
-_AXES_OF_REACH = 0.12
+_AXES_OF_REACH = 0.2
 _COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
 
 
@@ -104,6 +105,8 @@ class SerialRobot(Declaration):
         collisions: base and n links, as `filenames`: what touches in simulation, meshes by their
             convex hulls. None for what is drawn, with one hull about a link's meshes.
         colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
+        mjcf: instead of `filenames` and `collisions`, MJCF whose geoms the links have: a file
+            relative to `directory`, text, or an object, see `Object`; its joints are the robot's.
         mesh_scale: metres per unit of the mesh files.
         mount: the frame of another robot that carries its base, e.g. `arm/flange`; None for one
             that stands in the world.
@@ -173,6 +176,7 @@ class SerialRobot(Declaration):
     colors: dict[str, Rgba] = {}
     filenames: list[LinkGeometries] = []
     collisions: list[LinkGeometries] | None = None
+    mjcf: Any = None
     mesh_scale: float = Field(1.0, gt=0)
     mount: str | None = None
     mirrored: bool = False
@@ -365,6 +369,13 @@ class SerialRobot(Declaration):
             raise ValueError(f"mirrored: {message}; expected shapes and meshes")
         return self
 
+    @field_validator("mjcf")
+    @classmethod
+    def _is_mjcf_alone(cls, mjcf: Any, info: ValidationInfo) -> Any:
+        if mjcf is not None and (info.data.get("filenames") or info.data.get("collisions")):
+            raise ValueError("found it with filenames or collisions; expected one of the two")
+        return check_mjcf(mjcf)
+
     @field_validator("filenames", "collisions")
     @classmethod
     def _one_per_link(cls, links: list[list[LinkGeometry]] | None, info: ValidationInfo) -> Any:
@@ -420,6 +431,27 @@ class SerialRobot(Declaration):
         path = Path(path)
         return build_robot({"name": paths.model_name(path), **overrides}, path, packages)
 
+    @classmethod
+    def from_mjcf(cls, source: Any, **overrides: Any) -> SerialRobot:
+        """Reads a robot from MJCF: all hinges and slides that its actuators drive.
+
+        Args:
+            source: a file, text that starts with `<`, a `mujoco.MjSpec`, or a PyMJCF or composer
+                object.
+            **overrides: any field of this class.
+
+        Raises:
+            DeclarationError: it cannot be read or compiled, or has no joints.
+        """
+        is_file = isinstance(source, Path) or (isinstance(source, str) and "<" not in source)
+        if is_file:
+            path = Path(source)
+            return build_robot({"name": paths.model_name(path), **overrides}, path)
+        tables, warnings = mjcf_tables(source, Path())
+        for warning in warnings:
+            log.warning("%s", warning)
+        return cls(**{**tables, **overrides})
+
     @property
     def kinematics(self) -> JointTree:
         """Its DH table, or the frames of its joints."""
@@ -465,6 +497,11 @@ class SerialRobot(Declaration):
         return np.flatnonzero(self.kinematics.moves[self.flange_link])
 
     @property
+    def has_geometry(self) -> bool:
+        """Whether its links' geometry is declared, not generated."""
+        return bool(self.filenames) or self.mjcf is not None
+
+    @property
     def T_n_flange(self) -> Array:
         """Frame of the flange in that of its link, (4, 4), m: `flange_frame`, or mirrored."""
         return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
@@ -506,7 +543,7 @@ class SerialRobot(Declaration):
 
         With `fit_arrows` the compiled scene has others.
         """
-        if self.filenames or "arrow_radius" in self.model_fields_set:
+        if self.has_geometry or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
         return clear_radii(self.kinematics, self.T_n_flange, self.flange_link)
 
@@ -528,7 +565,7 @@ class SerialRobot(Declaration):
         """Length of the axes, m: as declared, else in proportion to generated shapes."""
         if self.fit_arrows and "axes_size" not in self.model_fields_set:
             return _AXES_OF_REACH * self.reach
-        if self.filenames or "axes_size" in self.model_fields_set:
+        if self.has_geometry or "axes_size" in self.model_fields_set:
             return self.axes_size
         return 4.0 * float(housing_radii(self.kinematics, self.T_n_flange, self.flange_link)[0])
 
@@ -564,7 +601,7 @@ class SerialRobot(Declaration):
         offsets = np.zeros((self.n, 3))
         if self.offsets_to_center_of_joints is not None:
             offsets = self.offsets_to_center_of_joints
-        elif self.dh is not None and self.dh_convention == "standard" and not self.filenames:
+        elif self.dh is not None and self.dh_convention == "standard" and not self.has_geometry:
             offsets[:, 2] = np.where(self.dh.revolute, self.dh.d, 0.0)
         if self.mirrored:
             turns = self.kinematics.revolute[:, None]

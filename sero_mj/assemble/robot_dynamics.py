@@ -38,7 +38,8 @@ _STEEL = 7800.0  # kg/m3; no link is denser
 _FLAT, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
 # Lower bound: MuJoCo refuses bodies of smaller mass.
 _LEAST_MASS = 1e-6  # kg
-_LEAST_GYRATION = 0.01  # m, of a link without a mass
+# A link without a mass, which MuJoCo refuses as well, has this; its radius of gyration.
+_NEXT_TO_NONE, _BARE_RADIUS = 1e-9, 0.01  # kg, m
 
 
 class _Links(NamedTuple):
@@ -147,9 +148,9 @@ def _declared_links(robot: SerialRobot) -> _Links | None:
         centers = (to_link @ centers[..., None])[..., 0]
         tensors = rotate_tensors(tensors, to_link)
     masses = scale * declared.masses
-    bare = masses < _LEAST_MASS
-    tensors[bare] = _LEAST_MASS * _LEAST_GYRATION**2 * np.eye(3)
-    return _Links(np.maximum(masses, _LEAST_MASS), centers, tensors)
+    bare = masses == 0
+    masses[bare], tensors[bare] = _NEXT_TO_NONE, _NEXT_TO_NONE * _BARE_RADIUS**2 * np.eye(3)
+    return _Links(masses, centers, tensors)
 
 
 def _holding_efforts(robot: SerialRobot, links: _Links) -> Array:

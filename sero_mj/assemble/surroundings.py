@@ -18,8 +18,8 @@ from pydantic import (
 
 from ..declaration import Declaration, Frame, Name, Point, Rgba, Vector
 from ..describe.mesh_files import MESH_ENDINGS
+from ..describe.mjcf_file import is_mjcf_object
 from ..frames import Array
-from .mjcf_elements import is_mjcf_object
 
 _MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
 
@@ -55,6 +55,19 @@ def _of_a_mesh(file: str) -> str:
 
 
 MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
+
+
+def check_mjcf(mjcf: Any) -> Any:
+    """Returns a piece of MJCF after checking that it is one; raises ValueError."""
+    if mjcf is None or is_mjcf_object(mjcf):
+        return mjcf
+    if not isinstance(mjcf, str):
+        raise ValueError(f"found {type(mjcf).__name__}; expected {_MJCF_KINDS}")
+    if mjcf.lstrip().startswith("<"):
+        return mjcf
+    if not mjcf.strip():
+        raise ValueError("is empty; expected an MJCF file or text that starts with <mujoco")
+    return _inside(mjcf)
 
 
 def check_shape_size(shape: str, size: Array | None) -> None:
@@ -109,15 +122,7 @@ class Object(Declaration):
     @field_validator("mjcf")
     @classmethod
     def _mjcf_is_inside(cls, mjcf: Any) -> Any:
-        if mjcf is None or is_mjcf_object(mjcf):
-            return mjcf
-        if not isinstance(mjcf, str):
-            raise ValueError(f"found {type(mjcf).__name__}; expected {_MJCF_KINDS}")
-        if mjcf.lstrip().startswith("<"):
-            return mjcf
-        if not mjcf.strip():
-            raise ValueError("is empty; expected an MJCF file or text that starts with <mujoco")
-        return _inside(mjcf)
+        return check_mjcf(mjcf)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Object:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from ._arguments import Commands, add_command, read_scene
 
 if TYPE_CHECKING:
+    from ..assemble.robot import SerialRobot
     from ..receive.source import Source
 
 _TIED = "\0"  # a space at which no line is broken
@@ -41,9 +42,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"  about   {scene.description}")
     for name, part in world.robots.items():
         robot = part.robot
-        look = "meshes" if robot.filenames else "shapes generated from its DH table"
-        reach = f"reach {robot.reach:.4g} m"
-        print(f"  robot   {name}: {robot.n} joints, {robot.dh_convention} DH, {look}, {reach}")
+        print(f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m")
         estimated = robot_dynamics(robot).estimated
         about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
         print(f"          dynamics: {about}")
@@ -84,6 +83,15 @@ def run(options: argparse.Namespace) -> int:
     model = world.model
     print(f"  model   {model.nbody} bodies, {model.ngeom} geoms, {model.nmeshface} mesh triangles")
     return 0
+
+
+def _kind(robot: SerialRobot) -> str:
+    """Its joints, what says where they are, and what its links look like."""
+    table = "frames of joints" if robot.dh is None else f"{robot.dh_convention} DH"
+    look = f"shapes generated from its {'joints' if robot.dh is None else 'DH table'}"
+    if robot.has_geometry:
+        look = "meshes" if robot.mjcf is None else "geoms of its MJCF"
+    return f"{robot.n} joints, {table}, {look}"
 
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:

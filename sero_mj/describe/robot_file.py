@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..toml_file import key_lines, read_toml
 from .described import Described
+from .mjcf_robot import read_mjcf
 
 
 def read_robot_file(path: Path, packages: Mapping[str, Path | str] | None = None) -> Described:
@@ -23,4 +24,6 @@ def read_robot_file(path: Path, packages: Mapping[str, Path | str] | None = None
         from .urdf import read_urdf
 
         return read_urdf(path, packages)
+    if path.suffix == ".xml":
+        return read_mjcf(path)
     return Described(read_toml(path), key_lines(path))

@@ -17,9 +17,10 @@ from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import GRAVITY
 from ..declaration import numbers
+from ..describe.mjcf_tree import torque_limits
 from ..errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
 from ..frames import Array, Ints
-from ._model_trees import ON_JOINT, Tree, without_scope
+from ._model_trees import Tree, without_scope
 
 # Fields that a user can set for a found robot; the others come from the model.
 FIELDS = (
@@ -41,7 +42,6 @@ FIELDS = (
     "enable_touch_sensor",
 )
 _BASE = "base"  # label of a base's frame
-_FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 _FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations have full width
 
 
@@ -120,34 +120,6 @@ class FoundRobot(SerialRobot):
     def axes_lengths(self) -> Array:
         """Length of the axes of the body that each joint moves (n,), m; smaller for fingers."""
         return np.full(self.n, self.axes_size) if self._axes is None else self._axes
-
-
-def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the torque limits of joints, (n,), Nm or N; inf where the model states none.
-
-    The lower of the joint's `actuatorfrcrange` and the `forcerange` of its actuators (for a motor
-    without one its `ctrlrange`) times their gear.
-    """
-    limits = np.full(len(joints), np.inf)
-    for i, joint in enumerate(joints):
-        mine = np.isin(model.actuator_trntype, ON_JOINT) & (model.actuator_trnid[:, 0] == joint)
-        if mine.any():
-            limits[i] = sum(_actuator_limit(model, int(k)) for k in mine.nonzero()[0])
-        if model.jnt_actfrclimited[joint]:
-            limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
-    return np.where(limits > 0, limits, np.inf)
-
-
-def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
-    gear = abs(float(model.actuator_gear[actuator, 0]))
-    if model.actuator_forcelimited[actuator]:
-        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
-    is_motor = model.actuator_gaintype[actuator] == _FIXED_GAIN
-    is_motor &= model.actuator_biastype[actuator] == _NO_BIAS
-    if is_motor and model.actuator_ctrllimited[actuator]:
-        gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
-    return float("inf")
 
 
 @dataclass(frozen=True, eq=False)

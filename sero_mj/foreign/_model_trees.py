@@ -18,12 +18,10 @@ import mujoco
 import numpy as np
 
 from ..assemble.solids import geom_boxes, geoms_of
+from ..describe.mjcf_tree import driven_roots
 from ..frames import Array, Ints
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
-_OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
 _RESERVED = ("world", "toggles")  # reserved names in routes
 # Words that say which part a root body is, and not which robot.
 _PART_WORDS = frozenset(
@@ -72,7 +70,7 @@ def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
     tree_of_joint = model.body_rootid[model.jnt_bodyid]
     groups = _fused_groups(model, np.unique(tree_of_joint[single]))
-    driven = _driven_roots(model)
+    driven = driven_roots(model)
     drives = [not driven.isdisjoint(roots) for roots, _ in groups]
     if not any(drives):
         drives = [True] * len(groups)
@@ -93,24 +91,6 @@ def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree
         joint_names = _joint_names(model, joints)
         trees.append(Tree(name, bodies, trunk, joints, joint_names, chain, last))
     return trees
-
-
-def _driven_roots(model: mujoco.MjModel) -> set[int]:
-    """Returns the root bodies of the trees that have a joint with an actuator."""
-    bodies: list[int] = []
-    for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
-        if kind in ON_JOINT:
-            bodies.append(model.jnt_bodyid[item])
-        elif kind == _OF_TENDON:
-            first = model.tendon_adr[item]
-            for wrap in range(first, first + model.tendon_num[item]):
-                if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
-                    bodies.append(model.jnt_bodyid[model.wrap_objid[wrap]])
-                elif model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
-                    bodies.append(model.site_bodyid[model.wrap_objid[wrap]])
-        elif kind in _OF_SITE:
-            bodies.append(model.site_bodyid[item])
-    return {int(model.body_rootid[body]) for body in bodies}
 
 
 def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]:

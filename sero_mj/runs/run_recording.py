@@ -325,7 +325,7 @@ def _built(
 
 
 def _without_meshes(fields: dict[str, Any]) -> dict[str, Any]:
-    return {**fields, "filenames": [], "collisions": None, "directory": ""}
+    return {**fields, "filenames": [], "collisions": None, "mjcf": None, "directory": ""}
 
 
 def _installed(model: str) -> Path | None:

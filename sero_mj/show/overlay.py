@@ -12,11 +12,11 @@ import numpy as np
 
 from ..assemble.cartesian import SmartArrow
 from ..assemble.double import Double
-from ..assemble.mjcf_elements import as_spec, is_mjcf_object
 from ..assemble.scene import SceneToggles
 from ..decor.font import DEFAULT_FONT, Font
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
+from ..describe.mjcf_file import as_spec, is_mjcf_object
 from ..errors import UsageError
 from ..foreign.model_world import ModelWorld
 from ..frames import Array

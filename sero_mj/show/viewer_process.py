@@ -25,7 +25,7 @@ from typing import Any
 
 import mujoco
 
-from ..assemble.mjcf_elements import as_spec, is_mjcf_object
+from ..describe.mjcf_file import as_spec, is_mjcf_object
 from ..errors import RenderError, UsageError
 from .headless.film import Pixels
 from .picking import Picked

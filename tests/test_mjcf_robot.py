@@ -1,0 +1,300 @@
+"""Robots from MJCF: the same kinematics, dynamics and looks as their file compiled by itself."""
+
+import logging
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from sero_mj.assemble.double import DOUBLE_GROUP, Double
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.describe.mjcf_robot import tree_of
+from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
+
+# Several joints on a body, joint values that start elsewhere, frames, classes, a closed-over
+# wrist, a coupling, a drive by a tendon, a ball that lies about, textures and a mesh.
+TWO_LEGS = """
+<mujoco model="two legs">
+  <compiler angle="degree" eulerseq="zyx"/>
+  <default>
+    <joint damping="0.3" armature="0.02"/>
+    <default class="foot"><geom rgba="0.8 0.1 0.1 1" friction="0.9 0.1 0.1"/></default>
+  </default>
+  <asset>
+    <texture name="squares" type="2d" builtin="checker" width="32" height="32"
+             rgb1="0 0 1" rgb2="1 1 0"/>
+    <material name="tiled" texture="squares" texrepeat="3 3" specular="0.7" reflectance="0.1"/>
+    <mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.1 0  0 0 0.3  0.2 0 0.3"/>
+  </asset>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <geom name="ground" type="plane" size="5 5 0.1"/>
+    <body name="trunk" pos="0.1 0.2 1" euler="30 0 0">
+      <freejoint name="root"/>
+      <geom type="box" size="0.2 0.1 0.1" material="tiled" mass="4"/>
+      <frame pos="0 0.15 0" euler="0 20 0">
+        <body name="left thigh">
+          <joint name="left hip x" axis="1 0 0" range="-60 60" frictionloss="0.2"/>
+          <joint name="left hip y" axis="0 1 0.2" pos="0 0 0.03" ref="10" range="-90 45"/>
+          <joint name="left hip z" axis="0 0 1"/>
+          <geom type="capsule" fromto="0 0 0 0 0.05 -0.4" size="0.05" mass="2"/>
+          <body name="left shank" pos="0 0.05 -0.4">
+            <joint name="left knee" axis="0 1 0" range="0 150" actuatorfrcrange="-80 80"/>
+            <geom type="mesh" mesh="wedge" euler="0 0 40" pos="0 0 -0.2"/>
+            <body name="left foot" pos="0 0 -0.4" quat="0.9 0.1 0.3 0.1">
+              <geom class="foot" type="ellipsoid" size="0.1 0.04 0.03" mass="0.4"/>
+              <site name="left_tool" pos="0.1 0 0" euler="10 20 30"/>
+            </body>
+          </body>
+        </body>
+      </frame>
+      <body name="right thigh" pos="0 -0.15 0">
+        <joint name="right hip" axis="0 1 0" type="hinge"/>
+        <geom type="cylinder" size="0.05 0.2" pos="0 0 -0.2" group="3" mass="2"/>
+        <geom type="capsule" size="0.06 0.2" pos="0 0 -0.2" contype="0" conaffinity="0" mass="0"/>
+        <body name="right shank" pos="0 0 -0.4">
+          <joint name="right slide" axis="0 0 -1" type="slide" ref="0.02" range="0 0.1"/>
+          <joint name="right follower" axis="0 1 0" ref="5"/>
+          <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.04" mass="1"/>
+        </body>
+      </body>
+    </body>
+    <body name="ball" pos="1 0 0.1"><freejoint/><geom size="0.1"/></body>
+    <body name="target" mocap="true"><geom size="0.02" rgba="0 1 0 0.5"/></body>
+  </worldbody>
+  <tendon><fixed name="cord"><joint joint="right slide" coef="2"/></fixed></tendon>
+  <actuator>
+    <motor joint="left hip x" gear="50" ctrlrange="-1 1"/>
+    <position joint="left knee" kp="100" forcerange="-60 60"/>
+    <motor tendon="cord"/>
+  </actuator>
+  <equality>
+    <joint joint1="right follower" joint2="right hip" polycoef="0.1 -0.5 0 0 0"/>
+  </equality>
+  <contact><exclude body1="trunk" body2="left foot"/></contact>
+  <keyframe>
+    <key name="home" qpos="0.1 0.2 0.8 1 0 0 0  0.1 0 0.2 0.5  0.3 0.05 0  1 0 0.1 1 0 0 0"/>
+  </keyframe>
+</mujoco>
+"""
+NAMES = [
+    "left_hip_x", "left_hip_y", "left_hip_z", "left_knee",
+    "right_hip", "right_slide", "right_follower",
+]  # fmt: skip
+ALONE = "<mujoco><worldbody><body>{}</body></worldbody></mujoco>"
+ARM = """
+<mujoco><worldbody><body name="a"><geom size="0.1"/><joint name="j1" axis="0 1 0"/>
+<body pos="0 0 0.3"><joint axis="1 0 0"/><geom size="0.05" pos="0 0 0.2"/></body></body></worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "two-legs.xml"
+    file.write_text(TWO_LEGS)
+    return file
+
+
+@pytest.fixture
+def robot(path):
+    return SerialRobot.from_mjcf(path, name="legs")
+
+
+def test_its_joints_limits_and_couplings_are_those_of_the_file(robot, caplog):
+    inf = np.inf
+    assert robot.names == NAMES and robot.types[5] == "prismatic"
+    assert robot.parents == ["base", *NAMES[:3], "base", *NAMES[4:6]]
+    limits = np.rad2deg(robot.position_limits)
+    np.testing.assert_allclose(limits[[0, 1, 3]], [[-60, 60], [-90, 45], [0, 150]])
+    np.testing.assert_allclose(robot.position_limits[5], [0, 0.1])
+    assert robot.position_limits[2].tolist() == [-inf, inf]
+    # A motor's range times its gear; the lower of the joint's and the drive's; none is stated.
+    assert robot.torque_limits.tolist() == [50, inf, inf, 60, inf, inf, inf]
+    coupling = robot.couplings["right_follower"]
+    assert (coupling.to, coupling.ratio) == ("right_hip", -0.5)
+    assert coupling.offset == pytest.approx(0.1 + np.deg2rad(5))
+    assert robot.dynamics.motor_inertias.tolist() == [0.02] * 7
+    assert robot.dynamics.coulomb_friction.tolist() == [0.2] + [0.0] * 6
+    assert robot.free_base and robot.flange_on == "left_knee"
+
+
+def test_what_it_leaves_out_is_told(path, caplog):
+    with caplog.at_level(logging.WARNING):
+        SerialRobot.from_mjcf(path)
+    told = [record.getMessage().partition("xml: ")[2] for record in caplog.records]
+    assert told == ["bodies that no drive of the robot moves are left out: ball, target"]
+
+
+def test_its_kinematics_and_dynamics_are_those_of_the_file(robot):
+    tree = tree_of(robot.mjcf, Path(robot.directory))
+    model, data = tree.model, mujoco.MjData(tree.model)
+    world = World(Scene(robots=[robot]), dynamic=True)
+    own, part = world.make_data(), world.robots["legs"]
+    rng = np.random.default_rng(1)
+    place = np.array([0.3, -0.2, 1.2, *rng.normal(size=4)])
+    place[3:] /= np.linalg.norm(place[3:])
+    for _ in range(20):
+        q, v = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
+        data.qpos[:7], own.qpos[part.free] = place, place
+        data.qpos[model.jnt_qposadr[tree.joints]], own.qpos[part.qpos] = q, q
+        data.qvel[model.jnt_dofadr[tree.joints]], own.qvel[part.dofs] = v, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_forward(world.model, own)
+        for body in np.flatnonzero(tree.links >= 0):
+            link = part.bodies[tree.links[body]]
+            T = np.linalg.inv(tree.poses[tree.links[body]]) @ tree.bodies[body]
+            found = own.xpos[link] + own.xmat[link].reshape(3, 3) @ T[:3, 3]
+            np.testing.assert_allclose(found, data.xpos[body], atol=1e-9)
+        np.testing.assert_allclose(
+            own.qfrc_bias[part.dofs], data.qfrc_bias[model.jnt_dofadr[tree.joints]], atol=1e-6
+        )
+    flange = world.frame(own, "legs/flange")
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "left_tool")
+    np.testing.assert_allclose(flange[:3, 3], data.site_xpos[site], atol=1e-9)
+    np.testing.assert_allclose(flange[:3, :3].ravel(), data.site_xmat[site], atol=1e-9)
+    mine = tree.links >= 0
+    mass = world.model.body_mass[part.bodies].sum()
+    assert mass == pytest.approx(model.body_mass[mine].sum())
+
+
+def seen_geoms(world, name="legs"):
+    model = world.model
+    scope = f"{name}/"
+    return [
+        g for g in range(model.ngeom)
+        if model.body(model.geom_bodyid[g]).name.startswith(scope) and model.geom_group[g] == 1
+    ]  # fmt: skip
+
+
+def test_its_geoms_are_where_they_were_with_their_meshes_and_materials(robot, path):
+    world = World(Scene(robots=[robot], floor=False))
+    alone = mujoco.MjModel.from_xml_path(str(path))
+    data, own = mujoco.MjData(alone), world.make_data()
+    data.qpos[:] = alone.key_qpos[0]
+    own.qpos[world.robots["legs"].qpos] = robot.home
+    # The key frame does not have the coupled joint where its coupling has it.
+    data.qpos[alone.jnt("right follower").qposadr] = robot.home[6]
+    mujoco.mj_forward(alone, data)
+    mujoco.mj_forward(world.model, own)
+    shown = [g for g in range(1, alone.ngeom - 2) if alone.geom_group[g] < 3]
+    found = seen_geoms(world)
+    assert len(found) == len(shown)
+    order = np.argsort(own.geom_xpos[found][:, 2]), np.argsort(data.geom_xpos[shown][:, 2])
+    for one, other in zip(np.array(found)[order[0]], np.array(shown)[order[1]], strict=True):
+        np.testing.assert_allclose(own.geom_xpos[one], data.geom_xpos[other], atol=1e-6)
+        assert world.model.geom_type[one] == alone.geom_type[other]
+        np.testing.assert_allclose(world.model.geom_rgba[one], alone.geom_rgba[other])
+        if alone.geom_type[other] != mujoco.mjtGeom.mjGEOM_MESH:
+            np.testing.assert_allclose(world.model.geom_size[one], alone.geom_size[other])
+    box = next(g for g in found if world.model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX)
+    material = world.model.mat(int(world.model.geom_matid[box]))
+    assert material.specular[0] == pytest.approx(0.7)
+    texture = int(material.texid[mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    pixels = alone.tex_data[: 32 * 32 * 3]
+    start = world.model.tex_adr[texture]
+    assert (world.model.tex_data[start : start + len(pixels)] == pixels).all()
+    mesh = next(g for g in found if world.model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH)
+    vertices = own.geom_xmat[mesh].reshape(3, 3) @ world.model.mesh_vert.T
+    there = next(g for g in shown if alone.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH)
+    expected = data.geom_xmat[there].reshape(3, 3) @ alone.mesh_vert.T
+    one, other = (np.sort((a + b[:, None]).round(6), axis=1) for a, b in
+                  ((vertices, own.geom_xpos[mesh]), (expected, data.geom_xpos[there])))  # fmt: skip
+    np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_in_simulation_its_collision_geoms_touch_with_their_friction(robot):
+    world = World(Scene(robots=[robot]), dynamic=True)
+    model = world.model
+    touching = [g for g in range(model.ngeom) if model.geom_group[g] == 4]
+    kinds = sorted(int(model.geom_type[g]) for g in touching)
+    assert len(kinds) == 6  # all but the capsule that is only seen
+    feet = [g for g in touching if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_ELLIPSOID]
+    np.testing.assert_allclose(model.geom_friction[feet[0]], [0.9, 0.1, 0.1])
+    trunk, foot = model.body("legs/").id, model.body("legs/link4").id
+    pairs = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
+    assert (trunk, foot) in pairs or (foot, trunk) in pairs
+    data = world.make_data()
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+    assert data.ncon > 0 and np.isfinite(data.qpos).all()  # it lies on the floor
+    assert data.qpos[world.robots["legs"].free[2]] > 0.0
+
+
+def test_a_scene_has_robots_of_several_files_with_doubles(path, tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "s.toml").write_text("""
+[robots.one]
+model = "two-legs.xml"
+base_frame = { xyz = [0, 0, 2] }
+[robots.two]
+model = "arm.xml"
+mount = "one/flange"
+[robots.three]
+model = "arm.xml"
+mirrored = true
+[doubles.goal]
+of = "one"
+[routes]
+"goal.joint_angles" = [0.1, 0.2, 0.3, 0.4, 0.5, 0.05, -0.05]
+""")
+    scene = load_scene(tmp_path / "s.toml")
+    assert [robot.n for robot in scene.robots.values()] == [7, 2, 2]
+    assert scene.robots["two"].names == ["j1", "joint2"]
+    world = World(scene)
+    model = world.model
+    doubled = model.geom_group == DOUBLE_GROUP
+    assert (model.geom_matid[doubled] == -1).all() and doubled.sum() >= 5
+    assert np.unique(model.geom_rgba[doubled], axis=0).shape == (1, 4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<mujoco/>", "found no hinge and no slide; expected a robot with joints"),
+        ("<mujoco><worldbody><body/></mujoco>", "mjcf: cannot be read: XML parse error"),
+        (
+            ALONE.format('<joint type="ball"/><geom size="1"/>'),
+            "found no hinge and no slide; expected a robot with joints",
+        ),
+        (
+            ALONE.format('<joint/><geom type="mesh" mesh="m"/>'),
+            "mesh",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_no_robot_is_told(tmp_path, text, message):
+    (tmp_path / "bad.xml").write_text(text)
+    with pytest.raises(DeclarationError) as caught:
+        SerialRobot.from_model(str(tmp_path / "bad.xml"))
+    assert message in str(caught.value)
+
+
+def test_ball_joints_are_held_and_told(caplog):
+    text = ARM.replace('<joint name="j1" axis="0 1 0"/>', '<joint name="wrist" type="ball"/>')
+    with caplog.at_level(logging.WARNING):
+        robot = SerialRobot.from_mjcf(text, name="arm")
+    assert robot.n == 1
+    assert "ball joints are held where they are, they have no single axis: wrist" in caplog.text
+
+
+def test_objects_with_mjcf_in_python_are_robots_too():
+    spec = mujoco.MjSpec.from_string(ARM)
+    one, other = SerialRobot.from_mjcf(spec, name="a"), SerialRobot.from_mjcf(ARM, name="b")
+    assert one.names == other.names
+    np.testing.assert_allclose(one.joint_frames, other.joint_frames)
+    world = World(Scene(robots=[one, other], doubles=[Double(name="d", of="a")]))
+    assert world.model.njnt == 4
+
+
+def test_another_number_of_joints_than_the_file_has_is_refused(path):
+    robot = SerialRobot(
+        joint_frames=[np.eye(4)], mjcf=path.name, directory=str(path.parent), name="legs"
+    )
+    with pytest.raises(DeclarationError) as caught:
+        World(Scene(robots=[robot]))
+    assert "mjcf: found 7 joints in it; expected 1, as the robot has" in str(caught.value)
