@@ -13,6 +13,7 @@ from ..show.headless.backend import choose_backend
 from . import (
     check,
     compare,
+    convert,
     demo,
     doctor,
     export,
@@ -104,6 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         fk,
         check,
         export,
+        convert,
         listing,
         new,
         schema,

@@ -74,7 +74,7 @@ def read_wrl(path: Path) -> list[Triangles]:
     problems = Problems(path)
     document = read_document(path)
     found = visit(document.nodes, path, problems)
-    by_colour: dict[bytes | None, list[Triangles]] = {}
+    pieces: list[Triangles] = []
     left_out: dict[str, int] = {}
     count = 0
     for seen in found:
@@ -87,12 +87,20 @@ def read_wrl(path: Path) -> list[Triangles]:
             if count > _MOST_TRIANGLES:
                 message = f"has more than {_MOST_TRIANGLES:,} triangles"
                 raise DeclarationError([Problem("", message, str(path))])
-            by_colour.setdefault(None if piece[2] is None else piece[2].tobytes(), []).append(piece)
+            pieces.append(piece)
     problems.raise_all()
     if left_out:
         names = ", ".join(f"{kind} (line {line})" for kind, line in left_out.items())
         log.warning("%s: not drawn: %s", path, names)
-    return [_joined(pieces) for pieces in by_colour.values()]
+    return by_colour(pieces)
+
+
+def by_colour(pieces: list[Triangles]) -> list[Triangles]:
+    """Joins the pieces of each colour."""
+    same: dict[bytes | None, list[Triangles]] = {}
+    for piece in pieces:
+        same.setdefault(None if piece[2] is None else piece[2].tobytes(), []).append(piece)
+    return [_joined(each) for each in same.values()]
 
 
 def _joined(pieces: list[Triangles]) -> Triangles:

@@ -22,6 +22,7 @@ from .vrml import Document, Node, Problems, Route, Value, instance, read_documen
 from .wrl import (
     Seen,
     Triangles,
+    by_colour,
     color_of,
     get,
     is_open,
@@ -109,7 +110,8 @@ SOURCE_EVENTS = {"receiving": "receiving", "receiveTrigger": "receive_trigger"}
 MOST_DEBUG_LEVEL = 3
 _CAMERA_DISTANCE = 1.0  # m, of what a camera looks at whose centre is behind it
 _LIGHT_DISTANCE = 4.0  # m, of a light that has none
-_LIGHT_SHARE = 0.6  # of X3D's intensity, since a headlight and ambient light are added
+LIGHT_SHARE = 0.7  # of X3D's intensity, since a headlight and ambient light are added
+Z_IS_UP = "z is up"  # in WorldInfo, of scenes that we write
 _ANY_ROLL = np.deg2rad(1.0)
 # Turns y, which is up in X3D, into z.
 _UPRIGHT = np.diag([1.0, 1.0, 1.0, 1.0])
@@ -237,6 +239,9 @@ class _Reader:
         y is up by X3D, but the paper's robots stand on z. So the first viewpoint decides, or,
         without one, how robots stand.
         """
+        infos = [each.node for each in seen if each.node.kind == "WorldInfo"]
+        if any(Z_IS_UP in get(info, "info", "MFString", [], self.problems) for info in infos):
+            return np.eye(4)
         ups = [
             (each.T[:3, :3] @ self._view_axes(each.node))[:, 1]
             for each in seen
@@ -452,7 +457,8 @@ class _Reader:
             if rgba is not None:
                 table["rgba"] = rgba.round(6).tolist()
         else:
-            pieces = triangles_of(seen, self.problems.of(seen.path), self.not_shown)
+            found = triangles_of(seen, self.problems.of(seen.path), self.not_shown)
+            pieces = by_colour(found)
             self.triangles += sum(len(faces) for _, faces, _ in pieces)
             if self.triangles > _MOST_TRIANGLES:
                 message = f"shapes have more than {_MOST_TRIANGLES:,} triangles"
@@ -552,7 +558,7 @@ class _Reader:
             problems.add(f"{node.label}.direction", "found 0 0 0; expected a direction", node.line)
             return
         color = get(node, "color", "SFColor", np.ones(3), problems)
-        color = color * get(node, "intensity", "SFFloat", 1.0, problems) * _LIGHT_SHARE
+        color = color * get(node, "intensity", "SFFloat", 1.0, problems) * LIGHT_SHARE
         is_spot = node.kind == "SpotLight"
         at = -_LIGHT_DISTANCE * down / np.linalg.norm(down)
         if is_spot:

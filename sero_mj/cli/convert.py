@@ -1,0 +1,176 @@
+"""`sero-mj convert`: a scene of X3D as TOML, and the other way round."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import UsageError
+from ..paths import SCENE_ENDINGS
+from ._arguments import Commands, add_command, check_ending, read_scene
+
+if TYPE_CHECKING:
+    from ..assemble.robot import SerialRobot
+    from ..assemble.scene import Scene
+    from ..declaration import Declaration
+
+_EPILOG = """\
+examples:
+  sero-mj convert fig7.x3d scene.toml      a scene of the SeRo-Viewer as a file of ours
+  sero-mj convert lwr_udp fig.x3d          what X3D and the paper's protos can say of a scene
+
+What the other format has no word for is left out and named. Geometry is not converted: files of
+meshes stay where they are. X3D is read and written in its classic encoding (.x3d, .x3dv, .wrl).
+"""
+# Fields of robots in other units or orders, which are converted when a robot is built.
+_OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    summary = "convert a scene of X3D to TOML, or the other way round"
+    parser = add_command(commands, "convert", run, summary, _EPILOG)
+    parser.add_argument("scene", metavar="SCENE", help="a scene's file, or a shipped name")
+    parser.add_argument("output", metavar="OUT", type=Path, help=".toml, or .x3d, .x3dv, .wrl")
+    parser.add_argument("--overwrite", action="store_true", help="write over a file that exists")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes the file; returns 0."""
+    output: Path = options.output
+    to_x3d = output.suffix.lower() in SCENE_ENDINGS
+    if not to_x3d:
+        check_ending(str(output), output, (".toml", *SCENE_ENDINGS))
+    is_x3d = Path(options.scene).suffix.lower() in SCENE_ENDINGS
+    if to_x3d == is_x3d:
+        both = "X3D" if to_x3d else "TOML"
+        raise UsageError(f"{options.scene} and {output}: both are {both}; expected one of each")
+    if output.exists() and not options.overwrite:
+        raise UsageError(f"{output} is there already; --overwrite writes over it")
+    text, lost = _as_x3d(options.scene, output) if to_x3d else _as_toml(options.scene, output)
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {output}: {error.strerror}") from error
+    if lost:
+        line = f"sero-mj: left out, as X3D or its protos have no word for it: {', '.join(lost)}"
+        print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
+    print(output)
+    return 0
+
+
+def _as_toml(name: str, output: Path) -> tuple[str, list[str]]:
+    """The text of a TOML file; what the X3D has besides has been logged while it was read."""
+    from ..describe.toml_text import toml_text
+    from ..describe.x3d import read_x3d
+
+    read_scene(name)  # tells all that is wrong, also what is wrong with robots and sources
+    described = read_x3d(Path(name))
+    for robot in described.tables.get("robots", {}).values():
+        if robot.get("directory"):
+            folder = Path(name).parent / robot["directory"]
+            robot["directory"] = _relative(folder, output)
+    comments = [f"{Path(name).name}, as a scene of sero-mj."]
+    for warning in described.warnings:
+        comments += fill(f"Note: {warning}", 98, subsequent_indent="  ").splitlines()
+    return toml_text(described.tables, comments), []
+
+
+def _relative(folder: Path, output: Path) -> str:
+    """A folder as it is written in a file, relative to that where it can be."""
+    try:
+        return Path(os.path.relpath(folder.absolute(), output.absolute().parent)).as_posix()
+    except ValueError:  # on another drive
+        return folder.absolute().as_posix()
+
+
+def _as_x3d(name: str, output: Path) -> tuple[str, list[str]]:
+    from ..describe.x3d_text import x3d_text
+
+    text, lost = x3d_text(scene_tables(read_scene(name), output))
+    if "SerialRobot {" not in text and "Shape {" not in text:
+        raise UsageError(f"{name}: nothing of it can be said in X3D; left out: {', '.join(lost)}")
+    return text, lost
+
+
+def scene_tables(scene: Scene, output: Path) -> dict[str, Any]:
+    """The tables of a scene's file in which robots have their fields, and no model.
+
+    Args:
+        scene: loaded.
+        output: a file; folders are relative to its own.
+    """
+    from ..drive.wiring import wire
+
+    sources = {}
+    for key, source in wire(scene).sources.items():
+        fields = source.model_dump(by_alias=True, exclude_defaults=True, exclude={"name"})
+        sources[key] = {"kind": source.kind, **_plain(fields)}
+    tables: dict[str, Any] = {
+        "description": scene.description,
+        "note": scene.note,
+        "robots": {key: robot_table(robot, output) for key, robot in scene.robots.items()},
+        "sources": sources,
+        "routes": dict(scene.routes),
+        "objects": {item.name: _changed(item, "name", "directory") for item in scene.objects},
+        "cameras": {key: _changed(camera) for key, camera in scene.cameras.items()},
+        "lights": {key: _changed(light) for key, light in scene.lights.items()},
+        "view": _changed(scene.view),
+        "toggles": _changed(scene.toggles),
+        "groups": scene.groups,
+        "doubles": scene.doubles,
+        "arrows": scene.arrows,
+        "frames": scene.frames,
+    }
+    return {key: value for key, value in tables.items() if value}
+
+
+def robot_table(robot: SerialRobot, output: Path) -> dict[str, Any]:
+    """The fields of a robot that have not their default, in SI units; see `scene_tables`."""
+    table = _changed(robot, *_OTHER_FORMS)
+    if robot.dh is not None:
+        dh = robot.dh
+        table["dh_params"] = np.column_stack([dh.alpha, dh.a, dh.theta, dh.d]).tolist()
+    if robot.children:
+        table["children"] = [_changed(child, "directory") for child in robot.children]
+    files = [[part for part in link] for link in robot.filenames]
+    is_plain = robot.mesh_scale == 1.0 and all(
+        len(link) <= 1 and not any(_changed(part, "file") for part in link) for link in files
+    )
+    table.pop("filenames", None)
+    table.pop("directory", None)
+    if files and is_plain:
+        table["filenames"] = [link[0].file if link else "" for link in files]
+        table["directory"] = _relative(Path(robot.directory), output)
+    elif files:
+        table["geometry"] = files
+    return table
+
+
+def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
+    """Fields that have not their default, as a file has them."""
+    changed = {}
+    for key, field in type(declaration).model_fields.items():
+        value = getattr(declaration, key)
+        default = field.get_default(call_default_factory=True)
+        if key not in but and _plain(value) != _plain(default):
+            changed[key] = _plain(value)
+    return changed
+
+
+def _plain(value: Any) -> Any:
+    """A value as `tomllib` would read it; of declarations the fields that are not their default."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return _changed(value) if hasattr(type(value), "model_fields") else value

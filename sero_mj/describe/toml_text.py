@@ -1,0 +1,113 @@
+"""Tables as the text of a TOML file, as one would write it by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+_WIDTH = 100
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_LONG = 400  # characters of a text that is written over several lines
+
+
+def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
+    """Writes tables that `tomllib` reads again as they were.
+
+    Args:
+        tables: of texts, numbers, true and false, lists and tables of these.
+        comments: lines at the beginning, without `#`.
+    """
+    lines = [f"# {line}".rstrip() for line in comments]
+    plain = {key: value for key, value in tables.items() if not _is_section(value)}
+    lines += [*([""] if lines and plain else []), *_entries(plain)]
+    for key, value in tables.items():
+        if _is_section(value):
+            lines += _section(_key(key), value)
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+def _is_section(value: Any) -> bool:
+    entries = value if isinstance(value, list) and value else [value]
+    return all(isinstance(entry, Mapping) for entry in entries)
+
+
+def _section(name: str, value: Any) -> list[str]:
+    """A table with its header, or several of one name."""
+    if isinstance(value, list):
+        return [line for each in value for line in ["", f"[[{name}]]", *_body(name, each)]]
+    body = _body(name, value)
+    only_tables = value and all(_is_section(each) for each in value.values())
+    return body if only_tables else ["", f"[{name}]", *body]
+
+
+def _body(name: str, table: Mapping[str, Any]) -> list[str]:
+    # Small tables inside of those with a name stand in one line, as frames and couplings do.
+    depth = len(re.findall(r'"[^"]*"|[^.]+', name))
+    inner = {key: value for key, value in table.items() if _is_section(value)}
+    small = {
+        key: value
+        for key, value in inner.items()
+        if depth > 1 and isinstance(value, Mapping) and len(_inline(value)) + len(key) < _WIDTH - 3
+    }
+    plain = {key: value for key, value in table.items() if key not in inner or key in small}
+    lines = _entries(plain)
+    for key, value in inner.items():
+        if key not in small:
+            lines += _section(f"{name}.{_key(key)}", value)
+    return lines
+
+
+def _entries(table: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for key, value in table.items():
+        text = _inline(value)
+        line = f"{_key(key)} = {text}"
+        if isinstance(value, str) and len(value) > _LONG and "'''" not in value:
+            line = f"{_key(key)} = '''\n{value}'''"
+        elif isinstance(value, list) and len(line) > _WIDTH:
+            rows = _rows(value)
+            line = f"{_key(key)} = [\n" + "".join(f"  {row},\n" for row in rows) + "]"
+        lines += line.split("\n")
+    return lines
+
+
+def _rows(values: list[Any]) -> list[str]:
+    """Entries of a list, a line for each that is a list or table itself, else as many as fit."""
+    texts = [_inline(value) for value in values]
+    if any(isinstance(value, list | Mapping) for value in values):
+        return texts
+    rows: list[str] = []
+    for text in texts:
+        if rows and len(rows[-1]) + len(text) < _WIDTH - 5:
+            rows[-1] += f", {text}"
+        else:
+            rows.append(text)
+    return rows
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _quoted(key)
+
+
+def _quoted(text: str) -> str:
+    # JSON's escapes are TOML's, but for a character that JSON leaves as it is.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _inline(value: Any) -> str:
+    """A value in one line."""
+    if isinstance(value, Mapping):
+        entries = ", ".join(f"{_key(key)} = {_inline(each)}" for key, each in value.items())
+        return f"{{ {entries} }}" if entries else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_inline, value))}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+        return repr(float(value))
+    return str(int(value)) if isinstance(value, int) else _quoted(str(value))
