@@ -64,7 +64,8 @@ def test_fig_7_is_read_as_it_is_printed() -> None:
     }  # fmt: skip
     files = ", ".join(["base.wrl", *(f"link{k}.wrl" for k in range(1, 8))])
     assert described.warnings == [
-        f"no geometry files {files} in 3dModels/robots/lwr/wrl; lwr is drawn after its DH table"
+        f"no geometry files {files} in 3dModels/robots/lwr/wrl; these links of lwr are drawn after "
+        "its DH table"
     ]
     assert described.lines["robots.lwr.dh_params"] == 10
     assert described.lines["routes.lwr.torques"] == 22
@@ -250,6 +251,40 @@ def test_z_stays_up_where_a_robot_stands_on_it_and_nothing_says_otherwise(tmp_pa
     rolled = view.replace("2.0944", "2.6")
     (warning,) = read(f"{rolled} {ARM % ''}", tmp_path).warnings
     assert warning.startswith("Viewpoint 'view' (line 2) is rolled by ")
+
+
+def test_links_without_their_file_are_drawn_after_the_table_and_others_by_theirs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    red = "appearance Appearance { material Material { diffuseColor 1 0 0 } }"
+    head = "#VRML V2.0 utf8\n"
+    (tmp_path / "link1.wrl").write_text(
+        f"{head}Shape {{ {red} geometry Box {{ size .1 .2 .3 }} }} "
+        "Transform { translation 0 0 0.3 children Shape { geometry Sphere { radius 0.05 } } }"
+    )
+    (tmp_path / "link2.wrl").write_text(f"{head}Shape {{\n geometry Box {{ size 1 1 }} }}")
+    described = read(ARM % 'filenames [ "base.wrl" "link1.wrl" "link2.wrl" ]', tmp_path)
+    assert described.warnings == [
+        f"link2.wrl of arm is drawn after its DH table: {tmp_path / 'link2.wrl'}:3: Box.size: "
+        "found 2 numbers; expected 3 numbers",
+        "no geometry files base.wrl; these links of arm are drawn after its DH table",
+    ]
+    assert described.tables["robots"]["arm"]["filenames"] == [
+        {"shape": "generated"}, "link1.wrl", {"shape": "generated"},
+    ]  # fmt: skip
+    model = World(load_scene(tmp_path / "scene.x3d")).model
+    kinds = [[], [], []]
+    for geom in range(model.ngeom):
+        name = model.body(model.geom_bodyid[geom]).name
+        link = {"arm/": 0, "arm/link1": 1, "arm/link2": 2}.get(name)
+        if link is not None:
+            kinds[link].append(mujoco.mjtGeom(model.geom_type[geom]).name[7:].lower())
+    assert kinds[1] == ["mesh", "mesh"]  # one for each colour
+    assert "mesh" not in kinds[0] + kinds[2] and kinds[0] and kinds[2]
+    colors = model.geom_rgba[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH]
+    assert colors[0].tolist() == [1, 0, 0, 1]
+    sizes = model.geom_rbound[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH]
+    assert sizes[0] == pytest.approx(np.linalg.norm([0.05, 0.1, 0.15]), rel=1e-6)
 
 
 GRIPPER = "DEF gripper SerialRobot { dhParams [ 0 0 0 0.1 ] }"

@@ -77,6 +77,11 @@ def _declared(
         for k, part in enumerate(parts):
             rgba = None if part.color is None else robot.colors[part.color]
             at = pose(_placed(robot, part.frame, shrink))
+            if part.shape == "generated":
+                for shape in generated(robot)[i]:
+                    look = shape.rgba if rgba is None else rgba
+                    geoms[i].append({"rgba": look, **shape_geom(shape, shrink)})
+                continue
             if part.shape is not None:
                 assert part.size is not None  # checked by LinkGeometry
                 size = half_sizes(part.shape, part.size) * shrink

@@ -151,7 +151,7 @@ class LinkGeometry(Declaration):
 
     Attributes:
         file: mesh, relative to the robot's `directory`.
-        shape: a primitive instead.
+        shape: a primitive instead; `generated` for the shapes that a link without any file gets.
         size: of that, full lengths and radii in m, see `SHAPE_SIZES`.
         color: one of the robot's `colors`.
         frame: T_link_geometry, in the frame of the link.
@@ -160,7 +160,7 @@ class LinkGeometry(Declaration):
     """
 
     file: MeshFile | None = None
-    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid"] | None = None
+    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "generated"] | None = None
     size: Vector | None = None
     color: str | None = None
     frame: Frame = Field(default_factory=lambda: np.eye(4))
@@ -173,7 +173,7 @@ class LinkGeometry(Declaration):
         if (self.file is None) == (self.shape is None):
             found = "neither" if self.file is None else "both"
             raise ValueError(f"found {found} of file and shape; expected one of them")
-        if self.shape is not None:
+        if self.shape is not None and self.shape != "generated":
             check_shape_size(self.shape, self.size)
         elif self.size is not None:
             raise ValueError("size is for shapes; expected scale for a mesh")

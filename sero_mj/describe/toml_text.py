@@ -39,8 +39,9 @@ def _section(name: str, value: Any) -> list[str]:
     if isinstance(value, list):
         return [line for each in value for line in ["", f"[[{name}]]", *_body(name, each)]]
     body = _body(name, value)
-    only_tables = value and all(_is_section(each) for each in value.values())
-    return body if only_tables else ["", f"[{name}]", *body]
+    # The headers of tables inside of it declare it as well.
+    has_header = bool(body) and body[0] == ""
+    return body if has_header else ["", f"[{name}]", *body]
 
 
 def _body(name: str, table: Mapping[str, Any]) -> list[str]:

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import did_you_mean
+from ..errors import DeclarationError, did_you_mean
 from ..frames import Array, frame_from, rotation_about
 from .described import Described
+from .mesh_files import read_mesh
 from .vrml import Document, Node, Problems, Route, Value, instance, read_document, read_field
 from .wrl import (
     Seen,
@@ -108,6 +109,7 @@ _FLANGE = "fwdKinFromBaseToFlange"
 ROBOT_OUTPUTS = {"jointAngles": "joint_angles", _FLANGE: "fwd_kin_base_to_flange"}
 SOURCE_EVENTS = {"receiving": "receiving", "receiveTrigger": "receive_trigger"}
 MOST_DEBUG_LEVEL = 3
+_MISSING = "no such file"
 _CAMERA_DISTANCE = 1.0  # m, of what a camera looks at whose centre is behind it
 _LIGHT_DISTANCE = 4.0  # m, of a light that has none
 LIGHT_SHARE = 0.7  # of X3D's intensity, since a headlight and ambient light are added
@@ -319,11 +321,9 @@ class _Reader:
             if key in found:
                 found[key] = self._frame(node, field).tolist()
         with self.problems.told(f"{name}.baseFrame", node.line):
-            base = _rigid(seen.T) @ np.array(found.get("base_frame", np.eye(4)))
-            if not np.array_equal(base, np.eye(4)):
-                found["base_frame"] = _rounded(base)
-            else:
-                found.pop("base_frame", None)
+            found["base_frame"] = _rounded(_rigid(seen.T) @ found.get("base_frame", np.eye(4)))
+            if np.array_equal(found["base_frame"], np.eye(4)):
+                del found["base_frame"]
         table |= self._with_files(found, node, name)
         self.robots[name] = table
         children = self._visit(get(node, "children", "MFNode", [], self.problems))
@@ -365,10 +365,18 @@ class _Reader:
             found.pop("directory", None)
             return found
         folder = self.path.parent / found.get("directory", "")
-        missing = [file for file in files if "\0" in file or not (folder / file).is_file()]
+        lost = {file: why for file in files if (why := _why_not(folder / file))}
+        missing = [file for file, why in lost.items() if why == _MISSING]
         if missing:
             place = f" in {found['directory']}" if found.get("directory") else ""
             self.missing[name] = ", ".join(missing) + place
+        for file, why in lost.items():
+            if why != _MISSING:
+                self.warnings.append(f"{file} of {name} is drawn after its DH table: {why}")
+        found["filenames"] = [
+            {"shape": "generated"} if file in lost else file for file in found["filenames"]
+        ]
+        if len(lost) == len({*files}):
             del found["filenames"]
             found.pop("directory", None)
         return found
@@ -674,12 +682,25 @@ class _Reader:
 
     def _warn(self) -> None:
         for name, files in self.missing.items():
-            self.warnings.append(f"no geometry files {files}; {name} is drawn after its DH table")
+            self.warnings.append(
+                f"no geometry files {files}; these links of {name} are drawn after its DH table"
+            )
         if self.not_shown:
             shown = (f"{kind} (line {line})" for kind, line in self.not_shown.items())
             self.warnings.append(f"nodes that are not shown: {', '.join(shown)}")
         if self.left_out:
             self.warnings.append(f"routes that are left out: {', '.join(self.left_out)}")
+
+
+def _why_not(file: Path) -> str:
+    """Why a file of geometry cannot be drawn; empty where it can."""
+    if "\0" in str(file) or not file.is_file():
+        return _MISSING
+    try:
+        read_mesh(file)
+    except DeclarationError as error:
+        return str(error.problems[0])
+    return ""
 
 
 def _values(node: Node) -> dict[str, Value]:
