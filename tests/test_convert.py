@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from sero_mj import Scene, SerialRobot, World, load_scene
 from sero_mj.cli import main
+from sero_mj.cli.convert import robot_table
 from sero_mj.describe.toml_text import toml_text
 from sero_mj.describe.x3d import read_x3d
 from sero_mj.describe.x3d_text import x3d_text
@@ -124,7 +125,7 @@ def test_a_whole_scene_comes_back_from_toml_as_it_was(
     assert np.allclose(*vertices, atol=1e-6)
 
 
-def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres() -> None:
+def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     robot = SerialRobot(
         name="r",
@@ -133,14 +134,11 @@ def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres() -> N
         flange_frame={"xyz": [0.1, 0.2, 0.3], "rpy": [0.4, 0.5, 0.6]},
         offsets_to_center_of_joints=rng.uniform(-0.3, 0.3, (5, 3)),
     )
-    from sero_mj.cli.convert import robot_table
-
     text, left_out = x3d_text({"robots": {"r": robot_table(robot, Path("out.x3d"))}})
     assert left_out == []
-    from sero_mj.describe.vrml import parse_document
-    from sero_mj.describe.x3d import _Reader
-
-    tables = _Reader(parse_document(text, Path("out.x3d"))).described().tables
+    path = tmp_path / "out.x3d"
+    path.write_text(text)
+    tables = read_x3d(path).tables
     other = SerialRobot(name="r", **tables["robots"]["r"])
     assert other.dh_convention == "craig"
     worlds = [World(Scene(robots=[each])) for each in (robot, other)]

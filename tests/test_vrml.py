@@ -11,15 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.describe.vrml import (
-    Node,
-    Value,
-    instance,
-    parse_document,
-    read_document,
-    read_field,
-    walk,
-)
+from sero_mj.describe.vrml import parse_document, read_document
+from sero_mj.describe.vrml_nodes import Node, Value, instance, read_field, walk
 from sero_mj.describe.wrl import read_wrl
 from sero_mj.describe.x3d import read_x3d
 from sero_mj.errors import DeclarationError

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.describe.wrl import Triangles, clip_ears, read_wrl
+from sero_mj.describe.wrl import read_wrl
+from sero_mj.describe.wrl_geometry import Triangles, clip_ears
 from sero_mj.errors import DeclarationError
 from sero_mj.frames import Array
 

@@ -1,8 +1,7 @@
 """The classic VRML syntax, in which VRML97 and X3D's classic encoding are written: text to nodes.
 
 Sources: ISO/IEC 14772-1 (VRML97), annex A; ISO/IEC 19776-2 (X3D's classic VRML encoding). Values
-are kept as they stand, since a syntax alone does not tell a field's type; `read_field` takes
-them as one.
+are kept as they stand, since a syntax alone does not tell a field's type.
 """
 
 from __future__ import annotations
@@ -10,9 +9,8 @@ from __future__ import annotations
 import re
 import reprlib
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,11 +19,24 @@ import numpy as np
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import Array
 from ..paths import read_file
+from .vrml_nodes import (
+    TYPES,
+    Document,
+    Field,
+    Is,
+    Node,
+    Problems,
+    Proto,
+    Route,
+    Value,
+    first,
+    is_text,
+    read_field,
+)
 
 MOST_BYTES = 50_000_000  # of a file, unpacked; a million triangles, say
 _MOST_TOKENS = 2_000_000  # that are no numbers in a list; some seconds
 _MOST_DEPTH = 120  # of nodes inside nodes; reading one takes a few calls
-_MOST_PROBLEMS = 20  # told of one file
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
 # Signs by which papers and editors show that a line goes on.
@@ -49,168 +60,6 @@ _ACCESS = {
     "exposedField": "inputOutput",
 }
 _WITH_VALUE = ("initializeOnly", "inputOutput")
-# Numbers of one value of a type.
-_WIDTHS = {
-    "Float": 1, "Double": 1, "Time": 1, "Int32": 1,
-    "Vec2f": 2, "Vec2d": 2, "Vec3f": 3, "Vec3d": 3, "Vec4f": 4, "Vec4d": 4,
-    "Rotation": 4, "Color": 3, "ColorRGBA": 4,
-    "Matrix3f": 9, "Matrix3d": 9, "Matrix4f": 16, "Matrix4d": 16,
-}  # fmt: skip
-_OTHER_TYPES = ("Bool", "String", "Node", "Image")
-TYPES = tuple(f"{many}{kind}" for kind in (*_WIDTHS, *_OTHER_TYPES) for many in ("SF", "MF"))
-_LARGEST = 1e30  # no number of a scene is larger
-
-
-class Is(NamedTuple):
-    """`IS name`: the value of a field of the PROTO around it."""
-
-    name: str
-
-
-@dataclass(frozen=True, eq=False)
-class Value:
-    """The value of a field as it stands.
-
-    Attributes:
-        items: numbers (float, or all of them in an array), texts, true and false, nodes, None for
-            NULL, or one `Is`.
-        line: of its first token.
-    """
-
-    items: Sequence[Any] | Array
-    line: int
-
-
-@dataclass(frozen=True, eq=False)
-class Field:
-    """A field that a PROTO, an EXTERNPROTO or a Script declares.
-
-    Attributes:
-        access: `initializeOnly`, `inputOnly`, `outputOnly` or `inputOutput`.
-        type: `SFFloat`, ...
-        value: its default; None where it has none.
-        line: of its declaration.
-    """
-
-    access: str
-    type: str
-    value: Value | None
-    line: int
-
-
-@dataclass(eq=False)
-class Proto:
-    """A PROTO or an EXTERNPROTO.
-
-    Attributes:
-        name: of the nodes that it makes.
-        line: of its declaration.
-        fields: by name.
-        body: what it makes its nodes of; empty for an EXTERNPROTO.
-        urls: where an EXTERNPROTO's PROTO stands.
-    """
-
-    name: str
-    line: int
-    fields: dict[str, Field] = field(default_factory=dict)
-    body: list[Node] = field(default_factory=list)
-    urls: tuple[str, ...] = ()
-
-
-@dataclass(eq=False)
-class Node:
-    """A node.
-
-    Attributes:
-        kind: its type, `Transform`.
-        line: of its type.
-        name: that DEF gives it; empty for none.
-        fields: values by name.
-        proto: that declares its kind; None for X3D's own.
-    """
-
-    kind: str
-    line: int
-    name: str = ""
-    fields: dict[str, Value] = field(default_factory=dict)
-    proto: Proto | None = None
-
-    @property
-    def label(self) -> str:
-        """How messages call it."""
-        return self.name or self.kind
-
-    def value(self, name: str) -> Value | None:
-        """The value of a field, or its PROTO's default; None where there is neither."""
-        if name in self.fields:
-            return self.fields[name]
-        declared = None if self.proto is None else self.proto.fields.get(name)
-        return None if declared is None else declared.value
-
-
-@dataclass(frozen=True)
-class Route:
-    """`ROUTE node.event TO node.event`."""
-
-    origin: str
-    event: str
-    target: str
-    input: str
-    line: int
-
-
-@dataclass(eq=False)
-class Document:
-    """What a file holds.
-
-    Attributes:
-        path: of the file.
-        nodes: at its top.
-        routes: all but those inside PROTOs.
-        names: nodes by the names that DEF gives them.
-        protos: PROTOs and EXTERNPROTOs by name.
-    """
-
-    path: Path
-    nodes: list[Node] = field(default_factory=list)
-    routes: list[Route] = field(default_factory=list)
-    names: dict[str, Node] = field(default_factory=dict)
-    protos: dict[str, Proto] = field(default_factory=dict)
-
-
-class Problems:
-    """Collects what is wrong in a file."""
-
-    def __init__(self, path: Path, found: list[Problem] | None = None) -> None:
-        self.path = path
-        self.found: list[Problem] = [] if found is None else found
-
-    def of(self, path: Path) -> Problems:
-        """Collects those of another file among these."""
-        return Problems(path, self.found)
-
-    def add(self, key: str, message: str, line: int | None) -> None:
-        """Adds one."""
-        self.found.append(Problem(key, message, str(self.path), line))
-
-    @contextmanager
-    def told(self, key: str, line: int) -> Iterator[None]:
-        """Adds what a ValueError inside says."""
-        try:
-            yield
-        except ValueError as error:
-            self.add(key, str(error), line)
-
-    def raise_all(self) -> None:
-        """Raises DeclarationError where there are any, of many the first ones."""
-        if not self.found:
-            return
-        different = dict.fromkeys(self.found)
-        left = len(different) - _MOST_PROBLEMS
-        shown = sorted(different, key=lambda each: each.line or 0)[:_MOST_PROBLEMS]
-        if left > 0:
-            shown.append(Problem("", f"and {left} more", str(self.path)))
-        raise DeclarationError(shown)
 
 
 def read_document(path: Path) -> Document:
@@ -529,7 +378,7 @@ class _Parser:
         value = None
         if has_values and (access in _WITH_VALUE or self._token.text == "IS"):
             value = self._value(name)
-            if value is not None and not isinstance(_first(value), Is):
+            if value is not None and not isinstance(first(value), Is):
                 with self.problems.told(name, line):
                     read_field(value, kind)
         fields[name] = Field(access, kind, value, line)
@@ -677,140 +526,3 @@ def _numbers(text: str, begin: int) -> tuple[int, Array | None]:
         return end, np.array(text[begin:end].replace(",", " ").split(), dtype=np.float64)
     except ValueError:
         return end, None
-
-
-def instance(node: Node) -> Node | None:
-    """The node that a PROTO of the same file makes of one of its own; None for one without body."""
-    if node.proto is None or not node.proto.body:
-        return None
-    made: dict[int, Node] = {}
-
-    def copy(of: Node) -> Node:
-        if id(of) in made:
-            return made[id(of)]
-        new = made[id(of)] = Node(of.kind, of.line, of.name, proto=of.proto)
-        for name, value in of.fields.items():
-            given = _first(value)
-            bound = node.value(given.name) if isinstance(given, Is) else value
-            if bound is not None:
-                new.fields[name] = bound if bound is not value else copied(value)
-        return new
-
-    def copied(value: Value) -> Value:
-        if isinstance(value.items, np.ndarray):
-            return value
-        items = [copy(item) if isinstance(item, Node) else item for item in value.items]
-        return Value(items, value.line)
-
-    return copy(node.proto.body[0])
-
-
-def _first(value: Value) -> Any:
-    return value.items[0] if len(value.items) else None
-
-
-def is_text(item: Any) -> bool:
-    """Whether an item of a value is a text."""
-    return isinstance(item, str)
-
-
-def read_field(value: Value, kind: str) -> Any:
-    """Takes a value as one of a type; with and without brackets.
-
-    Args:
-        value: as it stands.
-        kind: `SFFloat`, `MFVec3f`, ...
-
-    Returns:
-        bool, int, float, str, `Node` or None for SFBool, SFInt32, SFFloat, SFString and SFNode; an
-        array (w,) for what has w numbers; for MF a list of texts, nodes, or true and false, an
-        array (k,) or (k, w) else. Matrices as their numbers stand.
-
-    Raises:
-        ValueError: it is none; says what was found and expected.
-    """
-    many, base = kind[:2] == "MF", kind[2:]
-    items = value.items
-    if base in _WIDTHS:
-        numbers = _as_numbers(items)
-        if base == "Int32" and (numbers != np.round(numbers)).any():
-            raise ValueError(f"found {_shown(items)}; expected whole numbers")
-        width = _WIDTHS[base]
-        if many:
-            if numbers.size % width:
-                raise ValueError(f"found {numbers.size} numbers; expected {width} for each entry")
-            return numbers if width == 1 else numbers.reshape(-1, width)
-        if numbers.size != width:
-            expected = "one number" if width == 1 else f"{width} numbers"
-            raise ValueError(f"found {_counted(numbers)}; expected {expected}")
-        if width > 1:
-            return numbers
-        return int(numbers[0]) if base == "Int32" else float(numbers[0])
-    if base == "Image":
-        return _as_numbers(items)
-    types: dict[str, tuple[tuple[type, ...], str]] = {
-        "Bool": ((bool,), "TRUE or FALSE"),
-        "String": ((str,), 'a text in quotes, "..."'),
-        "Node": ((Node, type(None)), "a node"),
-    }
-    right, expected = types[base]
-    if not all(isinstance(item, right) for item in items):
-        plural = {"Bool": "TRUE or FALSE", "String": 'texts in quotes, "..."', "Node": "nodes"}
-        raise ValueError(f"found {_shown(items)}; expected {plural[base] if many else expected}")
-    if many:
-        return [item for item in items if item is not None]
-    if len(items) != 1:
-        raise ValueError(f"found {len(items)} values; expected {expected}")
-    return items[0]
-
-
-def _as_numbers(items: Sequence[Any] | Array) -> Array:
-    if not isinstance(items, np.ndarray) and not all(type(item) is float for item in items):
-        raise ValueError(f"found {_shown(items)}; expected numbers")
-    numbers = np.asarray(items, dtype=np.float64)
-    if not (np.abs(numbers) < _LARGEST).all():
-        raise ValueError(f"found {_shown(items)}; expected finite numbers up to {_LARGEST:g}")
-    return numbers
-
-
-def _counted(numbers: Array) -> str:
-    return "nothing" if not numbers.size else f"{numbers.size} numbers"
-
-
-def _shown(items: Sequence[Any] | Array) -> str:
-    """A value for messages."""
-    words = []
-    for item in items[:4]:
-        if isinstance(item, Node):
-            words.append(item.label)
-        elif isinstance(item, Is):
-            words.append(f"IS {item.name}")
-        elif item is None or isinstance(item, bool):
-            words.append({None: "NULL", True: "TRUE", False: "FALSE"}[item])
-        else:
-            words.append(f"{item:g}" if isinstance(item, float) else f'"{item[:40]}"')
-    return " ".join(words) + (" ..." if len(items) > 4 else "") or "nothing"
-
-
-def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
-    """Yields every node once, those inside it behind it; not those of PROTOs' bodies.
-
-    Args:
-        nodes: to begin with.
-        most: how many are told at most.
-    """
-    todo, seen = list(reversed(nodes)), set[int]()
-    while todo and len(seen) < most:
-        node = todo.pop()
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        yield node
-        inner = [
-            item
-            for value in node.fields.values()
-            if not isinstance(value.items, np.ndarray)
-            for item in value.items
-            if isinstance(item, Node)
-        ]
-        todo += reversed(inner)

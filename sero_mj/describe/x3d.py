@@ -19,102 +19,29 @@ from ..errors import DeclarationError, did_you_mean
 from ..frames import Array, frame_from, rotation_about
 from .described import Described
 from .mesh_files import read_mesh
-from .vrml import Document, Node, Problems, Route, Value, instance, read_document, read_field
-from .wrl import (
-    Seen,
-    Triangles,
-    by_colour,
-    color_of,
-    get,
-    is_open,
-    matrix,
-    rotation,
-    transform_of,
-    triangles_of,
-    visit,
-    with_hull,
+from .vrml import read_document
+from .vrml_nodes import Document, Node, Problems, Route, Value, get, read_field
+from .wrl import Seen, matrix, transform_of, visit
+from .x3d_protos import (
+    FLANGE,
+    MORE_ROBOT_FIELDS,
+    MORE_SOURCE_FIELDS,
+    MORE_UDP_FIELDS,
+    PAPER_CONVENTION,
+    ROBOT_FIELDS,
+    ROBOT_INPUTS,
+    ROBOT_OUTPUTS,
+    SHM_FIELDS,
+    SOURCE_EVENTS,
+    UDP_FIELDS,
+    own_kind,
 )
+from .x3d_surroundings import camera_table, light_table, object_table, rounded, view_axes
 
-OWN_NODES = ("SerialRobot", "UdpReceiver", "ShmReader")
-PAPER_CONVENTION = "craig"
+_MOST_DEBUG_LEVEL = 3
 _MOST_TRIANGLES = 500_000  # of the shapes of a scene; those of a robot are in files
-# Fields of the paper's protos: type, and name in our files.
-ROBOT_FIELDS = {
-    "dhParams": ("MFVec4f", "dh_params"),
-    "directory": ("SFString", "directory"),
-    "filenames": ("MFString", "filenames"),
-    "baseFrame": ("SFMatrix4f", "base_frame"),
-    "flangeFrame": ("SFMatrix4f", "flange_frame"),
-    "jointAngles": ("MFFloat", "joint_angles"),
-    "enableTouchSensor": ("SFBool", "enable_touch_sensor"),
-    "offsetsToCenterOfJoints": ("MFVec3f", "offsets_to_center_of_joints"),
-    "showAxes": ("SFBool", "show_axes"),
-    "axesSize": ("SFFloat", "axes_size"),
-    "axesTransparency": ("SFFloat", "axes_transparency"),
-    "showArrows": ("SFBool", "show_arrows"),
-    "arrowRadius": ("SFFloat", "arrow_radius"),
-    "arrowWidthScale": ("SFFloat", "arrow_width_scale"),
-    "showBillboards": ("SFBool", "show_billboards"),
-    "billboardScale": ("SFFloat", "billboard_scale"),
-}
-UDP_FIELDS = {
-    "structure": ("SFString", "structure"),
-    "udpport": ("SFInt32", "port"),
-    "bufferSize": ("SFInt32", "buffer_size"),
-    "isDouble": ("SFBool", "double"),
-    "columnMajor": ("SFBool", "column_major"),
-    "onlyLatestPacket": ("SFBool", "only_latest_packet"),
-    "scale": ("SFFloat", "scale"),
-    "debuglevel": ("SFInt32", "debug_level"),
-}
-# Of `ShmReader` the paper tells no fields; it has those of `UdpReceiver`, and ours.
-SHM_FIELDS = {
-    **{name: each for name, each in UDP_FIELDS.items() if name not in ("udpport", "bufferSize")},
-    "block": ("SFString", "block"),
-    "lock": ("SFString", "lock"),
-    "offset": ("SFInt32", "offset"),
-}
-# What our files can say besides, under the same names as there but for the capitals.
-_MORE_ROBOT_FIELDS = {
-    "dhConvention": ("SFString", "dh_convention"),
-    "jointNames": ("MFString", "joint_names"),
-    "jointTypes": ("MFString", "joint_types"),
-    "positionLimits": ("MFVec2f", "position_limits"),
-    "velocityLimits": ("MFFloat", "velocity_limits"),
-    "torqueLimits": ("MFFloat", "torque_limits"),
-}
-_MORE_SOURCE_FIELDS = {
-    "sequence": ("SFString", "sequence"),
-    "time": ("SFString", "time"),
-    "timeScale": ("SFFloat", "time_scale"),
-    "alignment": ("SFInt32", "alignment"),
-}
-_MORE_UDP_FIELDS = {
-    **_MORE_SOURCE_FIELDS,
-    "host": ("SFString", "host"),
-    "interface": ("SFString", "interface"),
-    "sender": ("MFString", "sender"),
-}
-# Inputs and outputs of a robot in ROUTEs.
-ROBOT_INPUTS = {
-    "jointAngles": "joint_angles",
-    "torques": "torques",
-    "billboardValues": "billboard_values",
-    "baseFrame": "base_frame",
-    "showAxes": "show_axes",
-    "showArrows": "show_arrows",
-    "showBillboards": "show_billboards",
-}
-_FLANGE = "fwdKinFromBaseToFlange"
-ROBOT_OUTPUTS = {"jointAngles": "joint_angles", _FLANGE: "fwd_kin_base_to_flange"}
-SOURCE_EVENTS = {"receiving": "receiving", "receiveTrigger": "receive_trigger"}
-MOST_DEBUG_LEVEL = 3
 _MISSING = "no such file"
-_CAMERA_DISTANCE = 1.0  # m, of what a camera looks at whose centre is behind it
-_LIGHT_DISTANCE = 4.0  # m, of a light that has none
-LIGHT_SHARE = 0.7  # of X3D's intensity, since a headlight and ambient light are added
 Z_IS_UP = "z is up"  # in WorldInfo, of scenes that we write
-_ANY_ROLL = np.deg2rad(1.0)
 # Turns y, which is up in X3D, into z.
 _UPRIGHT = np.diag([1.0, 1.0, 1.0, 1.0])
 _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
@@ -134,22 +61,6 @@ def read_x3d(path: Path) -> Described:
             a source is told where it is built of the tables.
     """
     return _Reader(read_document(path)).described()
-
-
-def own_kind(node: Node) -> str:
-    """Which of the paper's protos a node is, by its name or that of its PROTO's file; else empty.
-
-    An EXTERNPROTO may have another name than the PROTO that its address leads to.
-    """
-    if node.kind in OWN_NODES:
-        return node.kind
-    for url in () if node.proto is None else node.proto.urls:
-        file, _, fragment = url.partition("#")
-        name = fragment or Path(file).stem.removeprefix("PROTO_")
-        for kind in OWN_NODES:
-            if name.lower() == kind.lower():
-                return kind
-    return ""
 
 
 class _Reader:
@@ -245,7 +156,7 @@ class _Reader:
         if any(Z_IS_UP in get(info, "info", "MFString", [], self.problems) for info in infos):
             return np.eye(4)
         ups = [
-            (each.T[:3, :3] @ self._view_axes(each.node))[:, 1]
+            (each.T[:3, :3] @ view_axes(each.node, self.problems))[:, 1]
             for each in seen
             if each.node.kind == "Viewpoint"
         ][:1]
@@ -259,15 +170,6 @@ class _Reader:
             return np.eye(4)
         self.warnings.append("y is up in it; it is turned so that z is")
         return _UPRIGHT
-
-    def _view_axes(self, node: Node) -> Array:
-        with self.problems.told(f"{node.label}.orientation", node.line):
-            return rotation(
-                get(
-                    node, "orientation", "SFRotation", np.array([0.0, 0.0, 1.0, 0.0]), self.problems
-                )
-            )
-        return np.eye(3)
 
     def _take(self, seen: Seen) -> None:
         node, kind = seen.node, own_kind(seen.node)
@@ -309,8 +211,8 @@ class _Reader:
             table["mount"] = mount
         if label and label != name:
             table["description"] = label
-        fields = {**ROBOT_FIELDS, **_MORE_ROBOT_FIELDS}
-        events = ("torques", "billboardValues", _FLANGE)
+        fields = {**ROBOT_FIELDS, **MORE_ROBOT_FIELDS}
+        events = ("torques", "billboardValues", FLANGE)
         found = self._fields(node, fields, place, ("name", "children", "metadata"), events)
         table["dh_convention"] = found.pop("dh_convention", PAPER_CONVENTION)
         rows = len(found.get("dh_params", [[]]))
@@ -321,7 +223,7 @@ class _Reader:
             if key in found:
                 found[key] = self._frame(node, field).tolist()
         with self.problems.told(f"{name}.baseFrame", node.line):
-            found["base_frame"] = _rounded(_rigid(seen.T) @ found.get("base_frame", np.eye(4)))
+            found["base_frame"] = rounded(_rigid(seen.T) @ found.get("base_frame", np.eye(4)))
             if np.array_equal(found["base_frame"], np.eye(4)):
                 del found["base_frame"]
         table |= self._with_files(found, node, name)
@@ -388,14 +290,14 @@ class _Reader:
         name = self._name(node, "udp" if kind == "UdpReceiver" else "shm")
         is_udp = kind == "UdpReceiver"
         fields = (
-            {**UDP_FIELDS, **_MORE_UDP_FIELDS} if is_udp else {**SHM_FIELDS, **_MORE_SOURCE_FIELDS}
+            {**UDP_FIELDS, **MORE_UDP_FIELDS} if is_udp else {**SHM_FIELDS, **MORE_SOURCE_FIELDS}
         )
         place = f"sources.{name}"
         self.lines[place] = node.line
         table: dict[str, Any] = {"kind": "udp" if is_udp else "shm", "structure": ""}
         table |= self._fields(node, fields, place, ("metadata",), [*SOURCE_EVENTS])
         if "debug_level" in table:
-            table["debug_level"] = min(table["debug_level"], MOST_DEBUG_LEVEL)
+            table["debug_level"] = min(table["debug_level"], _MOST_DEBUG_LEVEL)
         self.sources[name] = table
 
     def _fields(
@@ -453,134 +355,41 @@ class _Reader:
     # What stands around.
 
     def _shapes(self, seen: Seen) -> list[tuple[str, dict[str, Any]]]:
-        """Names and tables of the objects that a Shape becomes."""
+        """Name and table of the object that a Shape becomes; nothing where it shows nothing."""
         shape = seen.node
-        geometry: Node | None = get(shape, "geometry", "SFNode", None, self.problems)
-        geometry = geometry and (instance(geometry) or geometry)
-        if geometry is None:
+        table, text, count = object_table(seen, self.problems.of(seen.path), self.not_shown)
+        self.triangles += count
+        if self.triangles > _MOST_TRIANGLES:
+            message = f"shapes have more than {_MOST_TRIANGLES:,} triangles"
+            self.problems.add(shape.label, message, shape.line)
+            self.problems.raise_all()
+        if table is None:
             return []
-        table = self._primitive(geometry, seen.T)
-        if table is not None:
-            rgba = color_of(shape, self.problems)
-            if rgba is not None:
-                table["rgba"] = rgba.round(6).tolist()
-        else:
-            found = triangles_of(seen, self.problems.of(seen.path), self.not_shown)
-            pieces = by_colour(found)
-            self.triangles += sum(len(faces) for _, faces, _ in pieces)
-            if self.triangles > _MOST_TRIANGLES:
-                message = f"shapes have more than {_MOST_TRIANGLES:,} triangles"
-                self.problems.add(shape.label, message, shape.line)
-                self.problems.raise_all()
-            if not pieces:
-                return []
-            table = {"mjcf": mesh_text(pieces)}
         # A shape may be used many times, each of which is an object.
-        text = geometry.name or geometry.kind.lower()
         is_first = id(shape) not in self.placed
         self.placed[id(shape)] = seen.T
         name = self._name(shape if is_first else Node(shape.kind, shape.line), shape.name or text)
         return [(name, table)]
 
-    def _primitive(self, geometry: Node, T: Array) -> dict[str, Any] | None:
-        """The table of an object that is a box, a sphere, an ellipsoid or a cylinder; else None."""
-        scales = np.linalg.norm(T[:3, :3], axis=0)
-        if not (scales > 0).all():
-            return None
-        axes = T[:3, :3] / scales
-        if np.linalg.det(axes) < 0:
-            axes[:, 0] *= -1.0  # these are as their mirror images
-        if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-9:
-            return None
-        problems = self.problems
-        shape, size, turned = "", np.zeros(0), np.eye(3)
-        if geometry.kind == "Box":
-            shape, size = (
-                "box",
-                get(geometry, "size", "SFVec3f", np.full(3, 2.0), problems) * scales,
-            )
-        elif geometry.kind == "Sphere":
-            radii = get(geometry, "radius", "SFFloat", 1.0, problems) * scales
-            is_round = np.ptp(radii) < 1e-9 * np.abs(radii).max()
-            shape, size = ("sphere", radii[:1]) if is_round else ("ellipsoid", radii)
-        elif geometry.kind == "Cylinder":
-            parts = [
-                get(geometry, key, "SFBool", True, problems) for key in ("top", "bottom", "side")
-            ]
-            radius = get(geometry, "radius", "SFFloat", 1.0, problems)
-            height = get(geometry, "height", "SFFloat", 2.0, problems)
-            if not all(parts) or abs(scales[0] - scales[2]) > 1e-9 * scales[0]:
-                return None
-            shape, size = "cylinder", np.array([radius * scales[0], height * scales[1]])
-            turned = rotation_about(0, -np.pi / 2)  # its axis is y, ours z
-        else:
-            return None
-        if not (size > 0).all():
-            self.problems.add(
-                geometry.label, f"found {size.tolist()}; expected lengths above 0", geometry.line
-            )
-            return None
-        there = np.eye(4)
-        there[:3, :3], there[:3, 3] = axes @ turned, T[:3, 3]
-        table: dict[str, Any] = {"shape": shape, "size": _rounded(size)}
-        if not np.allclose(there, np.eye(4), rtol=0, atol=1e-15):
-            table["frame"] = _rounded(there)
-        return table
-
     def _camera(self, seen: Seen) -> None:
-        node, problems = seen.node, self.problems
-        description = get(node, "description", "SFString", "", problems)
+        node = seen.node
+        description = get(node, "description", "SFString", "", self.problems)
         name = self._name(node, description or "view")
-        axes = seen.T[:3, :3] @ self._view_axes(node)
-        axes = axes / np.linalg.norm(axes, axis=0)
-        at = get(node, "position", "SFVec3f", np.array([0.0, 0.0, 10.0]), problems)
-        at = seen.T[:3, :3] @ at + seen.T[:3, 3]
-        centre = get(node, "centerOfRotation", "SFVec3f", np.zeros(3), problems)
-        centre = seen.T[:3, :3] @ centre + seen.T[:3, 3]
-        ahead = -axes[:, 2]
-        distance = float((centre - at) @ ahead)
-        looks_at = at + ahead * (distance if distance > 0.05 else _CAMERA_DISTANCE)
-        upright = np.cross(ahead, [0.0, 0.0, 1.0])
-        if np.linalg.norm(upright) > 1e-6:
-            roll = np.arccos(np.clip(axes[:, 0] @ upright / np.linalg.norm(upright), -1, 1))
-            if roll > _ANY_ROLL:
-                degrees = np.rad2deg(roll)
-                self.warnings.append(
-                    f"Viewpoint '{name}' (line {node.line}) is rolled by {degrees:.0f} degrees; "
-                    "it is shown upright"
-                )
-        angle = get(node, "fieldOfView", "SFFloat", np.pi / 4, problems)
-        self.cameras[name] = {
-            "position": _rounded(at), "look_at": _rounded(looks_at),
-            "fovy_deg": float(np.rad2deg(angle).round(9)),
-        }  # fmt: skip
+        self.cameras[name], roll = camera_table(seen, self.problems)
         self.lines[f"cameras.{name}"] = node.line
+        if roll:
+            self.warnings.append(
+                f"Viewpoint '{name}' (line {node.line}) is rolled by {roll:.0f} degrees; "
+                "it is shown upright"
+            )
 
     def _light(self, seen: Seen) -> None:
-        node, problems = seen.node, self.problems
-        if not get(node, "on", "SFBool", True, problems):
-            return
-        down = get(node, "direction", "SFVec3f", np.array([0.0, 0.0, -1.0]), problems)
-        down = seen.T[:3, :3] @ down
-        if not np.any(down):
-            problems.add(f"{node.label}.direction", "found 0 0 0; expected a direction", node.line)
-            return
-        color = get(node, "color", "SFColor", np.ones(3), problems)
-        color = color * get(node, "intensity", "SFFloat", 1.0, problems) * LIGHT_SHARE
-        is_spot = node.kind == "SpotLight"
-        at = -_LIGHT_DISTANCE * down / np.linalg.norm(down)
-        if is_spot:
-            at = get(node, "location", "SFVec3f", np.zeros(3), problems)
-            at = seen.T[:3, :3] @ at + seen.T[:3, 3]
-        name = self._name(node, "light")
-        table: dict[str, Any] = {"position": _rounded(at), "direction": _rounded(down)}
-        table["diffuse"] = _rounded(np.clip(color, 0.0, 1.0))
-        if is_spot:
-            table["directional"] = False
-        if self.lights:  # each shadow costs a picture of its own
-            table["cast_shadow"] = False
-        self.lights[name] = table
-        self.lines[f"lights.{name}"] = node.line
+        table = light_table(seen, self.problems)
+        if table is not None:
+            name = self._name(seen.node, "light")
+            # Each shadow costs a picture of its own.
+            self.lights[name] = {**table, "cast_shadow": False} if self.lights else table
+            self.lines[f"lights.{name}"] = seen.node.line
 
     # Routes.
 
@@ -612,7 +421,7 @@ class _Reader:
 
     def _carries(self, robot: Node, event: str, T: Array) -> bool:
         """Whether what stands in T and gets this event is at the flange of a robot that stands."""
-        is_flange = event.removesuffix("_changed") == _FLANGE
+        is_flange = event.removesuffix("_changed") == FLANGE
         table = self.robots.get(self.names.get(id(robot), ""))
         if not is_flange or own_kind(robot) != "SerialRobot" or table is None:
             return False
@@ -718,24 +527,3 @@ def _rigid(T: Array) -> Array:
         raise ValueError(
             "stands in a Transform with a scale; expected none around robots"
         ) from None
-
-
-def _rounded(values: Array) -> list[Any]:
-    """Numbers as they are written in files, without digits that only rounding made."""
-    rounded: list[Any] = (np.asarray(values, np.float64).round(12) + 0.0).tolist()
-    return rounded
-
-
-def mesh_text(pieces: list[Triangles]) -> str:
-    """MJCF of triangles by colour, that collide with nothing; an open surface has no mass."""
-    meshes, geoms = [], []
-    for k, (vertices, faces, rgba) in enumerate(pieces):
-        points = " ".join(f"{value:.7g}" for value in with_hull(vertices).ravel())
-        corners = " ".join(map(str, faces.ravel().tolist()))
-        kind, mass = ("shell", ' mass="0"') if is_open(vertices, faces) else ("convex", "")
-        mesh = f'<mesh name="m{k}" inertia="{kind}" vertex="{points}" face="{corners}"/>'
-        meshes.append(mesh)
-        color = "" if rgba is None else f' rgba="{" ".join(f"{value:.6g}" for value in rgba)}"'
-        geoms.append(f'<geom type="mesh" mesh="m{k}" contype="0" conaffinity="0"{mass}{color}/>')
-    assets, body = "\n".join(meshes), "\n".join(geoms)
-    return f"<mujoco><asset>\n{assets}\n</asset><worldbody>\n{body}\n</worldbody></mujoco>\n"

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..frames import Array, frame, rotation_about, rotation_angle
-from .x3d import (
-    LIGHT_SHARE,
+from .x3d import Z_IS_UP
+from .x3d_protos import (
     PAPER_CONVENTION,
     ROBOT_FIELDS,
     ROBOT_INPUTS,
@@ -22,8 +22,8 @@ from .x3d import (
     SHM_FIELDS,
     SOURCE_EVENTS,
     UDP_FIELDS,
-    Z_IS_UP,
 )
+from .x3d_surroundings import LIGHT_SHARE
 
 _WIDTH = 100
 _KINDS = {"udp": ("UdpReceiver", UDP_FIELDS), "shm": ("ShmReader", SHM_FIELDS)}
@@ -378,7 +378,7 @@ def _shape(geometry: str, rgba: Sequence[float] | None) -> list[str]:
 
 
 def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
-    """The meshes of MJCF that `x3d.mesh_text` wrote, with their colours; nothing for any other."""
+    """The meshes of MJCF that `mesh_text` wrote, with their colours; nothing for any other."""
     try:
         root = ElementTree.fromstring(mjcf)
     except ElementTree.ParseError:

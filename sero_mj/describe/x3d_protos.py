@@ -1,0 +1,96 @@
+"""The paper's protos in X3D (Fig. 3 and 5): their fields and events, and ours that they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .vrml_nodes import Node
+
+OWN_NODES = ("SerialRobot", "UdpReceiver", "ShmReader")
+PAPER_CONVENTION = "craig"
+# Fields of the paper's protos: type, and name in our files.
+ROBOT_FIELDS = {
+    "dhParams": ("MFVec4f", "dh_params"),
+    "directory": ("SFString", "directory"),
+    "filenames": ("MFString", "filenames"),
+    "baseFrame": ("SFMatrix4f", "base_frame"),
+    "flangeFrame": ("SFMatrix4f", "flange_frame"),
+    "jointAngles": ("MFFloat", "joint_angles"),
+    "enableTouchSensor": ("SFBool", "enable_touch_sensor"),
+    "offsetsToCenterOfJoints": ("MFVec3f", "offsets_to_center_of_joints"),
+    "showAxes": ("SFBool", "show_axes"),
+    "axesSize": ("SFFloat", "axes_size"),
+    "axesTransparency": ("SFFloat", "axes_transparency"),
+    "showArrows": ("SFBool", "show_arrows"),
+    "arrowRadius": ("SFFloat", "arrow_radius"),
+    "arrowWidthScale": ("SFFloat", "arrow_width_scale"),
+    "showBillboards": ("SFBool", "show_billboards"),
+    "billboardScale": ("SFFloat", "billboard_scale"),
+}
+UDP_FIELDS = {
+    "structure": ("SFString", "structure"),
+    "udpport": ("SFInt32", "port"),
+    "bufferSize": ("SFInt32", "buffer_size"),
+    "isDouble": ("SFBool", "double"),
+    "columnMajor": ("SFBool", "column_major"),
+    "onlyLatestPacket": ("SFBool", "only_latest_packet"),
+    "scale": ("SFFloat", "scale"),
+    "debuglevel": ("SFInt32", "debug_level"),
+}
+# Of `ShmReader` the paper tells no fields; it has those of `UdpReceiver`, and ours.
+SHM_FIELDS = {
+    **{name: each for name, each in UDP_FIELDS.items() if name not in ("udpport", "bufferSize")},
+    "block": ("SFString", "block"),
+    "lock": ("SFString", "lock"),
+    "offset": ("SFInt32", "offset"),
+}
+# What our files can say besides, under the same names as there but for the capitals.
+MORE_ROBOT_FIELDS = {
+    "dhConvention": ("SFString", "dh_convention"),
+    "jointNames": ("MFString", "joint_names"),
+    "jointTypes": ("MFString", "joint_types"),
+    "positionLimits": ("MFVec2f", "position_limits"),
+    "velocityLimits": ("MFFloat", "velocity_limits"),
+    "torqueLimits": ("MFFloat", "torque_limits"),
+}
+MORE_SOURCE_FIELDS = {
+    "sequence": ("SFString", "sequence"),
+    "time": ("SFString", "time"),
+    "timeScale": ("SFFloat", "time_scale"),
+    "alignment": ("SFInt32", "alignment"),
+}
+MORE_UDP_FIELDS = {
+    **MORE_SOURCE_FIELDS,
+    "host": ("SFString", "host"),
+    "interface": ("SFString", "interface"),
+    "sender": ("MFString", "sender"),
+}
+# Inputs and outputs of a robot in ROUTEs.
+ROBOT_INPUTS = {
+    "jointAngles": "joint_angles",
+    "torques": "torques",
+    "billboardValues": "billboard_values",
+    "baseFrame": "base_frame",
+    "showAxes": "show_axes",
+    "showArrows": "show_arrows",
+    "showBillboards": "show_billboards",
+}
+FLANGE = "fwdKinFromBaseToFlange"
+ROBOT_OUTPUTS = {"jointAngles": "joint_angles", FLANGE: "fwd_kin_base_to_flange"}
+SOURCE_EVENTS = {"receiving": "receiving", "receiveTrigger": "receive_trigger"}
+
+
+def own_kind(node: Node) -> str:
+    """Which of the paper's protos a node is, by its name or that of its PROTO's file; else empty.
+
+    An EXTERNPROTO may have another name than the PROTO that its address leads to.
+    """
+    if node.kind in OWN_NODES:
+        return node.kind
+    for url in () if node.proto is None else node.proto.urls:
+        file, _, fragment = url.partition("#")
+        name = fragment or Path(file).stem.removeprefix("PROTO_")
+        for kind in OWN_NODES:
+            if name.lower() == kind.lower():
+                return kind
+    return ""
