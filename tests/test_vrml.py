@@ -207,6 +207,9 @@ def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> 
         ("Group { children [ Box {} ", [
             "scene.x3d:1: Group.children: found the end of the file; expected ] behind the values",
             "scene.x3d:1: the { of Group is not closed"]),
+        ("DEF a Group {\n children [\n DEF Transform { children [] } ] }\nSphere { radius }", [
+            "scene.x3d:3: found '{'; expected the type of a node",
+            "scene.x3d:4: Sphere.radius: found '}'; expected its value"]),
         ("Group { children " * 300, [
             "scene.x3d:1: nodes inside nodes are deeper than 120; nothing as deep is read"]),
     ],
@@ -244,6 +247,13 @@ def test_other_files_are_told_by_what_they_are(
     with pytest.raises(DeclarationError) as caught:
         read_document(path)
     assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_parts_without_a_header_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.wrl"
+    for text in ("Box {}", "# a part\n\nDEF b Box {}", "PROTO P [] { Box {} }\nBox {}"):
+        path.write_text(text)
+        assert read_document(path).nodes[0].kind == "Box"
 
 
 def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:

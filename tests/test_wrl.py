@@ -239,8 +239,8 @@ def test_groups_protos_switches_and_files_beside_lead_to_their_shapes(tmp_path: 
          ":2: IndexedFaceSet: coordIndex: found 2; expected no index, since there are no points"),
         ("Shape { geometry IndexedFaceSet { coord Coordinate { point [0 0] } } }",
          ":2: Coordinate.point: found 2 numbers; expected 3 for each entry"),
-        ("Inline { url \"../other.wrl\" }",
-         ":2: Inline.url: found '../other.wrl'; expected a file in this folder"),
+        ("Inline { url 5 }",
+         ":2: Inline.url: found 5; expected texts in quotes, \"...\""),
         ("Transform { rotation 0 0 0 1 children Shape { geometry Box {} } }",
          ":2: Transform: found a rotation about 0 0 0 by 1; expected an axis"),
         ("Shape { appearance Appearance { material Material { diffuseColor 1 1 } } "
@@ -257,6 +257,10 @@ def test_what_is_wrong_is_told_with_its_line(text: str, message: str, tmp_path: 
 def test_a_file_that_contains_itself_ends_and_what_is_not_known_is_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    text = 'Inline { url "a.wrl" }\nShape { geometry Text { string "x" } }\nPointSet {}\nBox {}'
+    text = 'Inline { url "a.wrl" }\nShape { geometry Text { string "x" } }\nPointSet {}\nBox {}\n'
+    text += 'Inline { url ["../b.wrl" "http://x.org/b.wrl"] }'
     assert read(text, tmp_path) == []
-    assert "not drawn: Text (line 3), PointSet (line 4), Box (line 5)" in caplog.text
+    assert (
+        "not drawn: Text (line 3), PointSet (line 4), Box (line 5), Inline of '../b.wrl', "
+        "'http://x.org/b.wrl' (line 6)"
+    ) in caplog.text

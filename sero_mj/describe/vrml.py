@@ -39,6 +39,8 @@ _MOST_TOKENS = 2_000_000  # that are no numbers in a list; some seconds
 _MOST_DEPTH = 120  # of nodes inside nodes; reading one takes a few calls
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
+# Parts of robots are often written without the header, to be inlined.
+_HEADLESS = re.compile(r"(?:#[^\n]*\n\s*)*(?:(?:DEF\s+\S+\s+)?[A-Z]\w*\s*\{|(?:EXTERN)?PROTO\s)")
 # Signs by which papers and editors show that a line goes on.
 _CONTINUED = "←↩↵↲⏎⤶¬\\\\"
 _TOKEN = re.compile(
@@ -96,7 +98,7 @@ def _read_text(path: Path) -> str:
             raise wrong("is packed by gzip, and ends too soon")
     text = contents.decode("utf-8-sig", errors="replace")
     start = text[:400].lstrip()
-    if _HEADER.match(start):
+    if _HEADER.match(start) or _HEADLESS.match(start):
         return text
     raise wrong(_what_else(start))
 
@@ -155,6 +157,7 @@ class _Parser:
         self._depth = 0
         # After a mistake nothing more is told until something is right again.
         self._is_lost = False
+        self._mistakes = 0  # told or not
         self._scope = _Scope({})
         self._token = _Token("mark", "", 1)
         self._next()
@@ -218,6 +221,7 @@ class _Parser:
         if not self._is_lost:
             self.problems.add(key, message, line)
         self._is_lost = True
+        self._mistakes += 1
 
     def _takes(self, mark: str) -> bool:
         """Whether this mark is there; if so goes on."""
@@ -449,13 +453,13 @@ class _Parser:
                     node.fields[name] = value
             else:
                 self._next()
-                key = f"{node.label}.{token.text}"
+                key, before = f"{node.label}.{token.text}", self._mistakes
                 value = self._value(key)
                 if value is not None and token.text in node.fields:
                     self._tell("stands there twice", token.line, key)
                 elif value is not None:
                     node.fields[token.text] = value
-                    self._is_lost = False
+                    self._is_lost &= self._mistakes > before
 
     def _value(self, key: str) -> Value | None:
         """Reads the value of a field; None, and told, where there is none."""

@@ -17,7 +17,7 @@ from ..errors import DeclarationError, Problem
 from ..frames import Array
 from ..paths import SCENE_ENDINGS
 from .vrml import read_document
-from .vrml_nodes import Node, Problems, get, instance, read_field
+from .vrml_nodes import Node, Problems, get, instance, is_text, read_field
 from .wrl_geometry import GEOMETRIES, Triangles
 
 log = logging.getLogger(__name__)
@@ -59,6 +59,8 @@ class Seen(NamedTuple):
 def read_wrl(path: Path) -> list[Triangles]:
     """Reads the geometry of a VRML97 file, or of X3D in the classic encoding.
 
+    What is not drawn, and files of an Inline that are not in the folder, are named in a warning.
+
     Returns:
         for every colour its vertices (v, 3), as the file has its lengths, its triangles (f, 3),
         counter-clockwise seen from outside, and red, green, blue, alpha (4,), 0 to 1; None
@@ -77,7 +79,7 @@ def read_wrl(path: Path) -> list[Triangles]:
     for seen in found:
         if seen.node.kind != "Shape":
             if seen.node.kind not in _UNSEEN:
-                left_out.setdefault(seen.node.kind, seen.node.line)
+                left_out.setdefault(kind_of(seen.node), seen.node.line)
             continue
         for piece in triangles_of(seen, problems.of(seen.path), left_out):
             count += len(piece[1])
@@ -151,8 +153,12 @@ def visit(
                 T = seen.T @ transform_of(node)
             inner = _children(node, here)
         elif node.kind == "Inline" and len(inlined) < _MOST_INLINES:
-            file = inlined_file(node, seen.path, here)
-            if file is not None and file not in files:
+            file = None
+            with here.told(f"{node.label}.url", node.line):
+                file = inlined_file(node, seen.path)
+            if file is None:
+                found.append(seen)
+            elif file not in files:
                 if file not in inlined:
                     inlined[file] = _nodes_of(file, node, here)
                 todo += [(Seen(each, T, file), (*files, file)) for each in reversed(inlined[file])]
@@ -173,26 +179,31 @@ def _children(node: Node, problems: Problems) -> list[Node]:
     return children[:1] if node.kind == "LOD" else children
 
 
-def inlined_file(node: Node, path: Path, problems: Problems) -> Path | None:
+def inlined_file(node: Node, path: Path) -> Path | None:
     """The file of an Inline: the first of its addresses in the folder of the file it stands in.
 
     Args:
         node: the Inline.
         path: of the file that it stands in.
-        problems: is told what is wrong with it.
+
+    Raises:
+        ValueError: its addresses are no texts.
     """
-    urls: list[str] = get(node, "url", "MFString", [], problems)
-    for url in urls:
+    value = node.value("url")
+    for url in [] if value is None else read_field(value, "MFString"):
         file = Path(url.removeprefix("file:"))
         is_inside = not file.is_absolute() and ".." not in file.parts and "\0" not in url
         if is_inside and "://" not in url and (path.parent / file).is_file():
             return path.parent / file
-    if urls or "url" not in node.fields:
-        found = ", ".join(map(repr, urls)) or "no url"
-        problems.add(
-            f"{node.label}.url", f"found {found}; expected a file in this folder", node.line
-        )
     return None
+
+
+def kind_of(node: Node) -> str:
+    """The kind of a node for messages, with the addresses of an Inline."""
+    value = node.value("url")
+    if node.kind != "Inline" or value is None:
+        return node.kind
+    return f"Inline of {', '.join(repr(url) for url in value.items if is_text(url))}"
 
 
 def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:

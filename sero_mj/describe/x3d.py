@@ -21,7 +21,7 @@ from .described import Described
 from .mesh_files import read_mesh
 from .vrml import read_document
 from .vrml_nodes import Document, Node, Problems, Route, Value, get, read_field
-from .wrl import Seen, matrix, transform_of, visit
+from .wrl import Seen, kind_of, matrix, transform_of, visit
 from .x3d_protos import (
     FLANGE,
     MORE_ROBOT_FIELDS,
@@ -191,7 +191,7 @@ class _Reader:
             title = get(node, "title", "SFString", "", self.problems)
             self.description = " ".join(title.split())
         elif not node.kind.startswith("Metadata"):
-            self.not_shown.setdefault(node.kind, node.line)
+            self.not_shown.setdefault(kind_of(node), node.line)
 
     # Robots and sources.
 
@@ -247,7 +247,7 @@ class _Reader:
         elif seen.node.kind == "Shape":
             return [{"name": name, **table} for name, table in self._shapes(seen)]
         elif not seen.node.kind.startswith("Metadata"):
-            self.not_shown.setdefault(seen.node.kind, seen.node.line)
+            self.not_shown.setdefault(kind_of(seen.node), seen.node.line)
         return []
 
     def _with_files(self, found: dict[str, Any], node: Node, name: str) -> dict[str, Any]:
