@@ -9,7 +9,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,7 +37,7 @@ Transform { translation 0.3 0.125 0.2 rotation 1 2 3 0.5 children [
 ] }
 Transform { rotation 1 0 0 -1.5707963267948966 children DEF arm SerialRobot {
   dhParams [ 0 0 0 0.31, 1.5708 0.1 0 0 ] jointAngles [0.3 0.6] showAxes TRUE
-  name "the arm" directory "meshes\\\\of it" filenames ["a.stl" "" "b.stl"]
+  name "the arm" directory "meshes\\\\of it" filenames ["a.wrl" "" "b.wrl"]
   flangeFrame 0 1 0 0 -1 0 0 0 0 0 1 0 0.1 0.2 0.3 1
   offsetsToCenterOfJoints [0 0 0.1, 0.5 0 0]
   children [ DEF tool Shape { geometry Box { size .1 .1 .1 } }
@@ -93,8 +92,8 @@ def test_a_whole_scene_comes_back_from_toml_as_it_was(
     x3d, folder = tmp_path / "cell.x3d", tmp_path / "meshes" / "of it"
     x3d.write_text(CELL)
     folder.mkdir(parents=True)
-    for name in ("a.stl", "b.stl"):
-        trimesh.creation.box((0.1, 0.1, 0.1)).export(folder / name)
+    for name in ("a.wrl", "b.wrl"):
+        (folder / name).write_text("#VRML V2.0 utf8\nShape { geometry Box { size .1 .1 .1 } }")
     tables = read_x3d(x3d).tables
     assert tables["robots"]["arm"]["directory"] == "meshes/of it"
     (tmp_path / "scenes").mkdir()
@@ -125,6 +124,68 @@ def test_a_whole_scene_comes_back_from_toml_as_it_was(
     assert np.allclose(*vertices, atol=1e-6)
 
 
+def test_links_are_written_as_they_are_drawn(tmp_path: Path) -> None:
+    toml = tmp_path / "own.toml"
+    toml.write_text("""
+[robots.arm]
+dh_convention = "craig"
+dh_params = [[0, 0, 0, 0.3]]
+filenames = [
+  [{ shape = "capsule", size = [0.05, 0.2], color = "red", frame = { xyz = [0, 0.1, 0] } },
+   { shape = "ellipsoid", size = [0.1, 0.2, 0.3] }, { shape = "sphere", size = [0.1] }],
+  [{ shape = "cylinder", size = [0.05, 0.2], frame = { rpy = [0.4, 0.5, 0] } },
+   { shape = "box", size = [0.1, 0.2, 0.3], frame = { xyz = [0.5, 0, 0] } }],
+]
+colors = { red = [1.0, 0.0, 0.0, 0.5] }
+""")
+    for scene, output in (("lwr", "lwr.x3d"), (toml, "own.x3d")):
+        convert(scene, tmp_path / output)
+        models = [World(load_scene(str(each))).model for each in (scene, tmp_path / output)]
+        for ours, theirs in zip(*map(_drawn, models), strict=True):
+            assert ours.keys() == theirs.keys()
+            for color, (low, high) in ours.items():  # round shapes have 32 sides in files
+                assert np.allclose(low, theirs[color][0], atol=3e-3)
+                assert np.allclose(high, theirs[color][1], atol=3e-3)
+
+
+def _drawn(model: mujoco.MjModel) -> list[dict[tuple[float, ...], Any]]:
+    """Of every link, the box about what is drawn of it, by colour."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    links: list[dict[tuple[float, ...], Any]] = []
+    for body in range(1, model.nbody):
+        boxes: dict[tuple[float, ...], Any] = {}
+        for k in np.flatnonzero(model.geom_bodyid == body):
+            points = _points(model, int(k)) @ data.geom_xmat[k].reshape(3, 3).T + data.geom_xpos[k]
+            color = tuple(model.geom_rgba[k].round(4).tolist())
+            low, high = boxes.get(color, (points[0], points[0]))
+            boxes[color] = (
+                np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0)),
+            )  # fmt: skip
+        if boxes:
+            links.append(boxes)
+    return links
+
+
+def _points(model: mujoco.MjModel, k: int) -> Any:
+    """Points on a geom, in its frame."""
+    size, kind = model.geom_size[k], mujoco.mjtGeom(model.geom_type[k]).name[7:].lower()
+    if kind == "mesh":
+        first = model.mesh_vertadr[model.geom_dataid[k]]
+        return model.mesh_vert[first : first + model.mesh_vertnum[model.geom_dataid[k]]]
+    ball = np.random.default_rng(0).normal(size=(20_000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    ends = np.array([[0, 0, size[1]], [0, 0, -size[1]]])
+    if kind == "capsule":
+        return np.concatenate([ball * size[0] + end for end in ends])
+    if kind == "cylinder":
+        ring = ball[:, :2] / np.linalg.norm(ball[:, :2], axis=1, keepdims=True) * size[0]
+        return np.concatenate([np.column_stack([ring, np.zeros(len(ring))]) + end for end in ends])
+    if kind == "box":
+        return np.sign(ball) * size
+    return ball * (size if kind == "ellipsoid" else size[0])
+
+
 def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     robot = SerialRobot(
@@ -134,7 +195,7 @@ def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres(tmp_pa
         flange_frame={"xyz": [0.1, 0.2, 0.3], "rpy": [0.4, 0.5, 0.6]},
         offsets_to_center_of_joints=rng.uniform(-0.3, 0.3, (5, 3)),
     )
-    text, left_out = x3d_text({"robots": {"r": robot_table(robot, Path("out.x3d"))}})
+    text, left_out = x3d_text({"robots": {"r": robot_table(robot, Path("out.x3d"), {})}})
     assert left_out == []
     path = tmp_path / "out.x3d"
     path.write_text(text)

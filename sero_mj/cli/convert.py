@@ -18,6 +18,7 @@ from ._arguments import Commands, add_command, check_ending, read_scene
 
 if TYPE_CHECKING:
     from ..assemble.robot import SerialRobot
+    from ..assemble.robot_parts import LinkGeometry
     from ..assemble.scene import Scene
     from ..declaration import Declaration
 
@@ -26,8 +27,9 @@ examples:
   sero-mj convert fig7.x3d scene.toml      a scene of the SeRo-Viewer as a file of ours
   sero-mj convert lwr_udp fig.x3d          what X3D and the paper's protos can say of a scene
 
-What the other format has no word for is left out and named. Geometry is not converted: files of
-meshes stay where they are. X3D is read and written in its classic encoding (.x3d, .x3dv, .wrl).
+What the other format has no word for is left out and named. X3D is read and written in its classic
+encoding (.x3d, .x3dv, .wrl). To X3D, links are written as files of VRML97 to OUT_links/ROBOT/,
+unless they are such files already.
 """
 # Fields of robots in other units or orders, which are converted when a robot is built.
 _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
@@ -52,13 +54,22 @@ def run(options: argparse.Namespace) -> int:
     if to_x3d == is_x3d:
         both = "X3D" if to_x3d else "TOML"
         raise UsageError(f"{options.scene} and {output}: both are {both}; expected one of each")
-    if output.exists() and not options.overwrite:
-        raise UsageError(f"{output} is there already; --overwrite writes over it")
-    text, lost = _as_x3d(options.scene, output) if to_x3d else _as_toml(options.scene, output)
-    try:
-        output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot write {output}: {error.strerror}") from error
+    files: dict[Path, str] = {}
+    if to_x3d:
+        text, lost = _as_x3d(options.scene, output, files)
+    else:
+        text, lost = _as_toml(options.scene, output), []
+    files[output] = text
+    for path in (output, *files):
+        if path.exists() and not options.overwrite:
+            raise UsageError(f"{path} is there already; --overwrite writes over it")
+    for path, contents in files.items():
+        try:
+            if path is not output:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(contents, encoding="utf-8")
+        except OSError as error:
+            raise UsageError(f"cannot write {path}: {error.strerror}") from error
     if lost:
         line = f"sero-mj: left out, as X3D or its protos have no word for it: {', '.join(lost)}"
         print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
@@ -66,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _as_toml(name: str, output: Path) -> tuple[str, list[str]]:
+def _as_toml(name: str, output: Path) -> str:
     """The text of a TOML file; what the X3D has besides has been logged while it was read."""
     from ..describe.toml_text import toml_text
     from ..describe.x3d import read_x3d
@@ -80,7 +91,7 @@ def _as_toml(name: str, output: Path) -> tuple[str, list[str]]:
     comments = [f"{Path(name).name}, as a scene of sero-mj."]
     for warning in described.warnings:
         comments += fill(f"Note: {warning}", 98, subsequent_indent="  ").splitlines()
-    return toml_text(described.tables, comments), []
+    return toml_text(described.tables, comments)
 
 
 def _relative(folder: Path, output: Path) -> str:
@@ -91,21 +102,23 @@ def _relative(folder: Path, output: Path) -> str:
         return folder.absolute().as_posix()
 
 
-def _as_x3d(name: str, output: Path) -> tuple[str, list[str]]:
+def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
+    """The text of a file of X3D, what is left out, and in `files` those of links."""
     from ..describe.x3d_text import x3d_text
 
-    text, lost = x3d_text(scene_tables(read_scene(name), output))
+    text, lost = x3d_text(scene_tables(read_scene(name), output, files))
     if "SerialRobot {" not in text and "Shape {" not in text:
         raise UsageError(f"{name}: nothing of it can be said in X3D; left out: {', '.join(lost)}")
     return text, lost
 
 
-def scene_tables(scene: Scene, output: Path) -> dict[str, Any]:
+def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str, Any]:
     """The tables of a scene's file in which robots have their fields, and no model.
 
     Args:
         scene: loaded.
         output: a file; folders are relative to its own.
+        files: gets the texts of files of links, to be written.
     """
     from ..drive.wiring import wire
 
@@ -116,7 +129,7 @@ def scene_tables(scene: Scene, output: Path) -> dict[str, Any]:
     tables: dict[str, Any] = {
         "description": scene.description,
         "note": scene.note,
-        "robots": {key: robot_table(robot, output) for key, robot in scene.robots.items()},
+        "robots": {key: robot_table(robot, output, files) for key, robot in scene.robots.items()},
         "sources": sources,
         "routes": dict(scene.routes),
         "objects": {item.name: _changed(item, "name", "directory") for item in scene.objects},
@@ -132,7 +145,7 @@ def scene_tables(scene: Scene, output: Path) -> dict[str, Any]:
     return {key: value for key, value in tables.items() if value}
 
 
-def robot_table(robot: SerialRobot, output: Path) -> dict[str, Any]:
+def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
     """The fields of a robot that have not their default, in SI units; see `scene_tables`."""
     table = _changed(robot, *_OTHER_FORMS)
     if robot.dh is not None:
@@ -140,18 +153,33 @@ def robot_table(robot: SerialRobot, output: Path) -> dict[str, Any]:
         table["dh_params"] = np.column_stack([dh.alpha, dh.a, dh.theta, dh.d]).tolist()
     if robot.children:
         table["children"] = [_changed(child, "directory") for child in robot.children]
-    files = [[part for part in link] for link in robot.filenames]
-    is_plain = robot.mesh_scale == 1.0 and all(
-        len(link) <= 1 and not any(_changed(part, "file") for part in link) for link in files
+    for key in ("filenames", "directory", "colors", "mesh_scale"):
+        table.pop(key, None)
+    if not robot.filenames:
+        return table
+    is_vrml = robot.mesh_scale == 1.0 and all(
+        len(link) <= 1 and all(_is_vrml(part) for part in link) for link in robot.filenames
     )
-    table.pop("filenames", None)
-    table.pop("directory", None)
-    if files and is_plain:
-        table["filenames"] = [link[0].file if link else "" for link in files]
+    if is_vrml:
+        table["filenames"] = [str(link[0].file) if link else "" for link in robot.filenames]
         table["directory"] = _relative(Path(robot.directory), output)
-    elif files:
-        table["geometry"] = files
+    elif robot.dh is not None and robot.dh_convention == "craig" and not robot.mirrored:
+        from ._link_files import link_files
+
+        folder = output.parent / f"{output.stem}_links" / robot.name
+        texts = link_files(robot)
+        files |= {folder / name: text for name, text in texts.items()}
+        table["filenames"] = [*texts]
+        table["directory"] = _relative(folder, output)
+    else:
+        table["filenames"] = []  # they are in other frames; named where they are left out
     return table
+
+
+def _is_vrml(part: LinkGeometry) -> bool:
+    """Whether a part of a link is nothing but a file of VRML97."""
+    is_file = part.file is not None and Path(part.file).suffix.lower() == ".wrl"
+    return is_file and not _changed(part, "file")
 
 
 def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:

@@ -143,7 +143,7 @@ class _Writer:
                 for row, offset in zip(rows, np.array(offsets, np.float64), strict=True)
             ]
             robot["offsets_to_center_of_joints"] = np.array(turned).round(12).tolist()
-        if robot.pop("filenames", None):
+        if robot.pop("filenames", None) is not None:
             self.left_out.append(f"robots.{name}.filenames (meshes in frames of standard DH)")
         return robot
 
@@ -206,15 +206,10 @@ class _Writer:
             self.left_out.append(f"{place} ({what})")
             return []
         self.left_out += [f"{place}.{key}" for key in rest]
-        shapes = [_shape(geometry, color) for geometry, color in geometries]
-        if len(shapes) == 1:
-            lines = [f"DEF {name} {shapes[0][0]}", *shapes[0][1:]]
-        else:
-            lines = [line for shape_lines in shapes for line in shape_lines]
-        moved = _transform(T, scale)
-        return (
-            lines if not moved else [f"Transform {{ {moved} children [", *_indented(lines), "] }"]
-        )
+        if len(geometries) == 1:
+            geometry, color = geometries[0]
+            return shape_lines(geometry, color, T, scale, name)
+        return [line for geometry, color in geometries for line in shape_lines(geometry, color, T)]
 
     def _cameras(self) -> list[str]:
         cameras, view = self.tables.get("cameras", {}), self.tables.get("view", {})
@@ -366,15 +361,31 @@ def _view_axes(ahead: Array) -> Array:
     return np.column_stack([right, np.cross(back, right), back])
 
 
-def _shape(geometry: str, rgba: Sequence[float] | None) -> list[str]:
-    lines = [f"Shape {{ geometry {geometry}"]
+def shape_lines(
+    geometry: str,
+    rgba: Sequence[float] | None,
+    T: Array = _IDENTITY,
+    scale: Array | None = None,
+    name: str = "",
+) -> list[str]:
+    """A Shape, in a Transform where it does not stand at the origin.
+
+    Args:
+        geometry: its node, as text.
+        rgba: of its material, 0 to 1; None for none.
+        T: where it stands, (4, 4), rigid.
+        scale: of it, (3,).
+        name: of its DEF; empty for none.
+    """
+    lines = [f"{f'DEF {name} ' if name else ''}Shape {{ geometry {geometry}"]
     if rgba is not None:
         look = f"diffuseColor {_numbers(rgba[:3])}"
         if rgba[3] != 1.0:
             look += f" transparency {round(1.0 - rgba[3], 12)!r}"
         lines.append(f"  appearance Appearance {{ material Material {{ {look} }} }}")
     lines[-1] += " }"
-    return lines
+    moved = _transform(T, np.ones(3) if scale is None else scale)
+    return [f"Transform {{ {moved} children [", *_indented(lines), "] }"] if moved else lines
 
 
 def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
@@ -400,12 +411,15 @@ def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
         yield face_set(points, faces), None if rgba is None else [*map(float, rgba.split())]
 
 
-def face_set(points: Array, faces: Any) -> str:
-    """An IndexedFaceSet of triangles; vertices that stand twice keep their edges sharp."""
+def face_set(points: Array, faces: Any, crease: float = 3.2) -> str:
+    """An IndexedFaceSet of triangles (f, 3) of points (k, 3).
+
+    Its edges are sharp where they are by `crease`, rad, and where vertices stand twice.
+    """
     coordinates = ", ".join(" ".join(f"{value:.7g}" for value in point) for point in points)
     corners = " ".join(f"{a} {b} {c} -1" for a, b, c in np.asarray(faces).tolist())
     return (
-        f"IndexedFaceSet {{ creaseAngle 3.2 coord Coordinate {{ point [ {coordinates} ] }} "
+        f"IndexedFaceSet {{ creaseAngle {crease!r} coord Coordinate {{ point [ {coordinates} ] }} "
         f"coordIndex [ {corners} ] }}"
     )
 
