@@ -19,6 +19,9 @@ from ._arguments import (
     read_shown_scene,
 )
 
+STEREO = ("side-by-side", "anaglyph")  # as in `show.stereo`, which takes a while to import
+EYE_DISTANCE = 0.065
+
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
 
@@ -30,6 +33,7 @@ examples:
       --set lwr.torques=10,-80,5,30,0,-2,1 --set lwr.show_arrows=true
   sero-mj render lwr_udp -o lwr.gif --size 480x320    small enough for a page of text
   sero-mj render lwr_udp -o top.png --camera 90,-80,2.5 --size 640x480
+  sero-mj render lwr_udp -o lwr.png --stereo anaglyph  for red-cyan glasses
   sero-mj render lwr_udp -o run.mp4 --replay run.mcap --duration 10
   sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
 
@@ -58,6 +62,18 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument(
         "--fps", type=positive, metavar="N", help="frames per second (default 30; of a GIF 20)"
+    )
+    parser.add_argument(
+        "--stereo",
+        choices=STEREO,
+        help="for two eyes: a half of the picture for each, or for red-cyan glasses",
+    )
+    parser.add_argument(
+        "--eye-distance",
+        type=positive,
+        default=EYE_DISTANCE,
+        metavar="M",
+        help=f"between the eyes, m (default {EYE_DISTANCE}); more shows more depth",
     )
     add_scene_options(parser)
     parser.add_argument(
@@ -103,6 +119,8 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
+    if options.stereo is None and options.eye_distance != EYE_DISTANCE:
+        raise UsageError("--eye-distance is for --stereo side-by-side or anaglyph; give it as well")
     scene = read_shown_scene(options)
     if is_film:
         silent = film_with_progress(
@@ -116,6 +134,8 @@ def run(options: argparse.Namespace) -> int:
             wait=options.wait,
             clicks=options.clicks,
             quality=options.quality,
+            stereo=options.stereo,
+            eye_distance=options.eye_distance,
         )
     else:
         from ..show.headless.render import render_picture
@@ -128,6 +148,8 @@ def run(options: argparse.Namespace) -> int:
             wait=options.wait,
             clicks=options.clicks,
             quality=options.quality,
+            stereo=options.stereo,
+            eye_distance=options.eye_distance,
         )
     for name in silent:
         print(

@@ -29,10 +29,11 @@ from ...drive.mirror import Mirror, restore
 from ...errors import RenderError
 from ...frames import Array
 from ..added_surroundings import added_surroundings
-from ..camera import find_camera
+from ..camera import bounding_sphere, find_camera
 from ..interaction import Gesture
-from ..picking import TOUCH_TOLERANCE, Picked
+from ..picking import TOUCH_TOLERANCE, Picked, Pixel
 from ..scene_decor import SceneDecor
+from ..stereo import EYE_DISTANCE, Stereo, anaglyph, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
@@ -99,6 +100,9 @@ class HeadlessRenderer:
         height: of the picture, pixels.
         camera: see `find_camera`.
         quality: `draft` is quick where OpenGL is software, `fine` is for print.
+        stereo: `side-by-side` for a half of the picture for each eye, the left one on the left;
+            `anaglyph` for red-cyan glasses.
+        eye_distance: between the eyes, m.
 
     Attributes:
         world: the world.
@@ -107,7 +111,8 @@ class HeadlessRenderer:
         size: width and height, pixels.
 
     Raises:
-        RenderError: no OpenGL, the size is out of range, or there is no such quality.
+        RenderError: no OpenGL, the size or the eyes' distance is out of range, or there is no such
+            quality or stereo.
         UnknownName: no camera of that name.
     """
 
@@ -118,7 +123,10 @@ class HeadlessRenderer:
         height: int = DEFAULT_SIZE[1],
         camera: str | None = None,
         quality: Quality = "normal",
+        stereo: Stereo | None = None,
+        eye_distance: float = EYE_DISTANCE,
     ) -> None:
+        check_stereo(stereo, eye_distance)
         if quality not in QUALITIES:
             raise RenderError(f"found quality {quality!r}; expected {', '.join(QUALITIES)}")
         self._scale = _SUPERSAMPLING if quality == "fine" else 1
@@ -126,9 +134,15 @@ class HeadlessRenderer:
         self.world = world
         self.camera = find_camera(world, camera)
         self.size = (width, height)
+        self._stereo, self._eye_distance = stereo, eye_distance
+        # What one eye sees.
+        self._half = (width // 2, height) if stereo == "side-by-side" else (width, height)
+        check_size("half of the picture", *self._half)
+        self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
         self.decor = SceneDecor(world, with_text=False)
         samples = 0 if quality == "draft" else None
-        self._renderer = _make_renderer(world, width * self._scale, height * self._scale, samples)
+        drawn, tall = self._half[0] * self._scale, height * self._scale
+        self._renderer = _make_renderer(world, drawn, tall, samples)
         if quality == "draft":
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         # A new renderer's OpenGL context is the current one.
@@ -155,22 +169,44 @@ class HeadlessRenderer:
             picture (height, width, 3), uint8; a notebook displays it.
         """
         self.decor.draw(data, self._look(data), self._renderer.scene)
-        pixels: Pixels
-        if self._scale == 1:
-            pixels = self._renderer.render(out=out)
-        else:  # panels are laid out for, and set into, the picture in its own size
-            large = Image.fromarray(self._renderer.render())
-            pixels = np.empty((*self.size[::-1], 3), np.uint8) if out is None else out
-            pixels[:] = np.asarray(large.reduce(self._scale))
-        compose(pixels, self._typesetter.place(self.decor.panels))
+        text = self._typesetter.place(self.decor.panels)
+        if self._stereo is None and self._scale == 1:
+            pixels: Pixels = self._renderer.render(out=out)
+            compose(pixels, text)
+            return pixels if out is not None else pixels.view(Picture)
+        pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
+        if self._stereo == "anaglyph":
+            pixels[:] = anaglyph(*self._eyes())
+            compose(pixels, text)  # it stands where both eyes see the same
+        elif self._stereo == "side-by-side":
+            width = self._half[0]
+            for k, half in enumerate(self._eyes()):
+                compose(half, text)
+                pixels[:, k * width : (k + 1) * width] = half
+        else:
+            pixels[:] = self._drawn()
+            compose(pixels, text)
         return pixels if out is not None else pixels.view(Picture)
+
+    def _drawn(self) -> Pixels:
+        """The picture of the scene's camera; panels are set into it in its own size."""
+        drawn: Pixels = self._renderer.render()
+        if self._scale == 1:
+            return drawn
+        return np.array(Image.fromarray(drawn).reduce(self._scale))
+
+    def _eyes(self) -> list[Pixels]:
+        """The pictures of the left and the right eye."""
+        scene = self._renderer.scene
+        distance = looked_at(scene, self.camera, self._centre)
+        return [self._drawn() for _ in each_eye(scene, self._eye_distance, distance)]
 
     def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
         if self._surroundings is not None:
             self._surroundings.add(renderer.scene)
-        return PictureView.of_scene(renderer.scene, *self.size, self._typesetter.font)
+        return PictureView.of_scene(renderer.scene, *self._half, self._typesetter.font)
 
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
@@ -183,7 +219,9 @@ class HeadlessRenderer:
             y: down, 0 to height.
             tolerance: see `picking.pick`.
         """
-        return self._lay_out(data).pick(data, self.decor.from_above(x, y), tolerance)
+        return self._lay_out(data).pick(
+            data, self.decor.from_above(x % self._half[0], y), tolerance
+        )
 
     def click(
         self,
@@ -202,11 +240,19 @@ class HeadlessRenderer:
             gesture: a click, one with Shift held, or a double click.
             tolerance: see `picking.pick`.
         """
-        return self._lay_out(data).click(data, self.decor.from_above(x, y), gesture, tolerance)
+        return self._lay_out(data).click(
+            data, self.decor.from_above(x % self._half[0], y), gesture, tolerance
+        )
 
     def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
         """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
-        return self._lay_out(data).hover(data, self.decor.from_above(x, y))
+        return self._lay_out(data).hover(data, self._pixel(x, y))
+
+    def _pixel(self, x: float, y: float) -> Pixel:
+        """The pixel of decor, between those of both eyes, at one of the picture."""
+        width = self._half[0]
+        is_right = self._stereo == "side-by-side" and x >= width
+        return self.decor.from_above(x - width if is_right else x, y)
 
     def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
         self.decor.lay_out(data, self._look(data))
@@ -253,6 +299,8 @@ def render_picture(
     clicks: Sequence[Click] = (),
     at: float = 0.0,
     quality: Quality = "normal",
+    stereo: Stereo | None = None,
+    eye_distance: float = EYE_DISTANCE,
 ) -> list[str]:
     """Renders a picture of the current state of a scene.
 
@@ -265,6 +313,8 @@ def render_picture(
         clicks: clicks to perform before rendering.
         at: time of recordings and simulations, s after their start.
         quality: see `HeadlessRenderer`; a fine picture says that it has 300 dots per inch.
+        stereo: see `HeadlessRenderer`.
+        eye_distance: likewise.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
@@ -274,7 +324,9 @@ def render_picture(
     """
     with Mirror(scene) as mirror:
         check_writable(Path(path))
-        with HeadlessRenderer(mirror.world, *size, camera, quality) as renderer:
+        with HeadlessRenderer(
+            mirror.world, *size, camera, quality, stereo=stereo, eye_distance=eye_distance
+        ) as renderer:
             silent = mirror.wait(wait)
             mirror.wait_fresh(min(wait, _NEXT_WITHIN), at)
             _click(renderer, mirror.data, clicks)
@@ -294,6 +346,8 @@ def render_film(
     wait: float = 2.0,
     clicks: Sequence[Click] = (),
     quality: Quality = "normal",
+    stereo: Stereo | None = None,
+    eye_distance: float = EYE_DISTANCE,
     on_progress: OnProgress | None = None,
 ) -> list[str]:
     """Renders a film of a scene, in real time when it has live sources.
@@ -308,6 +362,8 @@ def render_film(
         wait: maximum time to wait for the first packet of every source, s.
         clicks: clicks to perform before the first frame.
         quality: see `HeadlessRenderer`.
+        stereo: likewise.
+        eye_distance: likewise.
         on_progress: called with the number of rendered frames and of all frames.
 
     Returns:
@@ -328,7 +384,9 @@ def render_film(
         data = world.make_data()
         with (
             FilmWriter(Path(path), *size, fps) as film,
-            HeadlessRenderer(world, *size, camera, quality) as renderer,
+            HeadlessRenderer(
+                world, *size, camera, quality, stereo=stereo, eye_distance=eye_distance
+            ) as renderer,
         ):
             silent = mirror.wait(wait)
             pixels = np.empty((size[1], size[0], 3), np.uint8)
