@@ -32,6 +32,7 @@ from .couplings import CoupledJoints, Coupling, coupled_joints, coupling_problem
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, TorqueControl, is_overridden, merge_tables
 from .joint_tree import JointFrames, JointTree
+from .limbs import all_limbs, find_limbs, limb_problems
 from .robot_parts import (
     IN_DEGREES,
     PER_JOINT,
@@ -87,6 +88,8 @@ class SerialRobot(Declaration):
             `base`. Those of a chain when None: each is on the one before.
         joint_types: n times `revolute` or `prismatic`.
         joint_names: n names; J1, J2, ... by default.
+        limbs: names of joints by limb, for robots that branch; joints that are in none have those
+            that `limb_joints` finds. Routes and panels name them.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
             Inputs, and what is declared of them (`joint_angles`, `torques`, ...), then take values
             of the independent joints alone as well; k is the number of these, else n.
@@ -163,6 +166,7 @@ class SerialRobot(Declaration):
     joint_names: JointNames | None = None
     parents: list[str] | None = None
     couplings: dict[str, Coupling] = {}
+    limbs: dict[Name, list[str]] = {}
     position_limits: Ranges = None
     position_limits_deg: Ranges = None
     velocity_limits: Limits = None
@@ -278,6 +282,17 @@ class SerialRobot(Declaration):
             if problems:
                 raise DeclarationError(problems)
         return couplings
+
+    @field_validator("limbs")
+    @classmethod
+    def _joints_of_limbs_exist(
+        cls, limbs: dict[str, list[str]], info: ValidationInfo
+    ) -> dict[str, list[str]]:
+        if _count(info.data) is not None and "joint_names" in info.data:
+            problems = limb_problems(_joint_names(info.data), limbs)
+            if problems:
+                raise DeclarationError(problems)
+        return limbs
 
     @field_validator("dynamics", "torque_control")
     @classmethod
@@ -531,6 +546,17 @@ class SerialRobot(Declaration):
     def names(self) -> list[str]:
         """Name of every joint."""
         return self.joint_names or [f"J{i + 1}" for i in range(self.n)]
+
+    @property
+    def limb_joints(self) -> dict[str, list[int]]:
+        """Indices of the joints of every limb: as declared in `limbs`, else found.
+
+        A limb is an unbranched run of joints, see `find_limbs`; a chain is one.
+        """
+        carriers = np.arange(self.n) if self.carriers is None else self.carriers
+        followed = {name: coupling.to for name, coupling in self.couplings.items()}
+        found = find_limbs(self.names, carriers.tolist(), followed)
+        return all_limbs(self.names, found, self.limbs)
 
     @property
     def torque_bounds(self) -> Array:

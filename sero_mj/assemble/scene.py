@@ -39,6 +39,8 @@ MOST_ENTRIES = {
 # Sections whose entries have frames or are moved.
 _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 NOT = "not"
+_FOR, _BETWEEN = " for ", ";"  # of origins that are for some joints only
+_OF_JOINTS = ("from", "joints")
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
 _TOKENS = re.compile(
     r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
@@ -72,7 +74,9 @@ class Scene:
         groups: ordered groups of robots, which routes and switches serve together.
         sources: by name; a table with `kind` and its fields, or a source object.
         routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
-            (`udp.values0[0:7] * deg`), or numbers; stored as text.
+            (`udp.values0[0:7] * deg`), or numbers; stored as text. For some of the joints
+            `{"from": "udp.values0", "joints": ["l_elbow", "l_wrist"]}`, a list of these, or one
+            limb in the key, `icub.left_arm.joint_angles`.
         doubles: transparent doubles of the robots; one of a group becomes one of each of its
             robots, `DOUBLE_ROBOT`.
         arrows: Cartesian vectors, shown by smart arrows.
@@ -141,7 +145,7 @@ class Scene:
         self.arrows = {arrow.name: arrow for arrow in arrows or []}
         self.frames = {frame.name: frame for frame in frames or []}
         self.sources = dict(sources or {})
-        self.routes = _texts(routes or {})
+        self.routes = route_texts(routes or {})
         self.objects = list(objects or [])
         self.cameras = dict(cameras or {})
         self.lights = dict(lights or {})
@@ -244,12 +248,26 @@ class Scene:
         return self.membership.members.get(name, self.double_groups.get(name))
 
     def routed(self, target: str) -> str | None:
-        """Returns the origin of the route to an input, or to that of its group; None for none."""
+        """Returns the origin of the route to an input, or to that of its group; None for none.
+
+        Where routes lead to its limbs it is a list of their origins.
+        """
         name, _, key = target.partition(".")
         doubled = [group for group, names in self.double_groups.items() if name in names]
         names = [name, *self.membership.around.get(name, []), *doubled]
         routes = (self.routes.get(f"{each}.{key}") for each in names)
-        return next((origin for origin in routes if origin is not None), None)
+        whole = next((origin for origin in routes if origin is not None), None)
+        if whole is not None or not self._has_routes_to_limbs:
+            return whole
+        double = self.doubles.get(name)
+        robot = self.robots.get(name if double is None else double.of)
+        limbs = [] if robot is None else [f"{name}.{limb}.{key}" for limb in robot.limb_joints]
+        found = [self.routes[limb] for limb in limbs if limb in self.routes]
+        return f"[{', '.join(found)}]" if found else None
+
+    @property
+    def _has_routes_to_limbs(self) -> bool:
+        return any(target.count(".") > 1 for target in self.routes)
 
     def sources_of(self, *targets: str) -> set[str]:
         """Returns the names of the sources that these targets depend on; by default all targets.
@@ -472,14 +490,20 @@ def _not_of_type(
     ]
 
 
-def _texts(routes: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the routes with every origin as text."""
-    texts = {}
+def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the routes with every origin as text.
+
+    Raises:
+        DeclarationError: origins that are neither text nor numbers nor tables of joints.
+    """
+    texts, problems = {}, []
     for target, origin in routes.items():
         try:
             texts[target] = origin_text(origin)
         except ValueError as error:
-            raise DeclarationError([Problem(f"routes.{target}", str(error))]) from None
+            problems.append(Problem(f"routes.{target}", str(error)))
+    if problems:
+        raise DeclarationError(problems)
     return texts
 
 
@@ -512,20 +536,65 @@ def names_in(origin: str) -> list[str]:
 def origin_text(origin: Any) -> str:
     """Returns an origin as text; numbers and (nested) lists of numbers are constants.
 
+    One that is for some joints only is `udp.values0 for l_elbow, l_wrist`, and several of these
+    stand one after the other with semicolons; `parts_of_origin` takes them apart.
+
     Raises:
-        ValueError: the origin is neither text nor finite numbers.
+        ValueError: the origin is none of what `Scene` lists.
     """
+    if isinstance(origin, Mapping):
+        return _text_for_joints(origin)
+    if isinstance(origin, list | tuple) and any(isinstance(entry, Mapping) for entry in origin):
+        return f"{_BETWEEN} ".join(_text_for_joints(entry) for entry in origin)
+    return _plain_text(origin)
+
+
+def _plain_text(origin: Any) -> str:
     if isinstance(origin, str):
         return origin
     plain = origin.tolist() if hasattr(origin, "tolist") else origin
     text = _number_text(plain)
     if text is None:
-        hint = "; put quotes about the whole name" if isinstance(origin, dict) else ""
+        hint = ""
         if isinstance(plain, list) and any(isinstance(entry, str) for entry in plain):
             hint = '; put quotes about the whole list: "[udp.values0[0], 1]"'
         message = f'found {origin!r}; expected an event such as "udp.values0", or numbers{hint}'
         raise ValueError(message)
     return text
+
+
+def _text_for_joints(table: Any) -> str:
+    """Returns an origin that is for some joints as text, see `origin_text`."""
+    example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
+    if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
+        if not isinstance(table, Mapping):
+            raise ValueError(f"found {table!r} among tables; expected {example}")
+        message = f'found {table!r}; expected an event such as "udp.values0", or numbers'
+        raise ValueError(f"{message}; put quotes about the whole name")
+    if table.keys() != {*_OF_JOINTS}:
+        unknown = [f"unknown '{key}'{did_you_mean(key, _OF_JOINTS)}" for key in table
+                   if key not in _OF_JOINTS]  # fmt: skip
+        missing = [f"no '{key}'" for key in _OF_JOINTS if key not in table]
+        raise ValueError(f"found {', '.join([*unknown, *missing])}; expected {example}")
+    joints = [table["joints"]] if isinstance(table["joints"], str) else table["joints"]
+    names = isinstance(joints, list | tuple) and all(isinstance(each, str) for each in joints)
+    if not names or not joints:
+        raise ValueError(f"joints: found {joints!r}; expected names of joints or limbs, in order")
+    return f"{_plain_text(table['from'])}{_FOR}{', '.join(joints)}"
+
+
+def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
+    """Returns the parts of an origin's text: each origin, and the joints that it is for.
+
+    These are None for an origin of all joints.
+    """
+    if _FOR not in text:
+        return [(text, None)]
+    pairs = [part.partition(_FOR) for part in text.split(_BETWEEN)]
+    return [
+        (origin.strip(), [name.strip() for name in names.split(",")] if is_for else None)
+        for origin, is_for, names in pairs
+    ]
 
 
 def _number_text(value: Any) -> str | None:

@@ -295,9 +295,17 @@ class _Reader:
         self._drop_routes(f"{group}.{field}")
 
     def _drop_routes(self, *targets: str) -> None:
+        """Removes the routes to inputs, also those to limbs of these."""
+
+        def whole(target: str) -> str:
+            name, _, key = target.partition(".")
+            return f"{name}.{key.rpartition('.')[2]}"
+
         if isinstance(self.tables.get("routes"), dict):
             routes = self.tables["routes"].items()
-            self.tables["routes"] = {key: each for key, each in routes if key not in targets}
+            self.tables["routes"] = {
+                key: each for key, each in routes if not {key, whole(key)} & {*targets}
+            }
 
     def _members(self) -> dict[str, list[str]]:
         """Returns the robots of every group whose table is right in that."""

@@ -30,7 +30,7 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
-    from ..assemble.robot_dynamics import robot_dynamics
+    from ..assemble.scene import parts_of_origin
     from ..assemble.world import World
     from ..drive.wiring import wire
     from ..show.camera import list_cameras
@@ -41,13 +41,7 @@ def run(options: argparse.Namespace) -> int:
     if scene.description:
         print(f"  about   {scene.description}")
     for name, part in world.robots.items():
-        robot = part.robot
-        print(f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m")
-        estimated = robot_dynamics(robot).estimated
-        about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
-        print(f"          dynamics: {about}")
-        for line in robot.dynamics.mended:
-            print(f"          mended  {line}")
+        print("\n".join(_about_robot(name, part.robot)))
     wiring = wire(scene)
     taken = {(o.name, o.key) for route in wiring.routes for o in route.value.origins if o.is_event}
     for name, source in wiring.sources.items():
@@ -73,8 +67,10 @@ def run(options: argparse.Namespace) -> int:
         print(f"  arrow   {name}: {arrow.kind} at {arrow.at}, {scale}")
     for name, frame in scene.frames.items():
         print(f"  frame   {name}: relative to {frame.relative_to}")
-    for target, event in scene.routes.items():
-        print(f"  route   {event} -> {target}")
+    for target, text in scene.routes.items():
+        for event, names in parts_of_origin(text):
+            whom = "" if names is None else f": {', '.join(names)}"
+            print(fill(f"  route   {event} -> {target}{whom}", 100, subsequent_indent=" " * 10))
     for item in scene.objects:
         mass = "" if item.mass is None else f": {item.mass:g} kg, free in simulation"
         print(f"  object  {item.name}{mass}")
@@ -92,6 +88,20 @@ def _kind(robot: SerialRobot) -> str:
     if robot.has_geometry:
         look = "meshes" if robot.mjcf is None else "geoms of its MJCF"
     return f"{robot.n} joints, {table}, {look}"
+
+
+def _about_robot(name: str, robot: SerialRobot) -> list[str]:
+    """Lines about a robot: its joints, limbs and dynamics."""
+
+    lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
+    limbs = robot.limb_joints
+    if len(limbs) > 1:
+        each = ", ".join(f"{limb} {len(joints)}" for limb, joints in limbs.items())
+        lines.append(fill(f"          limbs: {each}", 100, subsequent_indent=" " * 17))
+    estimated = robot_dynamics(robot).estimated
+    about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
+    mended = [f"          mended  {line}" for line in robot.dynamics.mended]
+    return [*lines, f"          dynamics: {about}", *mended]
 
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:

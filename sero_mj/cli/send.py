@@ -280,7 +280,7 @@ def _robot_of(scene: Scene, source: str) -> str:
         for target, origin in scene.routes.items()
         if f"{source}." in str(origin)
     }
-    names = [name for name, _ in sorted(fed, key=lambda key: key[1] != "joint_angles")]
+    names = [name for name, _ in sorted(fed, key=lambda key: not key[1].endswith("joint_angles"))]
     found = [name for name in names if name in scene.robots]
     if not found:
         raise UsageError(f"no route leads from '{source}' to a robot: there is nothing to send")

@@ -280,6 +280,15 @@ class Value:
             entries[i] = entry
         return Value(entries, sizes=self.sizes)
 
+    def spread(self, at: Ints, rest: Array) -> Value:
+        """Returns numbers (m,): its own at the places `at` (k,), and constants elsewhere, (m,).
+
+        A single number goes to all of these places.
+        """
+        entries = np.array([_Number(float(each)) for each in rest], dtype=object)
+        entries[at] = self.entries.ravel() if self.entries.size > 1 else self.entries.item()
+        return Value(entries, sizes=self.sizes)
+
     def split(self, counts: Sequence[int]) -> list[Value]:
         """Returns its numbers in parts of so many, row by row."""
         parts = np.split(self.entries.ravel(), np.cumsum(counts)[:-1])

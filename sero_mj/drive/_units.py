@@ -6,6 +6,8 @@ are never taken for millimetres. All zero means a plain number, which fits anyth
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..assemble.inputs import Input
@@ -95,6 +97,17 @@ def units_of(scene: Scene, item: Input) -> list[Dimension]:
         kinematics = robot_of(scene, item).kinematics
         return [turning if turns else sliding for turns in kinematics.revolute]
     return [NONE] * item.count
+
+
+def wrong_unit(units: Sequence[Dimension], taken: Sequence[Dimension], target: str) -> str:
+    """Says which number has another unit than the input takes; empty where all fit."""
+    for i, want in enumerate(taken):
+        have = units[i if len(units) > 1 else 0]
+        if any(have) and any(want) and have != want:
+            differ = len({*units}) > 1 or len({*taken}) > 1
+            where = f" at number {i}, counted from 0" if differ else ""
+            return f"is {describe(have)}; {target} takes {describe(want)}{where}"
+    return ""
 
 
 def robot_of(scene: Scene, item: Input) -> SerialRobot:

@@ -189,12 +189,18 @@ class Router:
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
-        self._routes = [(route.value, _InputWriter(world, route)) for route in routes]
+        # How many numbers the routes take at least of each origin.
+        self._sizes: dict[Origin, int] = {}
+        for term in (term for route in routes for term in route.value.terms):
+            needed = int(term.take.max()) + 1
+            self._sizes[term.origin] = max(self._sizes.get(term.origin, 0), needed)
+        self._routes = [(route.value, route.rest, _InputWriter(world, route)) for route in routes]
 
     def apply(self, data: mujoco.MjData, packets: LatestValues) -> None:
         """Writes what can be computed; `Placer.place` moves the frames.
 
-        Where an origin has no data yet, the input is left as it is.
+        Where an origin has no data yet, the input is left as it is, and of one that has several
+        for different joints these joints.
 
         Args:
             data: the world's state.
@@ -203,9 +209,13 @@ class Router:
         if not self._routes:
             return
         with np.errstate(over="ignore", invalid="ignore"):
-            for value, writer in self._routes:
-                if all(self._has(data, packets, origin) for origin in value.origins):
+            for value, rest, writer in self._routes:
+                there = [self._has(data, packets, origin) for origin in value.origins]
+                if all(there):
                     writer.put(data, value.evaluate(lambda o: self._numbers(data, packets, o)))
+                elif rest is not None and any(there):  # joints of the others stay where they are
+                    came = value.evaluate(lambda o: self._numbers_if_there(data, packets, o))
+                    writer.put(data, np.where(np.isnan(came), rest, came))
 
     def _has(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> bool:
         if origin.is_event:
@@ -220,6 +230,14 @@ class Router:
         if origin.key == "joint_angles" and origin.name in self._world.robots:
             return np.asarray(data.qpos[self._world.robots[origin.name].qpos])
         return np.asarray(data.userdata[self._world.slots[str(origin)]])
+
+    def _numbers_if_there(
+        self, data: mujoco.MjData, packets: LatestValues, origin: Origin
+    ) -> Array:
+        """Returns the numbers of an origin, NaN where it has no data."""
+        if self._has(data, packets, origin):
+            return self._numbers(data, packets, origin)
+        return np.full(self._sizes[origin], np.nan)
 
 
 class _InputWriter:

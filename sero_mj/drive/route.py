@@ -126,6 +126,9 @@ class Route:
         negated: whether a toggle is negated.
         numbers: which of the numbers that the text stands for each of the input's is; a robot of a
             group has its share of them, and coupled joints those that they follow.
+        texts: where it leads from for each of the input's numbers, where these are for some joints
+            each; empty for joints that nothing leads to, and as a whole for other routes.
+        rest: numbers of the input without what is received, then: the declared pose, or no data.
     """
 
     to: Input
@@ -133,18 +136,21 @@ class Route:
     value: Affine
     negated: bool = False
     numbers: tuple[int, ...] = ()
+    texts: tuple[str, ...] = ()
+    rest: Array | None = None
 
     def origin_of(self, index: int) -> str:
         """Returns where one of the input's numbers leads from: `values0[3]`; empty for nothing."""
         offset = self.value.offset[index]
-        if np.isnan(offset):
+        text = self.texts[index] if self.texts else self.text
+        if np.isnan(offset) or not text:
             return ""
         found = [(term, k) for term in self.value.terms for k in np.flatnonzero(term.at == index)]
         if len(found) == 1 and offset == 0.0:
             ((term, k),) = found
             if term.times[k] == 1.0:
                 return f"{term.origin.key}[{term.take[k]}]"
-        return f"({self.text})[{self.numbers[index]}]"
+        return f"({text})[{self.numbers[index]}]"
 
     @property
     def sources(self) -> list[str]:

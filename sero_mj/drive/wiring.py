@@ -3,8 +3,10 @@
 route  = target "=" origin
 target = name "." input          lwr.joint_angles, contact.vector, toggles.legend; of a group each
                                  robot gets its share of the values, in their order
+       | name "." limb "." input icub.left_arm.joint_angles
 origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
                                  `not` negates a toggle
+       | expression "for" joints udp.values0 for l_elbow, r_arm; several of these with ";" between
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
 
@@ -24,7 +26,7 @@ from ..assemble.cartesian import WORLD
 from ..assemble.couplings import CoupledJoints
 from ..assemble.inputs import BLANKABLE, ROBOT_INPUTS, SCENE, Input, inputs_of_group, list_inputs
 from ..assemble.mounts import carriers, mount_circles
-from ..assemble.scene import NOT, Scene, names_in
+from ..assemble.scene import NOT, Scene, names_in, parts_of_origin
 from ..errors import (
     DeclarationError,
     Problem,
@@ -35,8 +37,16 @@ from ..errors import (
     nearest,
 )
 from ..receive.source import SIGNALS, Source, make_source
-from ._expression import Value, constant, evaluate, joined, numbers_of, parse
-from ._units import UNITS, Dimension, describe, units_of
+from ._expression import Expression, Value, constant, evaluate, joined, numbers_of, parse
+from ._units import UNITS, robot_of, units_of, wrong_unit
+from .joint_routes import (
+    JointPart,
+    joint_parts,
+    named_joints,
+    named_twice,
+    places_by_name,
+    whole_route,
+)
 from .route import FrameRoute, Origin, Route
 
 FWD_KIN = "fwd_kin_base_to_flange"
@@ -83,17 +93,24 @@ def wire(scene: Scene) -> Wiring:
             wiring.sources[name] = make_source(name, declared)
     wiring.problems += _shared_places(wiring.sources)
     checker = _RouteChecker(scene, wiring.sources)
-    led_by: dict[str, str] = {}  # which entry leads to an input, by itself or as a group's
+    led_by: dict[tuple[str, int], str] = {}  # which entry leads to a number of an input
+    parts: dict[str, list[JointPart]] = {}
     for target, origin in scene.routes.items():
         with collect(wiring.problems, f"routes.{target}"):
             for route in checker.check(target, origin):
-                if (first := led_by.setdefault(route.to.target, target)) != target:
-                    message = f"{route.to.target} has a route already, {first}; remove one of them"
-                    raise DeclarationError([Problem("", message)])
-                if isinstance(route, Route):
+                to = route.to.target
+                joints = route.joints if isinstance(route, JointPart) else range(route.to.count)
+                before = [joint for joint in joints if (to, joint) in led_by]
+                if before:
+                    raise DeclarationError([_led_twice(scene, route, before[0], led_by)])
+                led_by |= dict.fromkeys([(to, joint) for joint in joints], target)
+                if isinstance(route, JointPart):
+                    parts.setdefault(to, []).append(route)
+                elif isinstance(route, Route):
                     wiring.routes.append(route)
                 else:
                     wiring.frame_routes.append(route)
+    wiring.routes += [whole_route(scene, each) for each in parts.values()]
     _allow_blanks(wiring)
     try:
         wiring.later = _routes_in_order(wiring.routes)
@@ -104,6 +121,21 @@ def wire(scene: Scene) -> Wiring:
     except CycleError as error:
         wiring.problems.append(_circle("frames", error))
     return wiring
+
+
+def _led_twice(
+    scene: Scene,
+    route: Route | FrameRoute | JointPart,
+    joint: int,
+    led_by: Mapping[tuple[str, int], str],
+) -> Problem:
+    """Says that a number of an input has an origin already."""
+    first = led_by[route.to.target, joint]
+    if not isinstance(route, JointPart):
+        return Problem("", f"{route.to.target} has a route already, {first}; remove one of them")
+    name = robot_of(scene, route.to).names[joint]
+    message = f"{name} gets its {route.to.key} by {first} already; expected each joint once"
+    return Problem("", message)
 
 
 def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
@@ -192,8 +224,8 @@ class _RouteChecker:
         self._owners = {item.name for item in self._outputs.values()}
         self._events: dict[Origin, Value] = {}  # made once: an event may have 65,000 numbers
 
-    def check(self, target: str, origin: str) -> list[Route | FrameRoute]:
-        """Returns checked routes: one, or one for each member of a group.
+    def check(self, target: str, origin: str) -> list[Route | FrameRoute | JointPart]:
+        """Returns checked routes: one, or one for each member of a group, or for some joints.
 
         There is none where what is wrong is reported elsewhere.
 
@@ -201,12 +233,81 @@ class _RouteChecker:
             DeclarationError: what is wrong with the target, the origin, or both.
         """
         name, _, key = target.partition(".")
+        limb, dot, of_limb = key.partition(".")
+        dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is no limb
+        parts = parts_of_origin(origin)
+        if dot or parts[0][1] is not None:
+            if dot and parts[0][1] is not None:
+                message = f"found joints for the limb '{limb}'; expected them for {name}.{of_limb}"
+                raise DeclarationError([Problem("", message)])
+            if dot:
+                key, parts = of_limb, [(origin, [limb])]
+            return self._parts(name, key, parts)
         members = self._scene.members(name)
         if members is None:
-            return self._check([self._input(target)], origin, target)
+            return [*self._check([self._input(target)], origin, target)]
         if any(each not in {*self._scene.robots, *self._scene.doubles} for each in members):
             return []  # declared wrongly, or missing
-        return self._check(self._group_inputs(name, key, members), origin, target)
+        return [*self._check(self._group_inputs(name, key, members), origin, target)]
+
+    def _parts(
+        self, name: str, key: str, parts: Sequence[tuple[str, list[str] | None]]
+    ) -> list[Route | FrameRoute | JointPart]:
+        """Returns the routes to some joints of a robot, a double or a group."""
+        scene, target, members = self._scene, f"{name}.{key}", self._scene.members(name)
+        found: Sequence[Input | Problem | None] = [self._input(target)]
+        if members is not None:
+            if any(each not in {*scene.robots, *scene.doubles} for each in members):
+                return []
+            found = self._group_inputs(name, key, members)
+        problems = [item for item in found if isinstance(item, Problem)]
+        inputs = [item for item in found if isinstance(item, Input)]
+        if inputs and inputs[0].kind not in ("angles", "values"):
+            message = f"joints are for what has one value per joint; {target} takes"
+            problems.append(Problem("", f"{message} {inputs[0].meaning}"))
+        if problems or not inputs:
+            raise DeclarationError(problems)
+        places = places_by_name(scene, inputs, in_group=members is not None)
+        joints = [named_joints(scene, name, places, names, problems) for _, names in parts]
+        problems += named_twice(scene, [joint for each in joints for joint in each])
+        made: list[Route | FrameRoute | JointPart] = []
+        for (origin, _), places_of_origin in zip(parts, joints, strict=True):
+            with collect(problems, ""):
+                value = self._value(origin)
+                if value is not None and not problems:
+                    made += joint_parts(scene, *value, places_of_origin, target)
+        if problems:
+            raise DeclarationError(problems)
+        return made
+
+    def _value(self, origin: str) -> tuple[Value, str] | None:
+        """What an origin of numbers means, and its text; None where a fault is told elsewhere."""
+        try:
+            expression = parse(origin)
+        except RouteError as error:
+            raise DeclarationError([Problem("", str(error))]) from None
+        if expression.negated:
+            message = f"'{NOT}' is for switches; joints take numbers"
+            raise DeclarationError([Problem("", message)])
+        return self._evaluated(expression, [])
+
+    def _evaluated(
+        self, expression: Expression, problems: list[Problem]
+    ) -> tuple[Value, str] | None:
+        """What a parsed origin means, and its text; raises with `problems` beside its own."""
+        found = {name: self._find(name) for name in names_in(expression.text)}
+        problems = [*problems, *(v for v in found.values() if isinstance(v, Problem))]
+        if problems:
+            raise DeclarationError(problems)
+        known = {name: value for name, value in found.items() if isinstance(value, Value)}
+        if len(known) < len(found):
+            return None
+        text = expression.text.strip()
+        text = text.removeprefix(NOT).lstrip() if expression.negated else text
+        try:
+            return evaluate(expression, known), text
+        except RouteError as error:
+            raise DeclarationError([Problem("", str(error))]) from None
 
     def _group_inputs(
         self, group: str, key: str, members: Sequence[str]
@@ -238,19 +339,10 @@ class _RouteChecker:
             if problems:
                 raise DeclarationError(problems)
             return [] if route is None else [route]
-        found = {name: self._find(name) for name in names_in(origin)}
-        problems += [value for value in found.values() if isinstance(value, Problem)]
-        if problems:
-            raise DeclarationError(problems)
-        known = {name: value for name, value in found.items() if isinstance(value, Value)}
-        if len(known) < len(found) or len(inputs) < len(items):
+        found = self._evaluated(expression, problems)
+        if found is None or len(inputs) < len(items):
             return []
-        text = expression.text.strip()
-        text = text.removeprefix(NOT).lstrip() if expression.negated else text
-        try:
-            value = evaluate(expression, known)
-        except RouteError as error:
-            raise DeclarationError([Problem("", str(error))]) from None
+        value, text = found
         shares = [value] * len(inputs)
         if len(inputs) > 1 and inputs[0].kind in ("angles", "values"):
             shares = _shares(value, inputs, text, target)
@@ -261,7 +353,7 @@ class _RouteChecker:
             if item.coupled is not None and share.shape and share.entries.size == item.coupled.k:
                 full, numbers = _with_coupled(share, item, item.coupled), item.coupled.source
             units = units_of(self._scene, item)
-            message = _wrong_shape(full, item) or _wrong_unit(full, item, units)
+            message = _wrong_shape(full, item) or wrong_unit(full.units, units, item.target)
             if message:
                 raise DeclarationError([Problem("", f"{text} {message}")])
             numbers = np.broadcast_to(first + numbers, item.count)
@@ -451,18 +543,6 @@ def _wrong_shape(value: Value, item: Input) -> str:
     if count != item.count:
         return f"has {many}; {item.target} takes {item.meaning}"
     return f"is a 4 x 4 frame; {item.target} takes {item.meaning}" if value.is_frames else ""
-
-
-def _wrong_unit(value: Value, item: Input, taken: Sequence[Dimension]) -> str:
-    """Says which number has another unit than the input takes; empty where all fit."""
-    units = value.units
-    for i, want in enumerate(taken):
-        have = units[i if len(units) > 1 else 0]
-        if any(have) and any(want) and have != want:
-            differ = len({*units}) > 1 or len({*taken}) > 1
-            where = f" at number {i}, counted from 0" if differ else ""
-            return f"is {describe(have)}; {item.target} takes {describe(want)}{where}"
-    return ""
 
 
 def _missing_spaces(name: str, known: Iterable[str]) -> str:

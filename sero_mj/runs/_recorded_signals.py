@@ -13,7 +13,7 @@ import numpy as np
 from ..assemble.double import Double
 from ..assemble.groups import Group
 from ..assemble.robot import SerialRobot
-from ..assemble.scene import Scene, names_in, origin_text
+from ..assemble.scene import Scene, names_in, route_texts
 from ..drive.route import Affine, Origin
 from ..drive.wiring import wire
 from ..errors import RecordingError
@@ -135,7 +135,7 @@ def follow_routes(
     Raises:
         RecordingError: no robot is moved by what was recorded, or a route is wrong.
     """
-    wanted = {name: origin_text(origin) for name, origin in routes.items()}
+    wanted = route_texts(routes)
     lists = {name: [each for each in table["robots"] if each in {*robots, *groups}]
              for name, table in groups.items()
              if isinstance(table, Mapping) and isinstance(table.get("robots"), list)}  # fmt: skip
@@ -185,7 +185,7 @@ def _possible(
 ) -> dict[str, str]:
     """Routes to values of joints from what was recorded, or from each other."""
     inputs = {target for target in routes if target.partition(".")[0] in owners
-              and target.partition(".")[2] in (*_SIGNALS, "joint_accelerations",
+              and target.rpartition(".")[2] in (*_SIGNALS, "joint_accelerations",
                                                "billboard_values")}  # fmt: skip
     left = {target: routes[target] for target in inputs}
     while True:

@@ -1,0 +1,66 @@
+"""A humanoid of 62 joints: two legs, a torso, a neck, two arms with hands of five fingers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.frames import frame, rotation_from_rpy
+
+_AXES = {"x": [0, np.pi / 2, 0], "y": [-np.pi / 2, 0, 0], "z": [0, 0, 0]}
+_LEG = [("hip_yaw", "z", 0.0), ("hip_roll", "x", 0.0), ("hip_pitch", "y", 0.0),
+        ("knee", "y", 0.42), ("ankle_pitch", "y", 0.42), ("ankle_roll", "x", 0.0)]  # fmt: skip
+_ARM = [("shoulder_pitch", "y", 0.0), ("shoulder_roll", "x", 0.04), ("shoulder_yaw", "z", 0.12),
+        ("elbow", "y", 0.18), ("wrist_yaw", "z", 0.14), ("wrist_pitch", "y", 0.13),
+        ("wrist_roll", "x", 0.0)]  # fmt: skip
+_FINGERS = ("thumb", "index", "middle", "ring", "little")
+_EFFORT = {"hip": 200.0, "knee": 200.0, "ankle": 100.0, "torso": 150.0, "shoulder": 60.0,
+           "elbow": 40.0, "wrist": 15.0, "neck": 20.0}  # fmt: skip
+
+
+def humanoid(name: str = "human", *, fingers: bool = True, **fields: Any) -> SerialRobot:
+    """Returns the robot; without fingers it has 32 joints. Its base is the pelvis."""
+    names: list[str] = []
+    parents: list[str] = []
+    frames: list[np.ndarray] = []
+    turned: dict[str, np.ndarray] = {"base": np.eye(3)}  # rotation of every link at zero
+
+    def add(joint: str, on: str, axis: str, at: list[float]) -> str:
+        rotation = rotation_from_rpy(_AXES[axis])
+        names.append(joint)
+        parents.append(on)
+        frames.append(frame(turned[on].T @ rotation, turned[on].T @ np.array(at, float)))
+        turned[joint] = rotation
+        return joint
+
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        on, at = "base", [0.0, 0.1 * sign, -0.08]
+        for joint, axis, down in _LEG:
+            on = add(f"{side}_{joint}", on, axis, [0, 0, -down] if on != "base" else at)
+    on, at = "base", [0.0, 0.0, 0.1]
+    for joint, axis in (("pitch", "y"), ("roll", "x"), ("yaw", "z")):
+        on = add(f"torso_{joint}", on, axis, at if on == "base" else [0, 0, 0.04])
+    chest = on
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        on = chest
+        for joint, axis, down in _ARM:
+            at = [0, 0.18 * sign, 0.3] if on == chest else [0, 0, -down]
+            on = add(f"{side}_{joint}", on, axis, at)
+        palm = on
+        for k, finger in enumerate(_FINGERS if fingers else ()):
+            on, at = palm, [0.03 - 0.02 * k, 0.0, -0.05 if k == 0 else -0.09]
+            for joint in ("base", "middle", "tip"):
+                on = add(f"{side}_{finger}_{joint}", on, "y", at if on == palm else [0, 0, -0.03])
+    on = chest
+    for joint, axis in (("pitch", "y"), ("roll", "x"), ("yaw", "z")):
+        on = add(f"neck_{joint}", on, axis, [0, 0, 0.38] if on == chest else [0, 0, 0.05])
+    effort = [next((value for key, value in _EFFORT.items() if key in joint), 2.0)
+              for joint in names]  # fmt: skip
+    given: dict[str, Any] = {
+        "joint_names": names, "parents": parents, "joint_frames": frames, "torque_limits": effort,
+        "position_limits": [[-2.5, 2.5]] * len(names), "flange_on": "l_wrist_roll",
+        "base_frame": {"xyz": [0.0, 0.0, 1.0]}, "fit_arrows": True,
+    }  # fmt: skip
+    return SerialRobot(name=name, **{**given, **fields})
