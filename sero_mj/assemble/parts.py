@@ -248,6 +248,7 @@ class JointTable:
     Attributes:
         names: joint names, N.
         owner: index in the world's `owners`.
+        limb: number of its limb; each owner has its own.
         of_robot: number of joints of robots; the rest belong to doubles.
         revolute: True for a revolute, False for a prismatic joint.
         centre_site: site at the centre of its arrow and billboard, z along the joint's axis; a
@@ -271,6 +272,7 @@ class JointTable:
 
     names: list[str]
     owner: Ints
+    limb: Ints
     of_robot: int
     revolute: Bools
     centre_site: Ints
@@ -394,6 +396,13 @@ def _joint_table(
         found = [slots.get(f"{name}.{key}") for name in owners]
         return [-1 if s is None else np.arange(s.start, s.stop) for s in found]
 
+    limbs, before = [], 0
+    for robot in robots:
+        found = np.empty(robot.n, np.intp)
+        for number, joints in enumerate(robot.limb_joints.values()):
+            found[joints] = before + number
+        limbs.append(found)
+        before += len(robot.limb_joints)
     is_double = [isinstance(part, DoublePart) for part in parts]
     quantities = [part.declared.arrow_quantity or part.robot.arrow_quantity for part in parts]
     keys = list(dict.fromkeys([*VALUE_INPUTS, *(key for robot in robots for key in robot.inputs)]))
@@ -406,6 +415,7 @@ def _joint_table(
     return JointTable(
         names=[name for robot in robots for name in robot.names],
         owner=gather(range(len(parts)), np.intp),
+        limb=gather(limbs, np.intp),
         of_robot=sum(len(q) for q in qpos),
         revolute=gather([part.kinematics.revolute for part in parts], bool),
         centre_site=sites([f"{p.scope}centre{i + 1}" for p in parts for i in range(p.robot.n)]),

@@ -92,6 +92,7 @@ def _kind(robot: SerialRobot) -> str:
 
 def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     """Lines about a robot: its joints, limbs and dynamics."""
+    from ..assemble.robot_dynamics import robot_dynamics
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
     limbs = robot.limb_joints

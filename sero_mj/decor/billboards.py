@@ -14,10 +14,11 @@ from ..assemble.parts import DoublePart, Owner
 from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..assemble.world_view import WorldView
-from ..frames import Array
+from ..frames import Array, Ints
 from .card_names import card_names, titles
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
+from .layout import LEFT, RIGHT
 from .panels import PANEL_RGBA, panel_sizes
 from .pen import Kind
 from .picture_view import PictureView
@@ -33,6 +34,7 @@ _LABELS = {
     "joint_angles": "pos",
     "billboard_values": "val",
 }
+_CLOSE = 0.01  # of the picture's width, by which a limb is beside the middle of its robot
 _PLAIN_BELOW = 1e6  # above it values are written with an exponent
 # Default unit and decimals of a value, for revolute and for prismatic joints.
 _UNITS = {
@@ -83,6 +85,10 @@ class Billboards(Feature):
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
+        several = [len(part.robot.limb_joints) > 1 for part in parts]
+        self._is_in_limbs = np.array([*several, False], bool)[joints.owner]
+        self._close = 0.0  # how far from its robot's middle a limb has no side, picture widths
+        self._limbs_of_owners = [np.unique(joints.limb[part.joints]) for part in parts]
         self._rank = heights_in_order(_declared_heights(world))
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
@@ -90,8 +96,8 @@ class Billboards(Feature):
     def lay_out(self, frame: Frame) -> None:
         """Adds the billboards that are shown, of joints in the picture.
 
-        Where there is no room for all, `CardLayout` keeps those of joints that were clicked on and
-        of the most loaded ones.
+        Where there are too many, `CardLayout` keeps those of joints and limbs that were clicked on
+        and of the most loaded ones.
         """
         cards = self._cards(frame)
         if cards is not None:
@@ -118,6 +124,7 @@ class Billboards(Feature):
             [line.text(float(values[line.key][i])) for line in of_joint]
             for i, of_joint in zip(index, lines, strict=True)
         ]
+        asked = toggles.details | (toggles.clicked & toggles.billboards)
         # Clear of the round arrows of the joint closest to the camera.
         clear = 2.0 * joints.arrow_radius[index].max() / view.pixel_size(float(depth.min()))
         return Cards(
@@ -127,12 +134,33 @@ class Billboards(Feature):
             sizes=self._sizes(view, lines, texts),
             texts=texts,
             owners=joints.owner[index],
-            side=self._side[index],
+            side=self._sides(frame)[index],
             rank=self._rank[index],
-            share=np.where(toggles.details[index], np.inf, self._shares(frame)[index]),
+            share=np.where(asked[index], np.inf, self._shares(frame)[index]),
             clear=clear,
             rgba=np.where(stale[index, None], _STALE_RGBA, self._rgba[index]),
         )
+
+    def _sides(self, frame: Frame) -> Ints:
+        """Returns the side of every joint's card, (N,), one for a whole limb.
+
+        It is the limb's in the picture; one in the middle stays where it is.
+        """
+        if not self._is_in_limbs.any():
+            return self._side
+        joints, view = self.world.joints, frame.view
+        pixels, depth = view.project(frame.data.site_xpos[joints.centre_site])
+        is_before = depth > view.near
+        counts = np.maximum(np.bincount(joints.limb, is_before), 1.0)
+        across = np.bincount(joints.limb, np.where(is_before, pixels[:, 0], 0.0)) / counts
+        middles = np.zeros(len(counts))
+        for limbs in self._limbs_of_owners:
+            middles[limbs] = np.median(across[limbs])
+        beside = (across - middles)[joints.limb]
+        moved = self._is_in_limbs & (np.abs(beside) >= self._close * view.width)
+        self._close = _CLOSE  # from the first picture on, so that cards do not go to and fro
+        self._side[moved] = np.where(beside[moved] < 0, LEFT, RIGHT)
+        return self._side
 
     def _shares(self, frame: Frame) -> Array:
         """Returns the value of every joint's arrow over that of full width, (N,); 0 without any."""

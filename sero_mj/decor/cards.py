@@ -25,6 +25,8 @@ _Key = tuple[Kind, int]
 _CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
 _LEAST_GAIN = 0.01  # of a line's height: less is noise, and no reason to change places
 _FEWEST = 8  # cards, also where they need several columns
+# Of a robot with more joints only the most loaded have cards, unless they were clicked on.
+_MANY, _MOST_LOADED = 24, 12
 _GAP = 0.3  # between cards, of a line's height
 # A card takes the room of another one only if its share is larger by this factor, and this much.
 _MORE = (1.25, 0.02)
@@ -108,8 +110,9 @@ class CardLayout:
     ) -> tuple[list[Cards], list[Panels], list[Panels]]:
         """Places the cards and draws their leaders.
 
-        Where there is no room for all beside what the robots cover, those with the largest share
-        are shown, but not less than a few, and a note in the corner says how many.
+        Of a robot with many joints those with the largest share are shown, and where there is no
+        room for all beside what the robots cover, but not less than a few; a note in the corner
+        says how many.
 
         Args:
             pen: where to.
@@ -200,7 +203,10 @@ class CardLayout:
         covered: Array,
         corners: list[Panels],
     ) -> tuple[Bools, list[Panels]]:
-        """Returns which cards are shown, (k,), and a note of how many, in a list; none for all."""
+        """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
+
+        The sides of some may be changed.
+        """
         low, high = view.free
         line, (width, height) = view.font.height, high - low
         sizes = np.concatenate([group.sizes for group in groups])
@@ -208,11 +214,13 @@ class CardLayout:
         keys = _keys(groups)
         last = np.array([key in self._chosen for key in keys])
         factor, more = _MORE
+        lasting = np.where(last, factor * share + more, share)
+        wanted = _most_loaded(np.concatenate([group.owners for group in groups]), lasting)
 
         def fitting(corners: list[Panels], distance: float) -> Bools:
-            return with_room(
+            return wanted & with_room(
                 sizes,
-                np.where(last, factor * share + more, share),
+                np.where(wanted, lasting, -1.0),
                 side,
                 _GAP * line,
                 width,
@@ -235,9 +243,16 @@ class CardLayout:
             return kept, []
         if self._chosen:
             kept |= fitting(corners, 0.0) & last
+        left_over = wanted & ~kept
+        if left_over.any() and not wanted.all():  # the other side may have room for them
+            side[left_over] = LEFT + RIGHT - side[left_over]
+            moved = fitting(corners, _NEW_ROOM * line) & left_over
+            side[left_over & ~moved] = LEFT + RIGHT - side[left_over & ~moved]
+            kept |= moved
         kept |= np.isinf(share)
-        missing = max(_FEWEST - int(kept.sum()), 0)
-        kept[np.argsort(np.where(kept, np.inf, -share), kind="stable")[:missing]] = True
+        missing = max(min(_FEWEST, int(wanted.sum())) - int(kept.sum()), 0)
+        left = np.where(kept | ~wanted, np.inf, -share)
+        kept[np.argsort(left, kind="stable")[:missing]] = True
         self._chosen = {key for key, is_kept in zip(keys, kept, strict=True) if is_kept}
         text = _note_text(int((kept & is_load).sum()), int(is_load.sum()))
         return kept, [replace(note, texts=[[text]])]
@@ -282,6 +297,20 @@ class CardLayout:
 
 def _keys(groups: list[Cards]) -> list[_Key]:
     return [(group.kind, int(item)) for group in groups for item in group.items]
+
+
+def _most_loaded(owners: Ints, share: Array) -> Bools:
+    """Returns which cards are wanted, (k,): of each owner with many those with the largest share.
+
+    Those that are always shown, with a share of inf, count among them.
+    """
+    wanted = np.ones(len(owners), bool)
+    for owner in np.unique(owners[owners >= 0]):
+        mine = (owners == owner).nonzero()[0]
+        if len(mine) > _MANY:
+            order = mine[np.argsort(-share[mine], kind="stable")]
+            wanted[order[_MOST_LOADED:]] = np.isinf(share[order[_MOST_LOADED:]])
+    return wanted
 
 
 def _only(groups: list[Cards], kept: Bools) -> list[Cards]:

@@ -47,6 +47,7 @@ class Toggles:
         arrows: arrows of the joints, (N,) bool.
         arrow_quantity: quantity of the arrows, index in `ARROW_QUANTITIES`, (N,).
         billboards: billboards of the joints, (N,) bool.
+        clicked: joints whose billboards are shown before others where not all are, (N,) bool.
         details: whether a joint's billboard has the precise values of its arrow, (N,) bool.
         frame_names: names of the frames, (M,) bool.
         axes: axes of the frames, (M,) bool.
@@ -89,6 +90,7 @@ class Toggles:
         self.arrows = per_joint("show_arrows")
         self.arrow_quantity = world.joints.arrow_quantity.copy()
         self.billboards = per_joint("show_billboards")
+        self.clicked = np.zeros(len(self.arrows), bool)
         self.details = np.zeros(len(self.arrows), bool)
         with_owner = np.array([*(owner.show_axes for owner in declared), False], bool)
         owner = world.frames.owner

@@ -91,9 +91,15 @@ class FoundRobot(SerialRobot):
             raise ValueError(f"found {len(value)} entries; expected {len(rows)}, one per joint")
         return value
 
+    _carriers: Ints | None = PrivateAttr(None)
     _loads: Array | None = PrivateAttr(None)
     _axes: Array | None = PrivateAttr(None)
     _full_widths: Array | None = PrivateAttr(None)
+
+    @property
+    def carriers(self) -> Ints | None:
+        """Index of the frame that carries each joint, (n,), 0 for the base."""
+        return self._carriers
 
     @property
     def arrow_loads(self) -> Array:
@@ -238,6 +244,7 @@ def _found_robot(
         torques=np.zeros(n),  # provided by the model; billboards have to show it
         **fields,
     )
+    robot._carriers = tree.carriers(model)
     if "arrow_width_scale" not in overrides:
         robot._loads = sizes.load / sizes.full_width
         robot._full_widths = sizes.full_width

@@ -59,6 +59,21 @@ class Tree:
     chain: Ints
     last: int
 
+    def carriers(self, model: mujoco.MjModel) -> Ints:
+        """Returns for each joint the number, from 1, of the one whose link carries it, (n,).
+
+        It is 0 for a joint on the root.
+        """
+        last = {0: 0}  # joint of a body, the last of several
+        found = np.zeros(len(self.joints), np.intp)
+        for i, body in enumerate(model.jnt_bodyid[self.joints].tolist()):
+            above = body
+            while above not in last:
+                above = int(model.body_parentid[above])
+            found[i] = last[above]
+            last[body] = i + 1
+        return found
+
 
 def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree]:
     """Returns the robots of a model, in the order of their bodies.

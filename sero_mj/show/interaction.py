@@ -17,6 +17,7 @@ from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
+from ..frames import Ints
 from .input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME
 from .picking import Picked, Pixel
 
@@ -41,6 +42,14 @@ def _frames(world: WorldView, picked: Picked) -> Any:
     return world.frames.owner == list(world.owners).index(picked.owner)
 
 
+def _limb(world: WorldView, picked: Picked) -> Ints:
+    """Returns the joints of the limb of an item, of a robot that branches, else its joint."""
+    limb, owner = world.joints.limb, world.joints.owner
+    mine = limb == limb[picked.index]
+    branches = (owner[~mine] == owner[picked.index]).any()
+    return mine.nonzero()[0] if branches else np.array([picked.index])
+
+
 def _everything(world: WorldView, picked: Picked) -> slice:
     return slice(None)
 
@@ -63,6 +72,13 @@ def _hide(fields: tuple[str, ...], rows: Rows = _item) -> Action:
     return act
 
 
+def _flip_limb(world: WorldView, toggles: Toggles, picked: Picked) -> None:
+    """Shows the billboards of a limb before others, or hides them where they are."""
+    rows = _limb(world, picked)
+    show = not (toggles.billboards[rows].all() and (len(rows) == 1 or toggles.clicked[rows].all()))
+    toggles.billboards[rows] = toggles.clicked[rows] = show
+
+
 def _next_quantity_here(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     following = toggles.arrow_quantity[picked.index] + 1
     toggles.arrow_quantity[_joints(world, picked)] = following % len(ARROW_QUANTITIES)
@@ -79,7 +95,7 @@ def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None:
 _BILLBOARD = ("billboards", "details")
 # Description and action by gesture and kind of item, for all hosts.
 CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
-    ("click", "link"): ("its joint's billboard on or off", _flip("billboards")),
+    ("click", "link"): ("billboard of its joint, or its limb, on or off", _flip_limb),
     ("shift", "link"): ("all billboards of the robot on or off", _flip("billboards", _joints)),
     ("double", "link"): ("all axes of the robot on or off", _flip("axes", _frames)),
     ("click", "billboard"): ("hides it", _hide(_BILLBOARD)),

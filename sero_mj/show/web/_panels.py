@@ -10,6 +10,7 @@ import numpy as np
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 
+from ...assemble.parts import Owner
 from ...assemble.robot_parts import ARROW_QUANTITIES
 from ...assemble.world_view import WorldView
 from ...decor.quantities import QUANTITY_NAMES
@@ -107,7 +108,7 @@ class RobotPanel:
         owners = self._owners_in(name)
         self._switches(owners)
         if name in self._world.owners and imgui.TreeNode("joints"):
-            self._joints(self._world.owners[name].joints)
+            self._limbs(self._world.owners[name])
             imgui.TreePop()
         self._sizes(owners)
         for member in self._members.get(name, []):
@@ -157,11 +158,28 @@ class RobotPanel:
                     self._scale(words, array, rows[which], declared)
             imgui.TreePop()
 
-    def _joints(self, joints: slice) -> None:
-        """Builds the toggles of arrow and billboard of every joint."""
-        if not imgui.BeginTable("##joints", 3):
+    def _limbs(self, owner: Owner) -> None:
+        """Builds the toggles of all joints, in a tree of the limbs of a robot that branches."""
+        limbs = owner.robot.limb_joints
+        rows = {limb: owner.joints.start + np.array(joints) for limb, joints in limbs.items()}
+        if len(rows) == 1:
+            self._joints(*rows.values())
             return
-        for joint in range(joints.start, joints.stop):
+        for limb, joints in rows.items():
+            if len(joints) == 1:
+                self._joints(joints)
+            elif imgui.TreeNode(limb):
+                self._check(f"arrows##{limb}", self._toggles.arrows, joints)
+                imgui.SameLine(_SLIDER)
+                self._check(f"billboards##{limb}", self._toggles.billboards, joints)
+                self._joints(joints)
+                imgui.TreePop()
+
+    def _joints(self, joints: Ints) -> None:
+        """Builds the toggles of arrow and billboard of joints."""
+        if not imgui.BeginTable(f"##joints{joints[0]}", 3):
+            return
+        for joint in joints.tolist():
             row = slice(joint, joint + 1)
             imgui.TableNextRow()
             imgui.TableNextColumn()

@@ -1,0 +1,167 @@
+"""Robots with many joints: which of them have cards, on which side, and what a click shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from decor_tools import toggles_of, view_at
+from humanoid import humanoid
+
+import sero_mj
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.panels import Panels
+from sero_mj.drive.place import follow
+from sero_mj.show.interaction import click
+from sero_mj.show.picking import Picked
+
+SIZES = [(1280, 800), (640, 480)]
+
+
+@pytest.fixture
+def world() -> World:
+    return World(Scene(robots=[humanoid(show_billboards=True, show_arrows=True)], floor=False))
+
+
+def loaded(world: World, shares: np.ndarray) -> mujoco.MjData:
+    data = world.make_data()
+    world.set_input(data, "human.torques", shares * world.robots["human"].robot.torque_limits)
+    follow(world.model, data)
+    return data
+
+
+def cards_of(decor: Decor) -> Panels:
+    (cards,) = (panels for panels in decor.panels if panels.has_values)
+    return cards
+
+
+def on_link(world: World, joint: str) -> Picked:
+    index = world.joints.names.index(joint)
+    return Picked("link", f"human/link{index + 1}", "human", index, 1.0)
+
+
+def rows_of(world: World, limb: str) -> list[int]:
+    return world.robots["human"].robot.limb_joints[limb]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_cards_are_of_the_joints_with_the_largest_shares(
+    world: World, size: tuple[int, int]
+) -> None:
+    shares = np.random.default_rng(2).permutation(np.linspace(-0.9, 0.9, 62))
+    data, toggles, decor = loaded(world, shares), toggles_of(world), Decor(world)
+    view = view_at(distance=4.0, width=size[0], height=size[1])
+    decor.draw(data, toggles, view)
+    cards = cards_of(decor)
+    most, count = set(np.argsort(-np.abs(shares))[:12].tolist()), len(cards.texts)
+    assert set(cards.items.tolist()) <= most
+    assert count == 12 if size == SIZES[0] else 8 <= count <= 12  # as many as there is room for
+    notes = [line for panels in decor.panels for lines in panels.texts for line in lines]
+    assert b"cards: %d of 62 joints, the most loaded" % count in notes
+    low, high = cards.centres - cards.sizes / 2, cards.centres + cards.sizes / 2
+    apart = ((high[:, None] <= low + 1e-6) | (low[:, None] >= high - 1e-6)).any(axis=2)
+    assert (apart | np.eye(count, dtype=bool)).all()
+    assert (low >= 0).all() and (high <= size).all()
+    assert toggles.arrows.sum() == world.robots["human"].robot.n
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_click_shows_the_limb_before_others_and_a_second_one_hides_it(
+    world: World, size: tuple[int, int]
+) -> None:
+    shares = np.linspace(0.9, 0.1, 62)  # the legs have the most
+    data, toggles, decor = loaded(world, shares), toggles_of(world), Decor(world)
+    view = view_at(distance=4.0, width=size[0], height=size[1])
+    click(world, toggles, on_link(world, "l_elbow"))
+    decor.draw(data, toggles, view)
+    arm = rows_of(world, "l_arm")
+    shown = set(cards_of(decor).items.tolist())
+    assert {*arm} <= shown <= {*arm, 0, 1, 2, 3, 4}
+    assert len(shown) == 12 or size == SIZES[1]
+    click(world, toggles, on_link(world, "l_elbow"))
+    decor.draw(data, toggles, view)
+    shown = set(cards_of(decor).items.tolist())
+    assert not shown & {*arm} and len(shown) >= 8
+
+
+def test_a_click_alone_shows_all_of_a_limb_on_one_side(world: World) -> None:
+    data, toggles, decor = loaded(world, np.full(62, 0.1)), toggles_of(world), Decor(world)
+    toggles.billboards[:] = False
+    click(world, toggles, on_link(world, "r_knee"))
+    legs = {}
+    for azimuth in (0.0, np.pi):  # seen from behind, and from in front
+        view = view_at(azimuth, distance=3.0)
+        decor.draw(data, toggles, view)
+        cards = cards_of(decor)
+        assert cards.items.tolist() == rows_of(world, "r_leg")
+        sides = cards.centres[:, 0] < view.width / 2
+        assert sides.all() or not sides.any()
+        legs[azimuth] = bool(sides[0])
+    assert legs == {0.0: False, np.pi: True}
+
+
+def test_serial_robots_show_the_joint_that_was_clicked() -> None:
+    world = World(Scene(robots=[sero_mj.SerialRobot.from_model("lwr")], floor=False))
+    toggles = toggles_of(world)
+    click(world, toggles, Picked("link", "lwr/link3", "lwr", 2, 1.0))
+    assert toggles.billboards.nonzero()[0].tolist() == [2]
+    click(world, toggles, Picked("link", "lwr/link3", "lwr", 2, 1.0))
+    assert not toggles.billboards.any()
+
+
+def test_robots_in_models_of_others_have_the_same_limbs() -> None:
+    robot = humanoid()
+    own = World(Scene(robots=[robot], floor=False), dynamic=True)
+    overlay = sero_mj.overlay(own.model)
+    (part,) = overlay.world.robots.values()
+    found = {
+        tuple(part.robot.names[i].rpartition("/")[2] for i in joints)
+        for joints in part.robot.limb_joints.values()
+    }
+    names = [*robot.limb_joints.values()]
+    assert found == {tuple(robot.names[i] for i in joints) for joints in names}
+
+
+def test_a_panel_lists_limbs_as_foldable_groups(monkeypatch: Any, world: World) -> None:
+    pytest.importorskip("mujoco.studio")
+    from sero_mj.show.web import _panels
+
+    class Imgui:
+        """Opens every node, and clicks on what is called so."""
+
+        def __init__(self, pressed: str = "") -> None:
+            self.pressed, self.nodes, self.rows = pressed, list[str](), list[str]()
+
+        def TreeNode(self, name: str) -> bool:
+            self.nodes.append(name)
+            return True
+
+        def TextUnformatted(self, name: str) -> None:
+            self.rows.append(name)
+
+        def Checkbox(self, words: str, on: bool) -> tuple[bool, bool]:
+            return (True, not on) if words == self.pressed else (False, on)
+
+        def Combo(self, words: str, now: int, names: list[str]) -> tuple[bool, int]:
+            return False, now
+
+        def SliderFloat(self, words: str, now: float, *rest: Any) -> tuple[bool, float]:
+            return False, now
+
+        def __getattr__(self, name: str) -> Any:
+            return lambda *arguments: name not in ("Button",)
+
+    toggles = toggles_of(world)
+    panel = _panels.RobotPanel(world, toggles)
+    imgui = Imgui("billboards##l_arm")
+    monkeypatch.setattr(_panels, "imgui", imgui)
+    panel.build()
+    limbs = world.robots["human"].robot.limb_joints
+    assert imgui.nodes == ["joints", *limbs, "sizes"]
+    assert imgui.rows == [world.joints.names[i] for joints in limbs.values() for i in joints]
+    hidden = np.flatnonzero(~toggles.billboards)
+    assert hidden.tolist() == limbs["l_arm"]
