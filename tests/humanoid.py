@@ -20,6 +20,21 @@ _EFFORT = {"hip": 200.0, "knee": 200.0, "ankle": 100.0, "torso": 150.0, "shoulde
            "elbow": 40.0, "wrist": 15.0, "neck": 20.0}  # fmt: skip
 
 
+_RADII = {"hip": 0.05, "knee": 0.045, "ankle": 0.045, "torso": 0.06, "shoulder": 0.04,
+          "elbow": 0.035, "wrist": 0.03, "neck": 0.04}  # fmt: skip
+
+
+def _capsule(end: np.ndarray, radius: float) -> dict[str, Any]:
+    """From the origin of a link to where it carries another one."""
+    length = float(np.linalg.norm(end))
+    z = end / length
+    x = np.cross([0.3, 1.0, 0.2], z)
+    x /= np.linalg.norm(x)
+    turn = np.stack([x, np.cross(z, x), z], axis=1)
+    return {"shape": "capsule", "size": [radius, length], "color": "grey",
+            "frame": frame(turn, end / 2)}  # fmt: skip
+
+
 def humanoid(name: str = "human", *, fingers: bool = True, **fields: Any) -> SerialRobot:
     """Returns the robot; without fingers it has 32 joints. Its base is the pelvis."""
     names: list[str] = []
@@ -56,11 +71,23 @@ def humanoid(name: str = "human", *, fingers: bool = True, **fields: Any) -> Ser
     on = chest
     for joint, axis in (("pitch", "y"), ("roll", "x"), ("yaw", "z")):
         on = add(f"neck_{joint}", on, axis, [0, 0, 0.38] if on == chest else [0, 0, 0.05])
+    shapes: list[list[dict[str, Any]]] = [
+        [{"shape": "box", "size": [0.12, 0.22, 0.14], "color": "grey"}]
+    ]
+    for joint in names:
+        ends = [frames[k][:3, 3] for k, parent in enumerate(parents) if parent == joint]
+        thick = next((radius for word, radius in _RADII.items() if word in joint), 0.008)
+        tips = [[0.0, 0.0, -0.025]] if not ends and thick < 0.01 else []
+        ends += [turned[joint].T @ tip for tip in tips]
+        shapes.append([_capsule(end, thick) for end in ends if np.linalg.norm(end) > 0.01])
+        if not shapes[-1]:
+            shapes[-1] = [{"shape": "sphere", "size": [1.3 * thick], "color": "dark"}]
     effort = [next((value for key, value in _EFFORT.items() if key in joint), 2.0)
               for joint in names]  # fmt: skip
     given: dict[str, Any] = {
         "joint_names": names, "parents": parents, "joint_frames": frames, "torque_limits": effort,
         "position_limits": [[-2.5, 2.5]] * len(names), "flange_on": "l_wrist_roll",
-        "base_frame": {"xyz": [0.0, 0.0, 1.0]}, "fit_arrows": True,
+        "base_frame": {"xyz": [0.0, 0.0, 1.0]}, "fit_arrows": True, "filenames": shapes,
+        "colors": {"grey": [0.75, 0.77, 0.8, 1.0], "dark": [0.25, 0.27, 0.3, 1.0]},
     }  # fmt: skip
     return SerialRobot(name=name, **{**given, **fields})

@@ -115,7 +115,7 @@ class RobotModel:
         self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
         self._mounting: Mounting | None = None
-        self._loads: list[tuple[Array, Array]] = []
+        self._loads: list[tuple[Array, Array, Array]] = []
         self._of_base: list[tuple[Array, Array, Array, Array]] = []
 
     @property
@@ -138,10 +138,12 @@ class RobotModel:
             mju_mulQuat(quat, turn, model.body_quat[body])
             position = inverse_base[:3, :3] @ model.body_pos[body] + inverse_base[:3, 3]
             self._of_base.append((model.body_pos[body], model.body_quat[body], position, quat))
+        bodies = [(int(model.jnt_bodyid[link - 1]), load) for link, load in mounting.loads
+                  if link > 0]  # the base's load is held by what the base stands on  # fmt: skip
+        # A base with several branches is as many trees, each about a centre of its own.
         self._loads = [
-            (self._data.cinert[model.jnt_bodyid[link - 1]], load)
-            for link, load in mounting.loads
-            if link > 0  # the base's load is held by what the base stands on
+            (self._data.cinert[body], load, self._data.subtree_com[model.body_rootid[body]])
+            for body, load in bodies
         ]
         self._mounting = mounting
 
@@ -159,8 +161,8 @@ class RobotModel:
         the point adds (m d.d - 2 h.d) E + h d^T + d h^T - m d d^T to the tensor and -m d to the
         first moment h.
         """
-        x, y, z = (self._data.subtree_com[1] - mounting.about).tolist()
-        for inertia, load in self._loads:
+        for inertia, load, about in self._loads:
+            x, y, z = (about - mounting.about).tolist()
             xx, yy, zz, xy, xz, yz, hx, hy, hz, m = load.tolist()
             round_ = m * (x * x + y * y + z * z) - 2.0 * (hx * x + hy * y + hz * z)
             inertia[:] += (

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _MAX_RATE = 240.0  # rows per second; more than any film shows
 _GREEN = np.array([0.10, 0.62, 0.30, 0.42])
+# Of robots with more joints tables show those that differ most; files have all.
+MANY_JOINTS, MOST_SHOWN = 24, 12
 _IN_TABLE = ("joint_angles", "torques")  # where there are such; the rest is in the JSON
 
 
@@ -100,6 +102,23 @@ def _difference(joint: str, signal: str, unit: str, times: Array, values: Array)
     return Difference(joint, signal, unit, float(values[row]), float(times[row]), rms(values))
 
 
+def differ_most(pair: Pair) -> list[str]:
+    """Names of the joints to be shown: of many those that differ most, in their order.
+
+    They differ by the peak of their torques as a share of the limit, else of their angles.
+    """
+    names = pair.robot.names
+    if len(names) <= MANY_JOINTS:
+        return names
+    signal = "torques" if "torques" in pair.signals else "joint_angles"
+    if signal not in pair.signals:
+        return names[:MOST_SHOWN]
+    peaks = np.nan_to_num(np.abs(pair.difference(signal))).max(axis=0, initial=0.0)
+    limits = pair.robot.torque_bounds if signal == "torques" else np.ones(len(names))
+    shares = peaks / np.where(np.isfinite(limits), limits, max(peaks.max(), 1e-9))
+    return [names[k] for k in np.sort(np.argsort(-shares, kind="stable")[:MOST_SHOWN])]
+
+
 def exceeded(
     differences: Sequence[Difference], *, torque: float | None = None, angle: float | None = None
 ) -> list[Exceeded]:
@@ -149,7 +168,7 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     span = f"{pair.times[0]:.3f} s to {pair.times[-1]:.3f} s"
     title = f"{pair.names[0]} less {pair.names[1]}: {pair.robot.name}, {span}"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
-                  min_width=len(title))  # fmt: skip
+                  min_width=len(title), caption_justify="left")  # fmt: skip
     table.add_column("joint", no_wrap=True)
     shown = [signal for signal in _IN_TABLE if signal in pair.signals] or pair.signals
     if pair.has_one_motion:
@@ -160,7 +179,10 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
         table.add_column(f"{signal.replace('_', ' ')}\nrms{unit}", justify="right")
         table.add_column(f"peak{unit}", justify="right")
         table.add_column("at, s", justify="right")
-    for joint in pair.robot.names:
+    joints = differ_most(pair)
+    if len(joints) < pair.robot.n:
+        table.caption = f"{len(joints)} of {pair.robot.n} joints, those that differ most"
+    for joint in joints:
         cells = [joint]
         for each in differences:
             if each.joint == joint and each.signal in shown:
@@ -184,7 +206,9 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
     table.add_column("when")
     table.add_column("sure", justify="right")
     told: list[Explanation] = []
-    for joint in pair.robot.names:
+    explained = {joint for each in explanations for joint in each.joints}
+    shown = {*explained, *differ_most(pair)}
+    for joint in [name for name in pair.robot.names if name in shown]:
         name = joint
         for each in explanations:
             if joint in each.joints:

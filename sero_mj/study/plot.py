@@ -13,7 +13,7 @@ from ..errors import UsageError, did_you_mean
 from ..frames import Array
 from ..runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
-from .compare import one_unit, unit_of
+from .compare import differ_most, one_unit, unit_of
 from .explanation import Explanation
 from .figure import (
     BLUE,
@@ -341,7 +341,7 @@ def plot_pair(
     Args:
         pair: the runs on one clock.
         path: where to: .png (300 dpi), .pdf or .svg.
-        joints: their names; all when None.
+        joints: their names; when None all, or of many those that differ most.
         explanations: of the differences; marked where they begin.
         size_mm: width and height; the width of A4 when None.
 
@@ -355,7 +355,8 @@ def plot_pair(
         if joint not in names:
             near = did_you_mean(joint, names)
             raise UsageError(f"no joint '{joint}' of {pair.robot.name}{near}")
-    chosen = [k for k, joint in enumerate(names) if joints is None or joint in joints]
+    shown = differ_most(pair) if joints is None else joints
+    chosen = [k for k, joint in enumerate(names) if joint in shown]
     main = "torques" if "torques" in pair.signals else "joint_angles"
     units = dict.fromkeys(_shown(main, pair.robot.types[k])[1] for k in chosen)
     angles = dict.fromkeys(_shown("joint_angles", pair.robot.types[k])[1] for k in chosen)
@@ -372,7 +373,7 @@ def plot_pair(
             [(names[k], _beneath_pair(pair, k)) for k in chosen],
             columns,
             title=f"{pair.names[0]} − {pair.names[1]}",
-            subtitle=_about_pair(pair),
+            subtitle=_about_pair(pair) + _left_out(len(chosen), len(names)),
             times=(float(pair.times[0]), float(pair.times[-1])),
             size_mm=size_mm,
         )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..frames import Array
 from ..runs.run_log import RunLog, torque_error
-from .compare import shown_as, unit_of
+from .compare import MANY_JOINTS, MOST_SHOWN, shown_as, unit_of
 from .reduction import peak, rms
 
 if TYPE_CHECKING:
@@ -107,13 +107,19 @@ def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
 
 
 def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
-    """A table for the terminal; angles in degrees. Empty columns are left out."""
+    """A table for the terminal; angles in degrees. Empty columns are left out.
+
+    Of a robot with many joints those with the largest shares of their limits are shown.
+    """
     from rich import box
     from rich.table import Table
 
+    count = len(rows)
+    rows = _most_loaded(rows)
     several = len({row.robot for row in rows}) > 1
     table = Table(title=title or None, title_justify="left", title_style="bold",
-                  box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))  # fmt: skip
+                  box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1),
+                  caption_justify="left")  # fmt: skip
     table.add_column("joint", no_wrap=True)
     columns = [(heading, [cell(row) for row in rows]) for heading, cell in _COLUMNS]
     columns = [_with_unit_above(*column) for column in columns if any(column[1])]
@@ -122,7 +128,20 @@ def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
     for i, row in enumerate(rows):
         name = f"{row.robot}/{row.joint}" if several else row.joint
         table.add_row(name, *(cells[i] or "-" for _, cells in columns))
+    if len(rows) < count:
+        table.caption = f"{len(rows)} of {count} joints, the most loaded; --json has all"
     return table
+
+
+def _most_loaded(rows: Sequence[JointSummary]) -> list[JointSummary]:
+    """Returns the rows without the less loaded joints of robots that have many."""
+    kept: set[int] = set()
+    for robot in {row.robot for row in rows}:
+        mine = [i for i, row in enumerate(rows) if row.robot == robot]
+        if len(mine) > MANY_JOINTS:
+            mine = sorted(mine, key=lambda i: -(rows[i].peak_share or 0.0))[:MOST_SHOWN]
+        kept.update(mine)
+    return [rows[i] for i in sorted(kept)]
 
 
 def _signed_peak(values: Array) -> float | None:
