@@ -162,7 +162,7 @@ WRONG = {
         "s.toml:7: lights: found 4; expected a table [lights]",
     ],
     "\nfloor = 'no'\nname = 3\nobject = 1": [
-        "s.toml:2: floor: found 'no'; expected true or false",
+        "s.toml:2: floor: found 'no'; expected true, false or 'below'",
         "s.toml:3: name: found 3; expected a text",
         "s.toml:4: object: unknown section; did you mean 'objects'?",
     ],

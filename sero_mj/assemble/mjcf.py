@@ -120,14 +120,12 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
         base.mocap = dynamics is None or not robot.free_base
         if dynamics is not None and robot.free_base:
             base.add_freejoint(name=f"{robot.name}/free_base")
-            set_inertia(base, dynamics, 0)
     else:
         at = root.site(_mount_site(robot.mount))
         T_body_mount = frames.frame(frames.rotation_from_quat(at.quat), at.pos)
         base = _attach(root, at.parent, piece, robot.name, T_body_mount @ robot.base_frame)
-        if dynamics is not None:
-            set_inertia(base, dynamics, 0)
     if dynamics is not None:
+        set_inertia(base, dynamics, 0)
         exclude_neighbours(root, robot)
 
 

@@ -20,6 +20,11 @@ from ..frames import MIRROR, Array, Ints, frame, inverse, rotation_from_quat
 from .mjcf_elements import MESH, pose
 from .robot import SerialRobot
 
+TOUCHING = "touching-"  # before the names of what collides
+_CONVEX, _SHELL = (
+    mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+    mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+)
 _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _HFIELD, _SDF = int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_SDF)
 _CONTACT = (
@@ -89,7 +94,7 @@ def touching_links(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[dict[st
     links: list[list[dict[str, Any]]] = [[] for _ in tree.poses]
     for geom in geoms[touches].tolist():
         contact = {key: getattr(model, f"geom_{key}")[geom] for key in _CONTACT}
-        _add(links, root, robot, tree, geom, contact, "touching-", 1.0)
+        _add(links, root, robot, tree, geom, contact, TOUCHING, 1.0)
     return links
 
 
@@ -171,7 +176,8 @@ def _mesh(
     root.add_mesh(
         name=name,
         scale=shrink * mirror,
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+        # What is only seen may be flat, and has no hull.
+        inertia=_CONVEX if scope == TOUCHING else _SHELL,
         **arrays,
     )
     return name

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -84,7 +84,8 @@ class Scene:
         objects: fixed objects.
         cameras: by name.
         lights: by name; one that casts shadows when empty, in addition to a headlight.
-        floor: whether there is a floor.
+        floor: whether there is a floor, at z = 0; `below`: it is as low as the robots reach where
+            they are declared, if that is lower.
         view: the default view.
         toggles: initial toggles of the whole scene.
         description: one line about it, for `sero-mj list` and `check`.
@@ -111,7 +112,7 @@ class Scene:
         objects: list[Object] | None = None,
         cameras: Mapping[str, Camera] | None = None,
         lights: Mapping[str, Light] | None = None,
-        floor: bool = True,
+        floor: bool | Literal["below"] = True,
         view: View | None = None,
         toggles: SceneToggles | None = None,
         description: str = "",
@@ -135,6 +136,7 @@ class Scene:
             *_not_of_type(object, Mapping, sources=sources, routes=routes),
             *_not_of_type(View, None, view=view),
             *_not_of_type(SceneToggles, None, toggles=toggles),
+            *_floor_problems(floor),
         ]
         if problems:
             raise DeclarationError(problems)
@@ -460,6 +462,12 @@ def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
     each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
     fewer = f", or {free} without the coupled joints" if free < total else ""
     return f"found {found} joints; expected {total}: {each}{fewer}"
+
+
+def _floor_problems(floor: Any) -> list[Problem]:
+    if floor in (True, False, "below"):
+        return []
+    return [Problem("floor", f"found {floor!r}; expected true, false or 'below'")]
 
 
 def _not_of_type(

@@ -161,7 +161,7 @@ class _Reader:
             "lights": lambda: self._each("lights", _nameless(Light)),
             "view": lambda: View(**self._table("view")),
             "toggles": lambda: SceneToggles(**self._table("toggles")),
-            "floor": lambda: self._typed("floor", bool, "true or false"),
+            "floor": self._floor,
             "name": lambda: self._typed("name", str, "a text"),
             "description": lambda: self._typed("description", str, "a text"),
             "note": lambda: self._typed("note", str, "a text"),
@@ -362,6 +362,12 @@ class _Reader:
                 if place in self.expanded.declared:
                     return Problem(f"{name}.{problem.key}", problem.message)
         return None
+
+    def _floor(self) -> Any:
+        value = self.tables["floor"]
+        if value in (True, False, "below"):
+            return value
+        return self._typed("floor", bool, "true, false or 'below'")
 
     def _typed(self, key: str, kind: type[T], expected: str) -> T | None:
         value = self.tables[key]

@@ -32,6 +32,7 @@ from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
+from .solids import geom_boxes
 from .world_view import WorldView
 
 log = logging.getLogger(__name__)
@@ -91,7 +92,10 @@ class World(WorldView):
             self._measure_without_doubles()
             # Doubles cast no shadow; the shadow map costs as much as the picture.
             self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
-        self.robots = self._with_sizes(self._find_robots())
+        self.robots = self._find_robots()
+        self._measure_arrows()
+        if scene.floor == "below":
+            self._lower_floor()
         free = [item.name for item in scene.objects if dynamic and item.is_free]
         bodies = map(self._free, self._bodies([moved_body(name) for name in free]))
         self.free_objects = dict(zip(free, bodies, strict=True))
@@ -266,21 +270,32 @@ class World(WorldView):
             start += robot.n
         return parts
 
-    def _with_sizes(self, robots: dict[str, RobotPart]) -> dict[str, RobotPart]:
-        """Returns the parts with arrows that fit the links, of the robots that want these."""
-        fitted = {n: p for n, p in robots.items() if p.robot.fit_arrows}
-        if not fitted:
-            return robots
+    def _lower_floor(self) -> None:
+        """Moves the floor to the lowest point of what is declared, if that is lower."""
+        data, seen = self._at_home(), self.geoms_in_view()
+        low = float(geom_boxes(self.model, data)[0][seen, 2].min()) if seen.any() else 0.0
+        floor = self.model.geom("floor").id
+        height = min(low, 0.0)
+        self.model.geom_pos[floor, 2] = self._spec.geom("floor").pos[2] = height
+        self.model.geom_sameframe[floor] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
+
+    def _at_home(self) -> mujoco.MjData:
+        """Returns the model's state with all robots as declared, after `mj_fwdPosition`."""
         data = mujoco.MjData(self.model)
-        for part in robots.values():
+        for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
         mujoco.mj_fwdPosition(self.model, data)
-        none = np.zeros(0, np.intp)
+        return data
+
+    def _measure_arrows(self) -> None:
+        """Measures the arrows of the robots that want ones that fit their links."""
+        fitted = {n: part for n, part in self.robots.items() if part.robot.fit_arrows}
+        data = self._at_home() if fitted else None
         for name, part in fitted.items():
             joints = self.model.dof_jntid[part.dofs].astype(np.intp)
-            seen = Seen(np.unique([*part.bodies, part.flange_body]), joints, none)
-            robots[name] = replace(part, sizes=measure(self.model, data, seen))
-        return robots
+            bodies = np.unique([*part.bodies, part.flange_body])
+            seen = Seen(bodies, joints, np.zeros(0, np.intp))
+            self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
 
     def _free(self, base: int) -> Ints:
         """Returns the indices in `qpos` of the free joint of a body; empty where it has none."""

@@ -178,7 +178,7 @@ def _scene_sections(definitions: _Definitions) -> dict[str, Schema]:
         "name": _TEXT,
         "description": _TEXT,
         "note": {**_TEXT, "description": "about its data, shown with the legend"},
-        "floor": {"type": "boolean"},
+        "floor": {"enum": [True, False, "below"]},
         "robots": group["robots"],
         "groups": group["groups"],
         "sources": _each(definitions.of_kind(_sources()), "sources"),

@@ -279,7 +279,7 @@ class Scenario:
     @property
     def has_surroundings(self) -> bool:
         """Whether there is something that robots can touch: objects, a floor, each other."""
-        return bool(self.obstacles) or self.scene.floor or len(self.scene.robots) > 1
+        return bool(self.obstacles or self.scene.floor) or len(self.scene.robots) > 1
 
     @property
     def amplifies(self) -> bool:
