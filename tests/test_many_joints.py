@@ -18,6 +18,13 @@ from sero_mj.decor.panels import Panels
 from sero_mj.drive.place import follow
 from sero_mj.show.interaction import click
 from sero_mj.show.picking import Picked
+from sero_mj.simulate.scenario import Scenario
+from sero_mj.simulate.simulation import Simulation
+from sero_mj.study.align import align
+from sero_mj.study.compare import as_table as pair_table
+from sero_mj.study.compare import compare
+from sero_mj.study.summary import as_table as summary_table
+from sero_mj.study.summary import summarise
 
 SIZES = [(1280, 800), (640, 480)]
 
@@ -165,3 +172,34 @@ def test_a_panel_lists_limbs_as_foldable_groups(monkeypatch: Any, world: World) 
     assert imgui.rows == [world.joints.names[i] for joints in limbs.values() for i in joints]
     hidden = np.flatnonzero(~toggles.billboards)
     assert hidden.tolist() == limbs["l_arm"]
+
+
+def test_tables_show_the_joints_that_matter_and_files_all() -> None:
+    robot = humanoid("body", show_arrows=True)
+    logs = []
+    for stiffness in (30.0, 60.0):
+        hold = {"kind": "joint_impedance", "stiffness": stiffness, "damping": 0.7}
+        law = {"kind": "sine", "amplitude_deg": 5, "frequency": 2.0, "ramp": 0.0}
+        scenario = Scenario(
+            Scene(robots=[robot], floor=False), controllers={"body": hold}, targets={"body": law},
+            duration=0.1,
+        )  # fmt: skip
+        simulation = Simulation(scenario)
+        simulation.advance(simulation.steps)
+        logs.append(simulation.log)
+    rows = summarise(logs[0])
+    table = summary_table(rows)
+    assert len(rows) == 62 and table.row_count == 12
+    assert table.caption == "12 of 62 joints, the most loaded; --json has all"
+    shares = sorted((row.peak_share or 0.0 for row in rows), reverse=True)[:12]
+    shown = {row.joint: row.peak_share for row in rows}
+    assert min(shown[name] for name in table.columns[0].cells) == shares[-1]
+    pair = align(*logs, "body", 0.0)
+    differences = compare(pair)
+    assert len({each.joint for each in differences}) == 62
+    table = pair_table(pair, differences)
+    assert table.row_count == 12
+    assert table.caption == "12 of 62 joints, those that differ most"
+    peaks = np.abs(pair.difference("torques")).max(axis=0) / robot.torque_limits
+    most = {robot.names[k] for k in np.argsort(-peaks)[:12]}
+    assert set(table.columns[0].cells) == most

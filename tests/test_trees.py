@@ -13,7 +13,7 @@ from test_joint_tree import tree_robot, values_of
 
 from sero_mj import Plant, Scene, SerialRobot, World
 from sero_mj.assemble.double import Double
-from sero_mj.assemble.mounts import base_frames
+from sero_mj.assemble.mounts import base_frames, unmounted
 from sero_mj.assemble.robot_dynamics import RobotDynamics, robot_dynamics
 from sero_mj.control.robot_model import RobotModel
 from sero_mj.decor.draw import Decor
@@ -127,6 +127,25 @@ def test_what_a_tree_carries_on_any_branch_is_a_load_to_its_controller() -> None
     model = simulation.robot_model(robots[0])
     model.update(q[:n], np.zeros(n))
     np.testing.assert_allclose(model.gravity(), slope, atol=1e-6)
+
+
+def test_a_controller_of_a_tree_knows_how_its_free_base_leans() -> None:
+    robot = humanoid("body", fingers=False, free_base=True)
+    simulation = Simulation(Scenario(Scene(robots=[robot], floor=False), duration=0.1))
+    plant, whole = simulation.plant, simulation.whole_body
+    assert whole is not None
+    leaning = frame(rotation_from_rpy(np.array([0.6, 0.3, 0.2])), np.array([0.1, 0.0, 1.5]))
+    free = plant.world.robots["body"].free
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, leaning[:3, :3].ravel())
+    plant.data.qpos[free] = [*leaning[:3, 3], *quat]
+    q = np.random.default_rng(6).uniform(-0.7, 0.7, robot.n)
+    whole.update(q, plant.data)
+    model = simulation.robot_model(unmounted(robot, robot.base_frame))
+    model.update(q, np.zeros(robot.n))
+    np.testing.assert_allclose(model.gravity(), weight(robot, q, leaning), atol=1e-8)
+    M = inertia(robot, q, leaning) + np.diag(model.motor_inertia)
+    np.testing.assert_allclose(model.mass(), M, atol=1e-8)
 
 
 def held(robot: SerialRobot, controller: dict[str, Any], duration: float, **run: Any) -> Simulation:
@@ -261,7 +280,7 @@ def test_doubles_of_a_tree_have_arrows_and_stand_where_their_angles_say() -> Non
 def test_robots_stand_on_links_of_trees_and_trees_on_robots() -> None:
     below = SerialRobot.from_model("lwr", joint_angles=[0.2, 0.5, 0.1, -0.6, 0.3, 0.4, 0.1])
     tree = tree_robot(6, mount="lwr/flange")
-    top = arm("top", "tree/link4")
+    top = arm("top", f"tree/{tree.names[3]}")  # by the joint that moves the link
     robots = {robot.name: robot for robot in (top, tree, below)}
     world = World(Scene(robots=[*robots.values()], floor=False))
     data, q = world.make_data(), values_of(tree, 6)
@@ -271,6 +290,8 @@ def test_robots_stand_on_links_of_trees_and_trees_on_robots() -> None:
     links = tree.kinematics.frames(q, base)
     np.testing.assert_allclose(world.frame(data, "tree/link4"), links[4], atol=1e-9)
     np.testing.assert_allclose(world.frame(data, "top/base"), links[4] @ top.base_frame, atol=1e-9)
+    robots = world.scene.robots
+    assert robots["top"].mount == "tree/link4"
     bases = base_frames(robots, {"tree": q, "lwr": below.home, "top": top.home})
     np.testing.assert_allclose(bases["top"], links[4] @ top.base_frame, atol=1e-9)
 

@@ -30,6 +30,19 @@ def mount_labels(robot: SerialRobot) -> list[str]:
     return [*frame_labels(robot.n), *axes]
 
 
+def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobot]:
+    """Returns the robots whose `mount` names a joint, `icub/l_elbow`, on the link that it moves."""
+    found = {}
+    for name, robot in robots.items():
+        below, _, label = (robot.mount or "").partition("/")
+        if below in robots and label not in mount_labels(robots[below]):
+            names = robots[below].names
+            if label in names:
+                on = {"mount": f"{below}/link{names.index(label) + 1}"}
+                found[name] = robot.model_copy(update=on)
+    return found
+
+
 def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
     """Returns the names of the robots that a robot stands on, from the nearest on."""
     found: list[str] = []

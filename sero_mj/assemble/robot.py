@@ -111,8 +111,8 @@ class SerialRobot(Declaration):
         mjcf: instead of `filenames` and `collisions`, MJCF whose geoms the links have: a file
             relative to `directory`, text, or an object, see `Object`; its joints are the robot's.
         mesh_scale: metres per unit of the mesh files.
-        mount: the frame of another robot that carries its base, e.g. `arm/flange`; None for one
-            that stands in the world.
+        mount: the frame of another robot that carries its base, e.g. `arm/flange`, or the joint
+            whose link does, `icub/l_elbow`; None for one that stands in the world.
         base_frame: T_world_base, or T_mount_base of a mounted robot.
         free_base: whether its base is free in simulation, where it starts at `base_frame`; an
             input places it in mirroring, as the others.

@@ -18,7 +18,7 @@ from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
 from .group_model import has_key, where
 from .groups import SHARED, Group, group_problems, membership
-from .mounts import carrier, mount_problems
+from .mounts import carrier, mount_problems, mounted_by_joints
 from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
 from .surroundings import Camera, Light, Object, View
@@ -180,6 +180,7 @@ class Scene:
             message = f"two robots have the name '{robot.name}'; expected different names"
             raise DeclarationError([Problem(f"robots.{robot.name}", message)])
         self.robots[robot.name] = self._with_defaults(robot)
+        self.robots |= mounted_by_joints(self.robots)
         for group in self.membership.around.get(robot.name, []):  # inner ones first
             if all(name in self.robots for name in self.membership.members[group]):
                 self._share_out(self.groups[group])
