@@ -17,7 +17,7 @@ from sero_mj.assemble.mounts import base_frames, unmounted
 from sero_mj.assemble.robot_dynamics import RobotDynamics, robot_dynamics
 from sero_mj.control.robot_model import RobotModel
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind
+from sero_mj.decor.pen import MAX_GEOMS, Kind
 from sero_mj.decor.singularity import jacobian, towards_singularity
 from sero_mj.drive.place import Placer
 from sero_mj.frames import frame, rotation_from_rpy
@@ -309,3 +309,16 @@ def test_a_base_that_floats_is_placed_by_a_route() -> None:
     expected = robot.kinematics.frames(robot.home, T)
     part = world.robots["human"]
     np.testing.assert_allclose(data.xpos[part.bodies], expected[:, :3, 3], atol=1e-9)
+
+
+def test_arrows_of_128_joints_fit_into_what_a_page_can_show() -> None:
+    robot = tree_robot(9, n=128, show_arrows=True, show_billboards=True, joint_types=None)
+    world = World(Scene(robots=[robot], floor=False))
+    data = world.make_data()
+    world.set_input(data, "tree.torques", np.full(128, 50.0))
+    Placer(world).place(data)
+    pen = Decor(world, capacity=MAX_GEOMS).draw(data, toggles_of(world), view_at(distance=6.0))
+    assert not pen.dropped
+    assert pen.count <= MAX_GEOMS
+    arrows = pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]
+    assert set(arrows.tolist()) == set(range(128))

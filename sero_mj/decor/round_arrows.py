@@ -56,6 +56,7 @@ _STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic j
 _Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
 MAX_SEGMENTS, _FEWEST_SEGMENTS = 45, 10  # bounds of the boxes of a ribbon
+_FEWEST_ON_PAGE = 6  # where pages show no more geoms than `MAX_GEOMS`
 _GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
 
 
@@ -201,7 +202,8 @@ def _segments(frame: Frame) -> int:
     others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
     room = MAX_GEOMS - _GEOMS_FOR_THE_REST - others
     budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
-    return min(max(budget, _FEWEST_SEGMENTS), frame.max_segments)
+    fewest = _FEWEST_SEGMENTS if len(frame.pen.rows) > MAX_GEOMS else _FEWEST_ON_PAGE
+    return min(max(budget, fewest), frame.max_segments)
 
 
 @dataclass(frozen=True, eq=False)
