@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from humanoid import humanoid
+from runs import record_packets
 
 from sero_mj.assemble.double import Double
 from sero_mj.assemble.groups import Group
@@ -22,6 +23,7 @@ from sero_mj.drive.record_sources import RoutedSignals
 from sero_mj.drive.wiring import wire
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
+from sero_mj.runs.run_recording import read_run
 from sero_mj.send.play import MotionPackets
 
 UDP = {"kind": "udp", "structure": "2F7F3F1F"}
@@ -321,3 +323,23 @@ def test_declared_limbs_count_and_faults_in_them_are_told() -> None:
     assert "limbs.stem: a joint has this name; expected another one" in text
     assert "limbs.stem.0: l_hip is in a already; expected it in one limb" in text
     assert "limbs.b: found no joints; expected one or more" in text
+
+
+def test_recorded_packets_are_read_through_the_same_routes(tmp_path: Path) -> None:
+    rng, times = np.random.default_rng(8), np.arange(1, 40) * 0.01
+    rows = {"values0": rng.normal(size=(39, 3)), "values1": rng.normal(size=(39, 2)),
+            "values2": rng.normal(size=(39, 3))}  # fmt: skip
+    path = tmp_path / "real.mcap"
+    one_limb = SCENE.replace(
+        '"fork.torques"', '"fork.l_leg.commanded_torques" = "udp.values1"\n"fork.torques"'
+    )
+    record_packets(path, "3F2F3F", rows, times, {"scenes/fork.toml": one_limb})
+    run = read_run(path)
+    q = run.of("fork", "joint_angles")
+    np.testing.assert_allclose(q[:, [1, 2, 0]], rows["values0"], atol=1e-12)
+    np.testing.assert_allclose(q[:, [4, 3]], np.deg2rad(rows["values1"]), atol=1e-12)
+    torques = run.of("fork", "torques")
+    np.testing.assert_allclose(torques[:, [3, 4, 0]], rows["values2"], atol=1e-12)
+    assert np.isnan(torques[:, [1, 2]]).all()
+    commanded = run.of("fork", "commanded_torques")
+    np.testing.assert_allclose(commanded[:, [1, 2]], rows["values1"], atol=1e-12)
