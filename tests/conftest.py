@@ -11,8 +11,10 @@ from sero_mj.show.headless.backend import choose_backend
 
 choose_backend()
 
+import ctypes
 import gc
 import importlib.util
+import os
 import sys
 import warnings
 from collections.abc import Iterator
@@ -106,12 +108,33 @@ def _is_exact(nodeid: str) -> bool:
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     if not hasattr(item.config, "workerinput") or sys.platform == "win32":
         yield
-        return
-    import fcntl
+    else:
+        import fcntl
 
-    with Path(__file__).open() as lock:  # of all workers
-        fcntl.flock(lock, fcntl.LOCK_EX if _is_exact(item.nodeid) else fcntl.LOCK_SH)
-        yield
+        with Path(__file__).open() as lock:  # of all workers
+            fcntl.flock(lock, fcntl.LOCK_EX if _is_exact(item.nodeid) else fcntl.LOCK_SH)
+            yield
+    _give_memory_back()
+
+
+_after_giving_back = 0.0  # MB in use
+
+
+def _give_memory_back() -> None:
+    """Returns to the system what worlds and pictures have freed, where that may be much.
+
+    The C library keeps it: 3 GB after all tests, of which 0.4 GB were still in use.
+    """
+    global _after_giving_back  # noqa: PLW0603
+    if sys.platform == "linux" and _used_memory() > _after_giving_back + 200.0:
+        ctypes.CDLL(None).malloc_trim(0)
+        _after_giving_back = _used_memory()
+
+
+def _used_memory() -> float:
+    """Of this process, MB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGESIZE") / 1e6
 
 
 class _GroupsByFile(LoadScopeScheduling):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from commands import run_command
 from conftest import ROOT
 from window_tools import MISSING, screen
 
@@ -24,6 +26,8 @@ DURATION = re.compile(r"--duration [23]\b")
 FILM_IN_PYTHON = re.compile(r"(render_film\(.+)\)$", re.MULTILINE)
 # What a block writes: an option's or a command's file, or the text of a call in Python.
 OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml))")
+# A command with nothing that a shell would do for it.
+ALONE = re.compile(r"\.venv/bin/sero-mj [^|&;<>$*`#]*(#.*)?|#.*|\s*")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 # Of films and pictures: software takes most of the time of this test to draw them.
 SMALL, FPS = (480, 320), 10
@@ -79,27 +83,57 @@ def open_page(text: str, folder: Path, environment: dict[str, str]) -> None:
         process.stdout.close()
 
 
+class Shell:
+    """What a user types, in a folder of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        # As on a server: its user has set neither.
+        unset = "DISPLAY", "MUJOCO_GL"
+        self.environment = {key: each for key, each in os.environ.items() if key not in unset}
+        command = folder / ".venv" / "bin" / "sero-mj"
+        command.parent.mkdir(parents=True)
+        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sero_mj "$@"\n')
+        command.chmod(0o755)
+
+    def run(self, *arguments: str) -> None:
+        done = subprocess.run(
+            arguments, cwd=self.folder, env=self.environment, capture_output=True, text=True,
+            check=False,
+        )  # fmt: skip
+        self._check(arguments[-1], done.returncode, done.stdout + done.stderr)
+
+    def type(self, text: str) -> None:
+        lines = text.replace("\\\n", " ").splitlines()
+        if not all(ALONE.fullmatch(line) for line in lines):
+            self.run("bash", "-ec", text)
+            return
+        for line in lines:
+            arguments = shlex.split(line, comments=True)[1:]
+            if arguments:
+                self._check(line, *run_command(arguments, self.folder, self.environment))
+
+    def begin(self, text: str) -> subprocess.Popen[bytes]:
+        """Starts what goes on in the background, and waits until it says that it does."""
+        process = subprocess.Popen(
+            text.split(), cwd=self.folder, env=self.environment, stdout=subprocess.PIPE
+        )
+        assert process.stdout is not None and process.stdout.readline()
+        return process
+
+    def _check(self, command: str, status: int, said: str) -> None:
+        assert status == 0, f"{command}\n{said}"
+        assert "no good packet" not in said or "--wait 0" in command
+
+
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("page", PAGES, ids=[page.stem for page in PAGES])
 def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path: Path) -> None:
-    # As on a server: its user has set neither.
-    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MUJOCO_GL")}
-    bin_dir = tmp_path / ".venv" / "bin"
-    bin_dir.mkdir(parents=True)
+    shell = Shell(tmp_path)
+    environment = shell.environment
     (tmp_path / "out").mkdir()
-    command = bin_dir / "sero-mj"
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sero_mj "$@"\n')
-    command.chmod(0o755)
-
-    def run(*arguments: str) -> None:
-        done = subprocess.run(
-            arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, f"{arguments}\n{done.stdout}{done.stderr}"
-        assert "no good packet" not in done.stderr or "--wait 0" in arguments[-1]
-
     background: list[subprocess.Popen[bytes]] = []
     wanted: set[str] = set()
     try:
@@ -123,19 +157,19 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
                 known = is_entry_point or any(text in scene for scene in shipped)
                 assert known, f"no shipped scene has this part: {text}"
             elif note == "background":
-                background.append(subprocess.Popen(text.split(), cwd=tmp_path, env=environment))
+                background.append(shell.begin(text))
             elif language == "bash":
-                run("bash", "-ec", shortened(text))
+                shell.type(shortened(text))
             elif language == "python":
                 if "dm_control" in text:
                     pytest.importorskip("dm_control", reason="dm-control is not installed")
                 script = tmp_path / "script.py"
                 script.write_text(shortened(textwrap.dedent(text)))
-                run(sys.executable, str(script))
+                shell.run(sys.executable, str(script))
     finally:
         for process in background:
             process.terminate()
-            process.wait()
+            process.communicate()
     made = {f"out/{path.name}" for path in (tmp_path / "out").iterdir()}
     assert wanted <= made, f"not made: {wanted - made}"
     assert all((tmp_path / file).stat().st_size > 100 for file in wanted)
