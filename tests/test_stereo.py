@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
+from window_tools import MISSING, SIZE, Driven, screen
 
 from sero_mj import HeadlessRenderer, Scene, SerialRobot, World, render_film, render_picture
 from sero_mj.cli import main
@@ -134,6 +135,35 @@ def test_pictures_and_films_of_a_scene_are_written_for_two_eyes(tmp_path: Path) 
     assert (tmp_path / "a.mp4").stat().st_size > 1000
 
 
+@pytest.mark.gl
+@pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+def test_a_window_shows_both_eyes_and_takes_clicks_of_either(tmp_path: Path) -> None:
+    settings = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0", "lwr.torques=20,60,-30,40,-9,5,3")
+    joint = "w.decor.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][1].tolist()"
+    with (
+        screen() as display,
+        Driven(display, tmp_path, "lwr", settings=settings, stereo="side-by-side") as window,
+    ):
+        (x, y), bottom = window.ask(f"[{joint}, w.decor.rect.bottom]")
+        for k, half in enumerate((0, SIZE[0] // 2)):
+            window.click(half + x, SIZE[1] - bottom - y)
+            window.until(f"len(clicks) == {k + 1}")
+        assert window.ask("clicks[0] == clicks[1] and clicks[0][1] is not None")
+        halves = "[w.picture()[:, :320].astype(int), w.picture()[:, 320:].astype(int)]"
+        apart = f"(lambda a, b: float(abs(a - b).mean()))(*{halves})"
+        assert 0.3 < window.ask(apart) < 20
+        # Red is the left eye's, green and blue are the right one's.
+        window.ask("setattr(w.decor, '_stereo', 'anaglyph')")
+        window.settle()
+        mixed = "w.picture().astype(int)"
+        assert window.ask(f"int(abs({mixed}[..., 0] - {mixed}[..., 1]).max())") > 60
+        window.ask("setattr(w.decor, '_eye_distance', 1e-9)")
+        window.settle()
+        window.ask("setattr(w, '_mixed', w.picture().astype(int)) or 0")
+        window.ask("setattr(w.decor, '_stereo', None)")
+        assert window.ask("int(abs(w._mixed - w.picture()).max())") <= 2
+
+
 def test_what_is_no_stereo_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     world = World(Scene(robots=[lwr()]))
     for fields, message in (
@@ -147,3 +177,6 @@ def test_what_is_no_stereo_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["render", "lwr", "-o", "a.png", "--eye-distance", "0.1"])
     assert "--eye-distance is for --stereo side-by-side or anaglyph" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["view", "lwr", "--web", "--stereo", "anaglyph"])
+    assert "--stereo is for the window; a page has one eye" in capsys.readouterr().err

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 Commands = Any
 LOOKS = ("light", "dark")
 QUALITIES = ("draft", "normal", "fine")
+STEREO = ("side-by-side", "anaglyph")  # as in `show.stereo`, which takes a while to import
+EYE_DISTANCE = 0.065
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -169,6 +171,28 @@ def add_picture_options(parser: argparse.ArgumentParser) -> None:
         help="draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is "
         "software; fine: for print, with 300 dots per inch",
     )
+
+
+def add_stereo_options(parser: argparse.ArgumentParser) -> None:
+    """Adds `--stereo` and `--eye-distance`."""
+    parser.add_argument(
+        "--stereo",
+        choices=STEREO,
+        help="for two eyes: a half of the picture for each, or for red-cyan glasses",
+    )
+    parser.add_argument(
+        "--eye-distance",
+        type=positive,
+        default=EYE_DISTANCE,
+        metavar="M",
+        help=f"between the eyes, m (default {EYE_DISTANCE}); more shows more depth",
+    )
+
+
+def check_stereo_options(options: argparse.Namespace) -> None:
+    """Raises UsageError where `--eye-distance` is given without `--stereo`."""
+    if options.stereo is None and options.eye_distance != EYE_DISTANCE:
+        raise UsageError("--eye-distance is for --stereo side-by-side or anaglyph; give it as well")
 
 
 def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) -> None:

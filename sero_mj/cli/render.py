@@ -14,13 +14,12 @@ from ._arguments import (
     add_command,
     add_picture_options,
     add_scene_options,
+    add_stereo_options,
+    check_stereo_options,
     not_negative,
     positive,
     read_shown_scene,
 )
-
-STEREO = ("side-by-side", "anaglyph")  # as in `show.stereo`, which takes a while to import
-EYE_DISTANCE = 0.065
 
 if TYPE_CHECKING:
     from ..assemble.scene import Scene
@@ -63,18 +62,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--fps", type=positive, metavar="N", help="frames per second (default 30; of a GIF 20)"
     )
-    parser.add_argument(
-        "--stereo",
-        choices=STEREO,
-        help="for two eyes: a half of the picture for each, or for red-cyan glasses",
-    )
-    parser.add_argument(
-        "--eye-distance",
-        type=positive,
-        default=EYE_DISTANCE,
-        metavar="M",
-        help=f"between the eyes, m (default {EYE_DISTANCE}); more shows more depth",
-    )
+    add_stereo_options(parser)
     add_scene_options(parser)
     parser.add_argument(
         "--click",
@@ -119,8 +107,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
-    if options.stereo is None and options.eye_distance != EYE_DISTANCE:
-        raise UsageError("--eye-distance is for --stereo side-by-side or anaglyph; give it as well")
+    check_stereo_options(options)
     scene = read_shown_scene(options)
     if is_film:
         silent = film_with_progress(

@@ -12,6 +12,8 @@ from ._arguments import (
     Commands,
     add_command,
     add_scene_options,
+    add_stereo_options,
+    check_stereo_options,
     port,
     read_shown_scene,
     size,
@@ -59,11 +61,13 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
+    add_stereo_options(parser)
     add_scene_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Shows the scene until it is closed; returns 0."""
+    check_stereo_options(options)
     on_page = wants_page(options)
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
@@ -80,10 +84,12 @@ def wants_page(options: argparse.Namespace) -> bool:
     """Whether the scene goes to browsers instead of into a window; raises UsageError."""
     of_page = _of_page(options)
     of_window = ["size"] * (options.size is not None) + ["full-screen"] * options.full_screen
+    of_window += ["stereo"] * (options.stereo is not None)
     if options.window and of_page:
         raise UsageError(f"--{of_page[0]} is for the page; leave --window out, or take --web")
     if (options.web or of_page) and of_window:
-        raise UsageError(f"--{of_window[0]} is for the window; a page is as large as its browser's")
+        why = "has one eye" if of_window[0] == "stereo" else "is as large as its browser's"
+        raise UsageError(f"--{of_window[0]} is for the window; a page {why}")
     if options.web or of_page:
         return True
     from ..show.headless.backend import has_display
@@ -115,6 +121,8 @@ def _open_window(scene: Scene, options: argparse.Namespace) -> None:
             size=options.size or _SIZE,
             camera=options.camera,
             full_screen=options.full_screen,
+            stereo=options.stereo,
+            eye_distance=options.eye_distance,
         ) as window,
     ):
         window.run()

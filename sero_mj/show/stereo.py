@@ -41,7 +41,7 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
     """Moves the camera of a scene to the left eye, then to the right one, and yields at each.
 
     Args:
-        scene: that `mjv_updateScene` and decor have filled; it is for one frame.
+        scene: that `mjv_updateScene` and decor have filled; afterwards it is as before.
         eye_distance: between the eyes, m.
         distance: along the viewing direction, m, at which things are at the same pixel for both.
     """
@@ -63,6 +63,10 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
         for geom, position, share in laid_out:
             geom.pos = position + share * eye * to_right
         yield
+    for camera in scene.camera:
+        camera.pos, camera.frustum_center = middle, 0.0
+    for geom, position, _ in laid_out:
+        geom.pos = position
 
 
 def looked_at(

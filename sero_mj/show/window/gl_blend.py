@@ -8,17 +8,19 @@ from typing import Any
 
 import glfw
 
+from ..headless.film import Pixels
 from ..typesetting import Placed
 
 # Of gl.h.
 _ALL_ATTRIBUTES = 0x000FFFFF
 _BLEND, _ONE, _ONE_MINUS_ALPHA = 0x0BE2, 1, 0x0303
 _OFF = (0x0B71, 0x0DE1, 0x0B60, 0x0BC0, 0x0C11)  # depth, 2D texture, fog, alpha and scissor tests
-_RGBA, _UNSIGNED_BYTE = 0x1908, 0x1401
+_RGB, _RGBA, _UNSIGNED_BYTE = 0x1907, 0x1908, 0x1401
+_UNPACK_ALIGNMENT = 0x0CF5
 
 
 class Blender:
-    """Lays panels over the picture in a window.
+    """Lays panels over the picture in a window, or the red of another picture.
 
     OpenGL's functions come from GLFW, which has those of every platform's windows.
     """
@@ -31,10 +33,31 @@ class Blender:
         self._disable = _function("glDisable", ctypes.c_uint)
         self._blend = _function("glBlendFunc", ctypes.c_uint, ctypes.c_uint)
         self._zoom = _function("glPixelZoom", ctypes.c_float, ctypes.c_float)
+        self._mask = _function("glColorMask", *[ctypes.c_ubyte] * 4)
+        self._store = _function("glPixelStorei", ctypes.c_uint, integer)
         self._go_to = _function("glWindowPos2i", integer, integer)
         self._draw = _function(
             "glDrawPixels", integer, integer, ctypes.c_uint, ctypes.c_uint, pointer
         )
+
+    def draw_red(self, pixels: Pixels, left: int, bottom: int) -> None:
+        """Replaces the red of the picture.
+
+        Args:
+            pixels: (height, width, 3), uint8, the lowest row first.
+            left: of the picture in the window, pixels.
+            bottom: of the picture in the window, pixels.
+        """
+        self._push(_ALL_ATTRIBUTES)
+        for name in (*_OFF, _BLEND):
+            self._disable(name)
+        self._mask(True, False, False, False)
+        self._store(_UNPACK_ALIGNMENT, 1)
+        self._zoom(1.0, 1.0)
+        self._go_to(left, bottom)
+        self._draw(pixels.shape[1], pixels.shape[0], _RGB, _UNSIGNED_BYTE, pixels.ctypes.data)
+        self._store(_UNPACK_ALIGNMENT, 4)
+        self._pop()
 
     def draw(self, panels: Sequence[Placed], left: int = 0, bottom: int = 0) -> None:
         """Lays panels over the picture.

@@ -17,7 +17,7 @@ from ...drive.mirror import LiveWorld
 from ...errors import SeroError
 from ...frames import Array
 from ..added_surroundings import added_surroundings
-from ..camera import Navigator
+from ..camera import Navigator, bounding_sphere
 from ..clock import time_text
 from ..headless.film import Pixels
 from ..headless.render import DEFAULT_SIZE
@@ -27,6 +27,7 @@ from ..live import LiveHost
 from ..picking import Pixel
 from ..scene_decor import SceneDecor
 from ..status_line import Piece, status_pieces
+from ..stereo import EYE_DISTANCE, Stereo, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
 from .capture import Capture
 from .glfw_window import GlWindow
@@ -44,13 +45,25 @@ class Viewport(SceneDecor):
         world: the compiled scene.
         toggles: what is shown.
         context: of the window, current.
+        stereo: see `Window`.
+        eye_distance: likewise.
 
     Attributes:
         rect: of the last picture in the window.
     """
 
-    def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
+    def __init__(
+        self,
+        world: WorldView,
+        toggles: Toggles,
+        context: mujoco.MjrContext,
+        stereo: Stereo | None = None,
+        eye_distance: float = EYE_DISTANCE,
+    ) -> None:
         super().__init__(world, toggles, with_text=False)
+        self._stereo, self._eye_distance = stereo, eye_distance
+        self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
+        self._distance = 1.0  # m, of what the camera looks at
         self._surroundings = added_surroundings(world, context)
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
@@ -79,15 +92,39 @@ class Viewport(SceneDecor):
         if self._surroundings is not None:
             self._surroundings.add(scene)
         self.rect, self._typesetter = rect, typesetter
-        view = PictureView.of_scene(scene, rect.width, rect.height, typesetter.font)
+        if self._stereo is not None:
+            self._distance = looked_at(scene, camera, self._centre)
+        view = PictureView.of_scene(scene, self._width, rect.height, typesetter.font)
         self.draw(data, view, scene)
 
+    @property
+    def _width(self) -> int:
+        """Of what one eye sees, pixels."""
+        return int(self.rect.width) // (2 if self._stereo == "side-by-side" else 1)
+
     def render(self, gl: GlWindow) -> None:
-        """Renders the picture in a window."""
-        mujoco.mjr_render(self.rect, self._scene, gl.context)
+        """Renders the picture in a window, in stereo for one eye after the other."""
+        rect, scene = self.rect, self._scene
+        lefts = [int(rect.left)]
+        if self._stereo is None:
+            mujoco.mjr_render(rect, scene, gl.context)
+        elif self._stereo == "anaglyph":
+            # MuJoCo sets all colours where something is reflected, so no mask holds meanwhile.
+            left = np.empty((rect.height, rect.width, 3), np.uint8)
+            for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
+                mujoco.mjr_render(rect, scene, gl.context)
+                if eye == 0:
+                    mujoco.mjr_readPixels(left, None, rect, gl.context)
+            gl.blender.draw_red(left, rect.left, rect.bottom)
+        else:
+            lefts = [int(rect.left), int(rect.left) + self._width]
+            for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
+                half = mujoco.MjrRect(lefts[eye], rect.bottom, self._width, rect.height)
+                mujoco.mjr_render(half, scene, gl.context)
         if self._typesetter is not None:
             panels = self._typesetter.place(self.panels)
-            gl.blender.draw(panels, self.rect.left, self.rect.bottom)
+            for start in lefts:
+                gl.blender.draw(panels, start, rect.bottom)
 
     def pixels(self, context: mujoco.MjrContext) -> Pixels:
         """Returns the rendered picture, (height, width, 3), uint8, top row first."""
@@ -98,7 +135,9 @@ class Viewport(SceneDecor):
     def to_picture(self, x: float, y: float) -> Pixel | None:
         """Converts a pixel of the window to one of the picture; None outside of it."""
         x, y = x - self.rect.left, y - self.rect.bottom
-        return (x, y) if 0 <= x < self.rect.width and 0 <= y < self.rect.height else None
+        if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
+            return None
+        return x % self._width, y
 
 
 class Window(LiveHost):
@@ -112,13 +151,16 @@ class Window(LiveHost):
         camera: see `find_camera`.
         full_screen: whether it covers the screen.
         folder: where screenshots and films go; the current one when None.
+        stereo: `side-by-side` for a half of the picture for each eye, or `anaglyph` for red-cyan
+            glasses.
+        eye_distance: between the eyes, m.
 
     Attributes:
         navigator: moves the camera.
         camera: records screenshots and films.
 
     Raises:
-        RenderError: there is no display, or no OpenGL.
+        RenderError: there is no display, no OpenGL, or no such stereo.
         UnknownName: no camera of that name.
     """
 
@@ -132,7 +174,10 @@ class Window(LiveHost):
         camera: str | None = None,
         full_screen: bool = False,
         folder: Path | None = None,
+        stereo: Stereo | None = None,
+        eye_distance: float = EYE_DISTANCE,
     ) -> None:
+        check_stereo(stereo, eye_distance)
         super().__init__(mirror)
         world = self.world
         self.navigator = Navigator(world, camera)
@@ -141,7 +186,7 @@ class Window(LiveHost):
         self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
-        self.decor = Viewport(world, self.toggles, self.gl.context)
+        self.decor = Viewport(world, self.toggles, self.gl.context, stereo, eye_distance)
         self._hud = Hud(self.gl)
         self._mouse = Mouse()
         self._actions |= {
