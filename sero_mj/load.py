@@ -25,7 +25,7 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
     is shown.
 
     Args:
-        name: a TOML file, or the name of a shipped scene, scenario, robot or group.
+        name: a file (TOML, X3D), or the name of a shipped scene, scenario, robot or group.
         overrides: `robot.field` to its value, over what the file says. An input that is set so
             (`lwr.joint_angles`) is no longer routed to.
 
