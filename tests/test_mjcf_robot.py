@@ -1,6 +1,7 @@
 """Robots from MJCF: the same kinematics, dynamics and looks as their file compiled by itself."""
 
 import logging
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -313,3 +314,25 @@ def test_another_number_of_joints_than_the_file_has_is_refused(path):
     with pytest.raises(DeclarationError) as caught:
         World(Scene(robots=[robot]))
     assert "mjcf: found 7 joints in it; expected 1, as the robot has" in str(caught.value)
+
+
+FILES = ["acrobot", "cheetah", "fish", "hopper", "humanoid", "quadruped", "swimmer", "walker"]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_robots_of_dm_control_are_those_of_plain_mujoco(name):
+    pytest.importorskip("dm_control", reason="dm-control is not installed")
+    folder = Path(find_spec("dm_control").submodule_search_locations[0]) / "suite"
+    robot = SerialRobot.from_mjcf(folder / f"{name}.xml", name="robot")
+    tree = tree_of(f"{name}.xml", folder)
+    model, data = tree.model, mujoco.MjData(tree.model)
+    world = World(Scene(robots=[robot]), dynamic=True)
+    mine, part = np.flatnonzero(tree.links >= 0), world.robots["robot"]
+    to_body = np.linalg.inv(tree.poses[tree.links[mine]]) @ tree.bodies[mine]
+    for q in np.random.default_rng(0).uniform(-1.5, 1.5, (10, robot.n)):
+        data.qpos[model.jnt_qposadr[tree.joints]] = q
+        mujoco.mj_kinematics(model, data)
+        found = robot.kinematics.frames(q, tree.poses[0])[tree.links[mine]] @ to_body
+        np.testing.assert_allclose(found[:, :3, 3], data.xpos[mine], atol=1e-9)
+    masses = world.model.body_mass[part.bodies].sum()
+    assert masses == pytest.approx(model.body_mass[mine].sum(), rel=1e-6)

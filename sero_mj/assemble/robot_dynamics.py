@@ -38,8 +38,9 @@ _STEEL = 7800.0  # kg/m3; no link is denser
 _FLAT, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
 # Lower bound: MuJoCo refuses bodies of smaller mass.
 _LEAST_MASS = 1e-6  # kg
-# A link without a mass, which MuJoCo refuses as well, has this; its radius of gyration.
-_NEXT_TO_NONE, _BARE_RADIUS = 1e-9, 0.01  # kg, m
+# A link without a mass, which MuJoCo refuses as well, has this share of its robot's mass, and this
+# radius of gyration in m; and the least of both that MuJoCo takes, in kg and kg m2.
+_BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
 
 
 class _Links(NamedTuple):
@@ -149,7 +150,8 @@ def _declared_links(robot: SerialRobot) -> _Links | None:
         tensors = rotate_tensors(tensors, to_link)
     masses = scale * declared.masses
     bare = masses == 0
-    masses[bare], tensors[bare] = _NEXT_TO_NONE, _NEXT_TO_NONE * _BARE_RADIUS**2 * np.eye(3)
+    masses[bare] = max(_BARE_SHARE * float(masses.sum()), _LEAST)
+    tensors[bare] = max(float(masses[bare].sum()) * _BARE_RADIUS**2, _LEAST) * np.eye(3)
     return _Links(masses, centers, tensors)
 
 

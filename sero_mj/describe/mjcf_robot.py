@@ -7,6 +7,7 @@ there with their meshes, materials and collision parameters.
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ _WITHIN = 1e-4  # rad or m
 
 def read_mjcf(path: Path) -> Described:
     """Reads the robot of an MJCF file; raises DeclarationError."""
-    tables, warnings = mjcf_tables(path.name, path.parent)
-    return Described({"directory": "", **tables}, {}, warnings)
+    tables, lost = mjcf_tables(path.name, path.parent)
+    return Described({"directory": "", **tables}, {}, lost)
 
 
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
@@ -49,8 +50,8 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     torques = torque_limits(model, joints)
     dofs = model.jnt_dofadr[joints]
     link, T_link_flange = _flange(tree)
-    warnings = list(tree.left_out)
-    couplings = _couplings(tree, names, warnings)
+    lost = list(tree.left_out)
+    couplings = _couplings(tree, names, lost)
     tables: dict[str, Any] = {
         "mjcf": source,
         "joint_frames": tree.joint_frames,
@@ -77,14 +78,16 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     if (tree.parents == np.arange(len(joints))).all():
         del tables["parents"]
     tables |= _initial_pose(tree, names, couplings)
-    return tables, warnings
+    return tables, lost
 
 
 def tree_of(source: Any, folder: Path) -> MjcfTree:
     """Returns the robot in a piece of MJCF; raises DeclarationError."""
     spec = as_spec(source, folder)
     try:
-        return find_tree(spec.compile())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of attributes that MuJoCo will drop one day
+            return find_tree(spec.compile())
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise DeclarationError([Problem("mjcf", reason)]) from None
@@ -126,7 +129,7 @@ def _inertias(tree: MjcfTree) -> dict[str, Any]:
     return {"masses": masses, "centers_of_mass": centers, "inertias": tensors, "mend": "balance"}
 
 
-def _couplings(tree: MjcfTree, names: list[str], warnings: list[str]) -> dict[str, Any]:
+def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
     """Returns couplings from constraints between joints; those that are not linear are lost."""
     model, found = tree.model, dict[str, Any]()
     row = {int(joint): k for k, joint in enumerate(tree.joints)}
@@ -136,7 +139,7 @@ def _couplings(tree: MjcfTree, names: list[str], warnings: list[str]) -> dict[st
             continue
         offset, ratio, *higher = model.eq_data[i, :5].tolist()
         if other is None or ratio == 0 or any(higher) or _leads_back(found, names, one, other):
-            warnings.append(f"the constraint of {names[one]} is left out; it is no linear coupling")
+            lost.append(f"the constraint of {names[one]} is left out; it is no linear coupling")
             continue
         ref = model.qpos0[model.jnt_qposadr[tree.joints]]
         found[names[one]] = {

@@ -21,6 +21,7 @@ _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARE
 _OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
 _FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
+_EARTH = 9.81  # m/s2
 _NAMED = 5  # of the names that a sentence lists
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
@@ -179,9 +180,15 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
     if len(springs):
         what = names(mujoco.mjtObj.mjOBJ_JOINT, springs)
         sentences.append(f"springs of joints are left out: {what}")
-    for count, what in ((model.nskin, "skins"), (model.nflex, "flexes")):
+    for count, what in ((model.nskin, "skin"), (model.nflex, "flex")):
         if count:
-            sentences.append(f"{count} {what} are left out")
+            sentences.append(
+                f"the {what} is left out" if count == 1 else f"{count} {what}s left out"
+            )
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    if gravity and abs(gravity / _EARTH - 1.0) > 0.1:
+        text = f"its gravity is {gravity:g}; expected {_EARTH:g} m/s2: is it in other units?"
+        sentences.append(text)
     loops = [i for i in range(model.neq) if int(model.eq_type[i]) != int(mujoco.mjtEq.mjEQ_JOINT)]
     if loops:
         what = names(mujoco.mjtObj.mjOBJ_EQUALITY, np.array(loops))
