@@ -211,6 +211,8 @@ def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
                "properties": dict.fromkeys(SIGNALS, sensor)}  # fmt: skip
     return {
         "scene": {**_TEXT, "description": "another file's scene, or a shipped one's name"},
+        "extends": {**_TEXT, "description": "another scenario's file, or a shipped one's name"},
+        "set": {"type": "object", "description": "values by dotted keys, over what it extends"},
         "run": table("Run"),
         "controllers": _each(of_kind(CONTROLLERS), "controllers"),
         "targets": _each(laws, "targets"),

@@ -11,12 +11,13 @@ from pydantic import AfterValidator, Field, model_validator
 
 from ..assemble.dynamics import inertia_problem, tensors_from
 from ..assemble.robot import SerialRobot
-from ..declaration import Declaration, Frame, Name, Point, Vector
+from ..declaration import Declaration, Frame, Name, Point, Vector, of_shape
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import Array
 from .plant import Plant
 from .sensors import Signal
 
+_SAME_TIME = 1e-9  # s, by which two times of one step may differ
 Part = Literal["sensors", "drives", "friction"]
 
 
@@ -47,24 +48,32 @@ class Force(Disturbance):
 
     Attributes:
         at: the frame at whose origin they act, `lwr/flange` say.
+        point: (3,), where in that frame they act instead, m.
         force: (3,), N.
         torque: (3,), Nm.
         expressed_in: the frame in whose axes both are given.
         profile: `step`; `half_sine`, a push that grows and fades until `end`; `ramp`, which
             grows until `end` and then stays.
+        samples: (S, 4), in place of `force`: times since `begin`, s, and the force from then until
+            the next, N; the last until `end`. `sero-mj view` keeps pushes by hand so.
         show: whether an arrow shows it.
     """
 
     kind: Literal["force"] = "force"
     at: str
+    point: Point = np.zeros(3)
     force: Point = np.zeros(3)
     torque: Point = np.zeros(3)
     expressed_in: str = "world"
     profile: Literal["step", "half_sine", "ramp"] = "step"
+    samples: Annotated[Array | None, of_shape(None, 4)] = None
     show: bool = True
 
     @model_validator(mode="after")
     def _does_something(self) -> Force:
+        if self.samples is not None:
+            self._check_samples(self.samples)
+            return self
         if not {"force", "torque"} & self.model_fields_set:  # zeros are one end of a sweep
             raise ValueError("found neither force nor torque; expected three numbers of one")
         if self.profile != "step" and self.end is None:
@@ -72,8 +81,38 @@ class Force(Disturbance):
                              " is over")  # fmt: skip
         return self
 
+    def _check_samples(self, samples: Array) -> None:
+        others = [key for key in ("force", "torque", "profile") if key in self.model_fields_set]
+        if others:
+            raise ValueError(f"samples: say all of the force; leave {others[0]} out")
+        if self.end is None:
+            raise ValueError(
+                "end: is required; expected the time (s) at which the samples are over"
+            )
+        if not len(samples) or samples[0, 0] != 0.0 or (np.diff(samples[:, 0]) <= 0).any():
+            found = samples[:3, 0].tolist()
+            raise ValueError(f"samples: found times {found}; expected 0 at first, then rising")
+
+    @property
+    def acts_by(self) -> list[str]:
+        """Which of `force` and `torque` it has."""
+        if self.samples is not None:
+            return ["force"]
+        return [key for key in ("force", "torque") if getattr(self, key).any()]
+
+    def at_times(self, times: Array) -> Array:
+        """Force and torque at these times, (T, 2, 3), N and Nm."""
+        if self.samples is None:
+            return self.share(times)[:, None, None] * np.stack([self.force, self.torque])
+        since = np.asarray(times, np.float64) - self.begin + _SAME_TIME
+        row = np.searchsorted(self.samples[:, 0], since, side="right") - 1
+        found = np.zeros((len(since), 2, 3))
+        acts = (row >= 0) & (since < (self.end or 0.0) - self.begin)
+        found[acts, 0] = self.samples[row[acts], 1:]
+        return found
+
     def share(self, times: Array) -> Array:
-        """How much of the force acts at these times, (T,), 0 to 1."""
+        """How much of the force acts at these times, (T,), 0 to 1, without samples."""
         times = np.asarray(times, np.float64)
         inside = times >= self.begin
         if self.end is None:

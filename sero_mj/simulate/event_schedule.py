@@ -38,7 +38,7 @@ class EventSchedule:
         model = self.plant.model
         self.gains = np.ones(self.plant.n)
         self._due: list[tuple[int, Callable[[], None]]] = []
-        self._varying: list[tuple[Push, Force, Array]] = []
+        self._varying: list[tuple[Push, Array]] = []  # with force and torque at every step
         self._carried: dict[str, tuple[str, Array]] = {}  # object to robot and T_flange_object
         self._objects: dict[str, Array] = {}  # T_world_object of objects that are picked up
         self._columns: dict[str, slice] = {}
@@ -67,9 +67,8 @@ class EventSchedule:
         while self._next < len(self._due) and self._due[self._next][0] <= k:
             self._due[self._next][1]()
             self._next += 1
-        for push, force, share in self._varying:
-            np.multiply(force.force, share[k], push.force)
-            np.multiply(force.torque, share[k], push.torque)
+        for push, forces in self._varying:
+            push.force[:], push.torque[:] = forces[k]
 
     def after(self, k: int) -> None:
         """Writes where carried objects are into row k of the log."""
@@ -79,12 +78,10 @@ class EventSchedule:
 
     def log_events(self) -> dict[str, str]:
         """Further columns of the log: forces as they act, and objects that are carried."""
-        events = {}
+        events: dict[str, str] = {}
         for name, disturbance in self.scenario.disturbances.items():
             if isinstance(disturbance, Force):
-                for key in ("force", "torque"):
-                    if getattr(disturbance, key).any():
-                        events[event_of(name, key)] = "1V"
+                events |= {event_of(name, key): "1V" for key in disturbance.acts_by}
         events.update({event_of(name, "frame"): "1M" for name in self._objects})
         return events
 
@@ -100,10 +97,10 @@ class EventSchedule:
         for name, disturbance in self.scenario.disturbances.items():
             if not isinstance(disturbance, Force):
                 continue
-            share = disturbance.share(times)[:, None]
-            for key in ("force", "torque"):
+            found = disturbance.at_times(times)
+            for i, key in enumerate(("force", "torque")):
                 if (event := event_of(name, key)) in columns:
-                    rows[:, columns[event]] = share * getattr(disturbance, key)
+                    rows[:, columns[event]] = found[:, i]
         for name, frame in self._objects.items():
             rows[:, columns[event_of(name, "frame")]] = frame.ravel()
 
@@ -112,9 +109,11 @@ class EventSchedule:
 
     def _plan_force(self, force: Force, times: Array) -> None:
         def begin() -> None:
-            push = self.plant.push(force.at, force.force, force.torque, force.expressed_in)
-            if force.profile != "step":
-                self._varying.append((push, force, force.share(times)))
+            push = self.plant.push(
+                force.at, force.force, force.torque, force.expressed_in, force.point
+            )
+            if force.profile != "step" or force.samples is not None:
+                self._varying.append((push, force.at_times(times)))
             if force.end is not None and force.profile != "ramp":
                 self._due.append((round(force.end / self._timestep), lambda: end(push)))
                 self._due.sort(key=lambda entry: entry[0])

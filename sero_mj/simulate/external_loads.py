@@ -23,6 +23,7 @@ class Push:
     Attributes:
         force: (3,), N.
         torque: (3,), Nm.
+        body: of the frame, in the model.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class Push:
             for name, value in (("force", force), ("torque", torque), ("at", at))
         )
         self._site = _site(world, frame)
-        self._body = int(world.model.site_bodyid[self._site])
+        self.body = int(world.model.site_bodyid[self._site])
         self._axes = None if expressed_in == "world" else _site(world, expressed_in)
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
@@ -55,10 +56,18 @@ class Push:
         if self._axes is not None:
             axes = data.site_xmat[self._axes].reshape(3, 3)
             force, torque = axes @ force, axes @ torque
-        point = data.site_xpos[self._site]
+        mujoco.mj_applyFT(model, data, force, torque, self.point(data), self.body, torques)
+
+    def point(self, data: mujoco.MjData) -> Array:
+        """Returns the world point at which it acts, (3,), m.
+
+        Args:
+            data: with its kinematics.
+        """
+        point: Array = data.site_xpos[self._site]
         if self._at.any():
             point = point + data.site_xmat[self._site].reshape(3, 3) @ self._at
-        mujoco.mj_applyFT(model, data, force, torque, point, self._body, torques)
+        return point
 
 
 def _three(name: str, value: ArrayLike) -> Array:

@@ -157,6 +157,7 @@ class Scenario:
     Attributes:
         run: how it is run.
         file: that it was read from.
+        settings: dotted key to its value, set over what the file says when it was read.
 
     Raises:
         DeclarationError: everything that is wrong, at once.
@@ -180,6 +181,7 @@ class Scenario:
         self.problems: list[Problem] = []
         self.scene, self.name, self.description = scene, name, description
         self.file: Path | None = scene.file
+        self.settings: Mapping[str, Any] = {}
         self.run = Run()
         with collect(self.problems, "run"):
             self.run = Run(**run)

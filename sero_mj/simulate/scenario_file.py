@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,16 +43,32 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         overrides: dotted key to its value, over what the file says:
             `controllers.lwr.stiffness`, `run.duration`, `lwr.show_axes`.
 
+    A scenario that `extends` another one is that one, with what its table `set` sets (keys as those
+    of `overrides`) and the entries of its own sections over it.
+
     Raises:
         DeclarationError: everything that is wrong in the file, at once.
         UnknownName: there is no such scenario.
     """
-    file = find_scenario(str(path))
+    return _read(find_scenario(str(path)), dict(overrides or {}), ())
+
+
+def _read(file: Path, overrides: dict[str, Any], extending: tuple[Path, ...]) -> Scenario:
     tables = read_toml(file)
+    if "extends" in tables:
+        return _read_extended(file, tables, overrides, (*extending, file.resolve()))
+    if "set" in tables:
+        message = "is for a scenario that extends another one; write it into the tables themselves"
+        raise DeclarationError(_placed([Problem("set", message)], file))
+    return _read_whole(file, tables, overrides)
+
+
+def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -> Scenario:
+    """Reads a scenario that extends none."""
     own = {key: tables.pop(key) for key in (*SECTIONS, *OTHERS) if key in tables}
     of_scene: dict[str, Any] = {}
     of_own: dict[str, Any] = {}
-    for key, value in (overrides or {}).items():
+    for key, value in overrides.items():
         if key in ("scene", "description"):
             own[key] = value
         else:
@@ -89,8 +106,63 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         raise DeclarationError(problems) from None
     if problems:
         raise DeclarationError(problems)
-    scenario.file = file
+    scenario.file, scenario.settings = file, overrides
     return scenario
+
+
+def _read_extended(
+    file: Path, tables: dict[str, Any], overrides: dict[str, Any], extending: tuple[Path, ...]
+) -> Scenario:
+    """Reads what a scenario extends, with what it sets."""
+    base, settings = tables.pop("extends"), tables.pop("set", {})
+    problems: list[Problem] = []
+    if not isinstance(settings, dict):
+        message = f'found {settings!r}; expected a table with "run.duration" = 8, say'
+        problems.append(Problem("set", message))
+        settings = {}
+    for section, entries in tables.items():
+        if section == "description":
+            settings[section] = entries
+        elif section not in (*SECTIONS, "run"):
+            message = f"belongs to what is extended, {base}; set parts of it in [set]"
+            problems.append(Problem(section, message))
+        elif not isinstance(entries, dict):
+            problems.append(Problem(section, f"found {entries!r}; expected a table [{section}]"))
+        else:
+            settings |= {f"{section}.{name}": entry for name, entry in entries.items()}
+    try:
+        found = _extended(file, base, extending)
+    except (DeclarationError, UnknownName) as error:
+        problems.append(Problem("extends", str(error)))
+    if problems:
+        raise DeclarationError(_placed(problems, file))
+    try:
+        scenario = _read(found, {**settings, **overrides}, extending)
+    except DeclarationError as error:
+        raise DeclarationError(_placed(_as_set_in(error.problems, settings), file)) from None
+    scenario.file, scenario.name, scenario.settings = file, file.stem, overrides
+    return scenario
+
+
+def _extended(file: Path, base: Any, extending: tuple[Path, ...]) -> Path:
+    """The scenario that `extends = ...` names, beside the file or a shipped one."""
+    if not isinstance(base, str):
+        raise _wrong("", f"found {base!r}; expected the name or file of a scenario")
+    beside = file.parent / base
+    path = beside if beside.is_file() else find_scenario(base)
+    if path.resolve() in extending:
+        raise _wrong("", f"found {base}, which extends this file itself")
+    return path
+
+
+def _as_set_in(problems: list[Problem], settings: Mapping[str, Any]) -> list[Problem]:
+    """Takes the place from problems of what is set by these keys: it is not in that file."""
+    return [
+        replace(problem, file=None, line=None)
+        if any(f"{problem.key}.".startswith(f"{key}.") for key in settings)
+        else problem
+        for problem in problems
+    ]
 
 
 def _read_motions(own: dict[str, Any], scene: Scene, file: Path) -> list[Problem]:

@@ -12,7 +12,7 @@ from ..errors import DeclarationError
 from ..toml_file import read_toml
 
 SECTIONS = ("controllers", "targets", "sensors", "disturbances", "faults", "expect", "monitor")
-OTHERS = ("scene", "run", "description")
+OTHERS = ("scene", "run", "description", "extends", "set")
 
 
 def is_scenario(path: Path) -> bool:
