@@ -18,7 +18,9 @@ from .errors import DeclarationError, Problem, UnknownName, UsageError, did_you_
 from .simulate.sections import is_scenario
 
 
-def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> Scene:
+def load_scene(
+    name: Path | str, overrides: Mapping[str, Any] | None = None, *, by_hand: bool = False
+) -> Scene:
     """Loads and checks a scene, opening nothing.
 
     A robot or a group of robots is a scene with it alone. A scenario is simulated while its scene
@@ -28,6 +30,7 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
         name: a file (TOML, X3D), or the name of a shipped scene, scenario, robot or group.
         overrides: `robot.field` to its value, over what the file says. An input that is set so
             (`lwr.joint_angles`) is no longer routed to.
+        by_hand: whether the robots of a scenario can be pulled by hand, in a window or on a page.
 
     Raises:
         UnknownName: none of these; names the nearest.
@@ -39,7 +42,7 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
         path = paths.find_scene(name)
     except UnknownName as error:
         if name in paths.list_scenarios():
-            return _load_scenario(name, overrides)
+            return _load_scenario(name, overrides, by_hand=by_hand)
         try:
             path = paths.find_model(name)
         except UnknownName as no_robot:
@@ -60,7 +63,7 @@ def load_scene(name: Path | str, overrides: Mapping[str, Any] | None = None) -> 
         tables = {"name": own, "groups": {own: {"model": path}}}
         return _checked(*read_scene_file(path, overrides, tables=tables))
     if is_scenario(path):
-        return _load_scenario(str(path), overrides)
+        return _load_scenario(str(path), overrides, by_hand=by_hand)
     return _checked(*read_scene_file(path, overrides))
 
 
@@ -117,10 +120,10 @@ def _refuse_group(name: str) -> None:
     raise UsageError(f"{name} is a group of robots; expected one robot. It has {names}")
 
 
-def _load_scenario(name: str, overrides: Mapping[str, Any]) -> Scene:
+def _load_scenario(name: str, overrides: Mapping[str, Any], *, by_hand: bool) -> Scene:
     # What simulates is imported where something is to be simulated.
     from .simulate.scenario_file import read_scenario
     from .simulate.simulated_scene import simulated_scene
     from .simulate.simulation import Simulation
 
-    return simulated_scene(Simulation(read_scenario(name, overrides)))
+    return simulated_scene(Simulation(read_scenario(name, overrides), by_hand=by_hand))

@@ -295,7 +295,8 @@ class Host(LiveHost):
     frame = picture = centre = close = None  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
-        super().__init__(SimpleNamespace(world=world, data=world.make_data(), is_live=False))  # type: ignore[arg-type]
+        mirror = SimpleNamespace(world=world, data=world.make_data(), is_live=False, sources={})
+        super().__init__(mirror)  # type: ignore[arg-type]
         self.said: list[str] = []
         self.helped = 0
         self._actions["help"] = self.help

@@ -100,7 +100,7 @@ def looked(build):
 imgui.BeginMainMenuBar = looked(imgui.BeginMainMenuBar)
 
 scene, settings, replay, options = json.loads(sys.argv[1])
-scene = read_scene(scene, settings)
+scene = read_scene(scene, settings, by_hand=not replay)
 if replay:
     replay_instead(scene, Path(replay), None)
 clicks = []

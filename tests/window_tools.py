@@ -24,7 +24,7 @@ from sero_mj.drive.mirror import Mirror
 from sero_mj.show.window.host import Window
 from pathlib import Path
 scene, settings, size, options, replay = json.loads(sys.argv[1])
-scene = read_scene(scene, settings)
+scene = read_scene(scene, settings, by_hand=not replay)
 if replay:
     replay_instead(scene, Path(replay), None)
 clicks = []

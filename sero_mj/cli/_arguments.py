@@ -226,13 +226,13 @@ def _value(text: str) -> Any:
         return text
 
 
-def read_scene(name: str, settings: Sequence[str] = ()) -> Scene:
+def read_scene(name: str, settings: Sequence[str] = (), *, by_hand: bool = False) -> Scene:
     """Returns the scene that `name` means, see `load_scene`, with what `--set` options say."""
     from ..load import load_scene
 
     given = overrides(settings)
     with named_settings(given):
-        return load_scene(name, given)
+        return load_scene(name, given, by_hand=by_hand)
 
 
 @contextlib.contextmanager
@@ -262,9 +262,15 @@ def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
     return problem
 
 
-def read_shown_scene(options: argparse.Namespace) -> Scene:
-    """The scene that a command with `add_scene_options` names, with what these set."""
-    scene = read_scene(options.scene, options.settings)
+def read_shown_scene(options: argparse.Namespace, *, by_hand: bool = False) -> Scene:
+    """The scene that a command with `add_scene_options` names, with what these set.
+
+    Args:
+        options: of the command.
+        by_hand: see `load_scene`.
+    """
+    by_hand &= options.replay is None
+    scene = read_scene(options.scene, options.settings, by_hand=by_hand)
     if options.look is not None:
         scene.view.look = options.look
     if options.replay is not None:

@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
         os.environ["MUJOCO_GL"] = "glfw"
-    scene = read_shown_scene(options)
+    scene = read_shown_scene(options, by_hand=True)
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
     with until_ended():  # as good as closing it

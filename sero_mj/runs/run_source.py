@@ -92,6 +92,11 @@ class RunSource(Source):
         return float(np.median(np.diff(times))) if len(times) > 1 else None
 
     @property
+    def hand(self) -> Any:
+        """What pulls the robots by hand while they are simulated; None where nothing does."""
+        return getattr(self.run, "hand", None)
+
+    @property
     def about(self) -> str:
         """Kind and what it is, for people."""
         return f"{self.run.about}, {self.end:g} s"

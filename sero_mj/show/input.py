@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 LEFT, RIGHT, MIDDLE = 0, 1, 2
@@ -23,6 +24,7 @@ class Event:
         button: `LEFT`, `RIGHT`, `MIDDLE`.
         key: a character in lower case, or a name: `f1`, `left`, `escape`.
         shift: whether Shift or Control was held.
+        control: whether Control was held.
         is_repeat: whether the event is an automatic repetition of a key.
     """
 
@@ -33,6 +35,7 @@ class Event:
     button: int = LEFT
     key: str = ""
     shift: bool = False
+    control: bool = False
     is_repeat: bool = False
 
 
@@ -44,11 +47,14 @@ class Moved:
         how: its effect on the camera.
         right: pixels; zero for `zoom`.
         down: pixels; wheel steps for `zoom`.
+        pulls_from: pixel at which the left button was pressed with Control, for which a link there
+            is pulled and the camera stays; None otherwise.
     """
 
     how: Literal["orbit", "pan", "zoom"]
     right: float
     down: float
+    pulls_from: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +95,18 @@ class Mouse:
         """Whether a button is held."""
         return self._pressed is not None
 
+    def hold(self, pulls: Callable[[tuple[float, float]], bool]) -> bool:
+        """Takes a press that has not moved for one with Control, as a finger has no such key.
+
+        Args:
+            pulls: whether there is something to pull at a pixel.
+        """
+        press = self._pressed
+        if press is None or self._is_drag or not pulls((press.x, press.y)):
+            return False
+        self._pressed = replace(press, control=True)
+        return True
+
     def take(self, event: Event) -> Moved | Clicked | None:
         """Handles an event and returns the drag or click that it completes, if any."""
         if event.kind == "scroll":
@@ -118,7 +136,8 @@ class Mouse:
         if press.button == MIDDLE:
             return Moved("pan", right, down)
         is_pan = press.button == RIGHT or press.shift
-        return Moved("pan" if is_pan else "orbit", right, down)
+        pulls_from = (press.x, press.y) if press.control and press.button == LEFT else None
+        return Moved("pan" if is_pan else "orbit", right, down, pulls_from)
 
     def _release(self, event: Event) -> Clicked | None:
         press = self._pressed

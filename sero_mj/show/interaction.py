@@ -267,6 +267,7 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "f": ("follow", "follow the item under the pointer"),
     "p": ("plot", "torques of the selected joint"),
     "]": ("next_joint", "select the next joint, [ the previous"),
+    "k": ("keep", "keep what was pushed: run, and scenario that repeats it"),
     "t": ("status_line", "status line on or off"),
     "f2": ("screenshot", "screenshot of the scene"),
     "f3": ("film", "film on or off"),
@@ -289,7 +290,8 @@ MORE_KEYS: dict[str, str] = {
 HOST_MOUSE: dict[str, str] = {
     "drag": "rotates the view",
     "right drag": "pans, also with Shift",
-    "wheel": "zooms",
+    "Ctrl+drag": "pulls a link of a simulated robot",
+    "wheel": "zooms; how strongly it pulls",
     "right double click": "centres the view there",
 }
 

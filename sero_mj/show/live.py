@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -16,9 +17,10 @@ from ..frames import Array
 from ..receive.source import Packets
 from .clock import Clock
 from .headless.film import Pixels
-from .input import Clicked
+from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
 from .picking import Picked, Pixel
+from .pulling import Pulling
 from .scene_decor import SceneDecor
 from .torque_history import TorqueHistory, joint_name
 
@@ -57,6 +59,8 @@ class LiveHost(ABC):
         toggles: what is shown.
         clock: pause, speed and time line.
         history: the torques of the last seconds.
+        pulling: pulls links of simulated robots by the pointer.
+        folder: where what the user keeps goes; the current one when None.
         joint: the joint of the world whose torques are plotted.
         decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
@@ -79,6 +83,9 @@ class LiveHost(ABC):
         self.history = TorqueHistory(world, mirror.routes if mirror.is_live else ())
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
+        self.pulling = Pulling(mirror, clock, self.toggles)
+        self.folder: Path | None = None
+        self._is_refused = False  # whether the drag that goes on cannot pull
         self.joint = 0
         self.notice = Message()
         self.shows_status, self.shows_plot, self.shows_help = True, False, False
@@ -100,6 +107,7 @@ class LiveHost(ABC):
             "follow": self._follow_under_pointer,
             "plot": self.toggle_plot,
             "status_line": self.toggle_status,
+            "keep": self._keep_pushes,
         }
 
     @property
@@ -178,6 +186,8 @@ class LiveHost(ABC):
 
     def _advance(self, advance: Callable[[], object]) -> None:
         """Brings the mirror to the current time; an error pauses and is shown."""
+        if self.pulling.is_on:
+            self.pulling.update(self.decor)
         try:
             advance()
         except SeroError as error:  # for example a deleted file; the display does not change
@@ -254,6 +264,51 @@ class LiveHost(ABC):
             self._centre(at)
         if self.on_click is not None:
             self.on_click(picked, gesture)
+
+    def drag(self, moved: Moved, at: Pixel | None, begin: Pixel | None) -> bool:
+        """Pulls a link, if a drag or a turn of the wheel does.
+
+        Args:
+            moved: the drag, or turn.
+            at: the pointer's pixel in the picture; None outside of it.
+            begin: that at which the button was pressed with Control; None for another drag.
+
+        Returns:
+            whether it does not move the camera.
+        """
+        if self.pulling.is_on and moved.how == "zoom":
+            self.say(self.pulling.stronger(moved.down))
+            return True
+        if moved.pulls_from is None:
+            return False
+        if not (self.pulling.is_on or self._is_refused) and begin is not None:
+            found = self.pulling.begin(self.decor, begin)
+            if found is None:
+                return False
+            self._is_refused = found[1]
+            self.say(found[0], is_bad=found[1])
+        if self.pulling.is_on and at is not None:
+            self.pulling.move(at)
+        return self.pulling.is_on or self._is_refused
+
+    def hold(self, at: Pixel) -> bool:
+        """Says what is pulled from a pixel where a finger is held; returns whether anything is."""
+        found = self.pulling.announce(self.decor, at)
+        if found is not None:
+            self.say(found[0], is_bad=found[1])
+        return found is not None and not found[1]
+
+    def let_go(self) -> None:
+        """Ends a drag."""
+        self.pulling.end()
+        self._is_refused = False
+
+    def _keep_pushes(self) -> str:
+        try:
+            return self.pulling.keep(self.folder or Path())
+        except SeroError as error:
+            self.say(str(error), is_bad=True)
+            return ""
 
     def _centre(self, at: Pixel) -> None:
         point = self.decor.point_at(self.data, at)

@@ -106,6 +106,33 @@ def point_at(
     return None if geom[0] < 0 else np.asarray(view.position + distance * direction)
 
 
+def link_at(
+    world: WorldView, data: mujoco.MjData, pen: Pen, view: PictureView, pixel: Pixel
+) -> tuple[str, Array] | None:
+    """Returns the frame of the robot's link at a pixel, and the world point there, (3,), m.
+
+    It looks through decor and doubles; None for anything else in front.
+
+    Args:
+        world: the compiled scene.
+        data: its state, frames up to date.
+        pen: see `pick`.
+        view: see `pick`.
+        pixel: see `pick`.
+    """
+    direction = view.at(np.array(pixel, float), 1.0) - view.position
+    direction /= np.linalg.norm(direction)
+    model = world.model
+    hidden = np.zeros(model.ngeom, bool) if pen.hidden is None else pen.hidden.copy()
+    for double in world.doubles.values():
+        hidden |= np.isin(model.geom_bodyid, double.bodies)
+    hit, distance = _ray(model, data, hidden, view.position, direction)
+    body = int(model.geom_bodyid[hit]) if hit >= 0 else 0
+    number = int(robots_of_bodies(model, world.robots)[body])
+    found = _link_of(world, list(world.robots.values())[number], body) if number >= 0 else None
+    return None if found is None else (found[0], view.position + distance * direction)
+
+
 def _pick_decor(
     world: WorldView, pen: Pen, view: PictureView, origin: Array, direction: Array, tolerance: float
 ) -> Picked | None:

@@ -16,7 +16,7 @@ from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
 from ..frames import Array
 from .interaction import Gesture, click, hover
-from .picking import Picked, Pixel, pick, point_at
+from .picking import Picked, Pixel, link_at, pick, point_at
 
 log = logging.getLogger(__name__)
 
@@ -117,6 +117,12 @@ class SceneDecor:
         if self.view is None:
             return None
         return point_at(self.world, data, self.pen, self.view, pixel)
+
+    def link_at(self, data: mujoco.MjData, pixel: Pixel) -> tuple[str, Array] | None:
+        """Returns a robot's link at a pixel and the point there, see `picking.link_at`."""
+        if self.view is None:
+            return None
+        return link_at(self.world, data, self.pen, self.view, pixel)
 
     def click(
         self,

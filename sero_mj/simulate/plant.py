@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import hypot
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import mujoco
 import numpy as np
@@ -17,6 +17,8 @@ from ..frames import Array
 from .external_loads import Push, attach_payload, detach_payload
 from .joint_model import JointModel
 from .sensors import Sensors
+
+P = TypeVar("P", bound=Push)
 
 _MAX_TORQUE = 1e9  # Nm, norm of all motor torques; a comparison with it refuses NaN as well
 
@@ -214,7 +216,10 @@ class Plant:
             UnknownName: no such frame.
             ValueError: not three finite numbers.
         """
-        push = Push(self.world, frame, force, torque, expressed_in, at)
+        return self.add_push(Push(self.world, frame, force, torque, expressed_in, at))
+
+    def add_push(self, push: P) -> P:
+        """Lets a push act until `release`, see `push`."""
         self._pushes.append(push)
         self._pushed = True
         return push

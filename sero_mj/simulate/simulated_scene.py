@@ -6,12 +6,14 @@ import copy
 
 import numpy as np
 
-from ..assemble.cartesian import SmartArrow
+from ..assemble.cartesian import ReceivedFrame, SmartArrow
 from ..assemble.double import Double
 from ..assemble.scene import Scene
+from ..frames import frame
 from ..runs.run_log import RunLayout, event_of
 from ..runs.run_source import RunSource
 from .disturbances import Force
+from .hand import Hand
 from .scenario import Scenario
 from .simulation import Simulation
 
@@ -29,6 +31,8 @@ def simulated_scene(simulation: Simulation) -> Scene:
     scene = with_routes(scenario, layout, RunSource(run=simulation))
     if scenario.run.show_paths:
         _add_paths(scene, scenario, layout, simulation.rows)
+    if simulation.hand is not None:
+        _show_hand(scene, simulation.hand)
     return scene
 
 
@@ -107,12 +111,32 @@ def _add_double(scene: Scene, robot: str) -> str:
     return name
 
 
+def _show_hand(scene: Scene, hand: Hand) -> None:
+    """Adds an arrow for what is pulled by hand, at the point that was grabbed."""
+    point = f"{hand.name}_point"
+    scene.frames = {**scene.frames, point: ReceivedFrame(name=point, show_axes=False)}
+    scene.arrows[hand.name] = SmartArrow(
+        name=hand.name, kind="force", at=point, expressed_in="world", decimals=1
+    )
+    scene.routes = {
+        **scene.routes,
+        f"{point}.frame": f"{SOURCE}.{event_of(hand.name, 'frame')}",
+        f"{hand.name}.vector": f"{SOURCE}.{event_of(hand.name, 'force')}",
+    }
+
+
 def _add_arrow(scene: Scene, name: str, key: str, force: Force) -> str:
     arrow = _free(scene, name if key == "force" else f"{name}_{key}")
+    at = force.at
+    if force.point.any():
+        at = _free(scene, f"{arrow}_point")
+        there = frame(np.eye(3), force.point)
+        received = ReceivedFrame(name=at, relative_to=force.at, frame=there, show_axes=False)
+        scene.frames = {**scene.frames, at: received}
     scene.arrows[arrow] = SmartArrow(
         name=arrow,
         kind="force" if key == "force" else "torque",
-        at=force.at,
+        at=at,
         expressed_in=force.expressed_in,
     )
     return arrow

@@ -30,6 +30,7 @@ from .drives import Drives
 from .event_schedule import EventSchedule
 from .expect import Outcome
 from .external_loads import Contacts
+from .hand import Hand
 from .plant import Plant
 from .scenario import Scenario
 
@@ -51,6 +52,7 @@ class Simulation:
         scenario: what to run.
         seed: of the noise; the scenario's when None.
         compiler: that remembers what it has compiled, for those who run many; a new one when None.
+        by_hand: whether robots can be pulled by hand while it runs.
 
     Attributes:
         scenario: as given.
@@ -61,6 +63,7 @@ class Simulation:
         rows: (steps + 1, width), the log; rows behind `step` hold targets only.
         step: how many steps have been made.
         whole_body: what the controllers of mounted robots know of each other; None where none is.
+        hand: pulls them by hand; None without.
 
     Raises:
         DeclarationError: what only shows when robots are compiled and targets computed: unstable
@@ -68,7 +71,12 @@ class Simulation:
     """
 
     def __init__(
-        self, scenario: Scenario, seed: int | None = None, compiler: Compiler | None = None
+        self,
+        scenario: Scenario,
+        seed: int | None = None,
+        compiler: Compiler | None = None,
+        *,
+        by_hand: bool = False,
     ) -> None:
         run, scene = scenario.run, scenario.scene
         self.compiler = compiler or Compiler()
@@ -101,6 +109,7 @@ class Simulation:
             with _located_in(scenario.scene):
                 self.drives = Drives(self.plant, self.robots, run)
         self._limit_speeds()
+        self.hand = Hand(self.plant, scenario) if by_hand else None
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
@@ -113,9 +122,10 @@ class Simulation:
         self._begin(start)
         self._check_gains(start)
 
-    def __reduce__(self) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int]]:
+    def __reduce__(self) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int, bool]]:
         """Pickles what is run, so that it runs anew, to the same log, where it is unpickled."""
-        return _begun_again, (self.scenario, self._start, self.plant.sensors.seed)
+        seed, by_hand = self.plant.sensors.seed, self.hand is not None
+        return _begun_again, (self.scenario, self._start, seed, by_hand)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
         """Begins anew with other joint angles and noise; what was changed about the plant stays.
@@ -205,6 +215,8 @@ class Simulation:
         self.rows[:, 0] = times
         self._fill_targets(plans)
         self._schedule.fill(self.layout.columns, self.rows)
+        if self.hand is not None:
+            self.hand.begin(self.layout.columns, self.rows)
         self._drive: Array = np.zeros((2, self.plant.n))  # torques: commanded, and asked for
         every = self._observed_every
         self._robots = list(
@@ -254,6 +266,8 @@ class Simulation:
         if self._contacts is not None:
             events |= {event_of(name, "contact_force"): "1V" for name in plans}
         events |= dict.fromkeys(self._free, "1M")
+        if self.hand is not None:
+            events |= self.hand.log_events()
         for name, plan in plans.items():
             if plan.flange is not None:
                 events[event_of(name, "target_pose")] = "1M"
@@ -325,7 +339,7 @@ class Simulation:
                 run away, and the log ends there.
         """
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
-        whole_body, free = self.whole_body, self._free
+        whole_body, free, hand = self.whole_body, self._free, self.hand
         measured, actual, driven = self._measured, self._actual, self._driven
         (commanded, _), every = self._drive, self._observed_every
         slow, motor_speeds = self._surely_slow, self._motor_speeds
@@ -335,6 +349,8 @@ class Simulation:
         try:
             for k, time in zip(range(first, stop), times, strict=True):
                 schedule.before(k - 1)
+                if hand is not None:
+                    hand.before(k - 1)
                 if whole_body is not None:
                     whole_body.update(measured[k - 1, 0], plant.data)
                 for robot in self._robots:
@@ -346,6 +362,8 @@ class Simulation:
                 if contacts is not None and plant.data.ncon:
                     self._write_contacts(k, contacts.update())
                 schedule.after(k)
+                if hand is not None:
+                    hand.after(k)
                 if k % every == 0:
                     if whole_body is not None:
                         whole_body.update(measured[k, 0], plant.data)
@@ -393,8 +411,8 @@ class Simulation:
         ]
 
 
-def _begun_again(scenario: Scenario, start: Array, seed: int) -> Simulation:
-    simulation = Simulation(scenario, seed)
+def _begun_again(scenario: Scenario, start: Array, seed: int, by_hand: bool) -> Simulation:
+    simulation = Simulation(scenario, seed, by_hand=by_hand)
     if not np.array_equal(start, simulation._start):
         simulation.restart(start, seed)
     return simulation

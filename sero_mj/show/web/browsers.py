@@ -1,7 +1,7 @@
 """What the browsers of a page tell its server, and which of several states each of them is sent.
 
 The page's own script sends texts over the websocket of the states, which Studio's server does not
-hear of: the size of the page, and when a button was pressed.
+hear of: the size of the page, when a button was pressed, and that a finger is held still.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ Size = tuple[int, int]  # width and height of a page without Studio's bar, pixel
 _REQUEST_TIMEOUT = 10.0  # timeout of a connection's request, s
 _SIZE = re.compile(r"sero-mj size ([1-9][0-9]{0,4}) ([1-9][0-9]{0,4})")
 _PRESS = re.compile(r"sero-mj press ([0-2])")
+_HOLD = "sero-mj hold"
 _OLDEST_PRESS = 1.0  # s since the last frame without one; it was no click on the picture
 _MOST_PRESSES = 50
 
@@ -38,6 +39,7 @@ class Browsers:
         self._sizes: dict[Any, Size] = {}  # by connection
         # Buttons and times, the oldest first.
         self._presses = collections.deque[tuple[int, float]](maxlen=_MOST_PRESSES)
+        self._is_held = False
         self._lock = threading.Lock()
 
     @property
@@ -57,7 +59,10 @@ class Browsers:
         elif press := _PRESS.fullmatch(message):
             with self._lock:
                 self._presses.append((int(press[1]), time.monotonic()))
-        return bool(size or press)
+                self._is_held = False
+        elif message == _HOLD:
+            self._is_held = True
+        return bool(size or press) or message == _HOLD
 
     def forget(self, connection: Any) -> None:
         """Forgets a browser that has left."""
@@ -86,6 +91,11 @@ class Browsers:
                 if pressed == button:
                     return at
         return time.monotonic()
+
+    def take_hold(self) -> bool:
+        """Returns whether a finger has been held still since the last press; once."""
+        held, self._is_held = self._is_held, False
+        return held
 
     def forget_presses(self) -> None:
         """Forgets presses that nothing has been seen of."""

@@ -11,7 +11,7 @@ from mujoco.studio import messages, plugin, sim, sim_history, ux
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
 from ..clock import Clock
-from ..input import LEFT, RIGHT, Clicked, Event, Mouse
+from ..input import LEFT, RIGHT, Clicked, Event, Mouse, Moved
 from ..live import LiveHost
 
 _BUTTONS = ((LEFT, imgui.MouseButton.Left), (RIGHT, imgui.MouseButton.Right))
@@ -50,6 +50,7 @@ class StudioApp(studio_app.App):
 
     Attributes:
         press_time: returns when a button was pressed that is seen to be pressed now, s.
+        take_hold: returns whether a finger has been held still, once for every time.
         docked: width of what is docked to the left and the right edge of the page, pixels.
     """
 
@@ -64,6 +65,8 @@ class StudioApp(studio_app.App):
         )
         self._host = host
         self._mouse = Mouse()
+        self._pulls = False  # whether the drag that goes on pulls, and the camera stays
+        self.take_hold: Callable[[], bool] = lambda: False
         self.press_time: Callable[[int], float] = lambda button: time.monotonic()
         self.docked = (0.0, 0.0)
 
@@ -100,11 +103,12 @@ class StudioApp(studio_app.App):
         """Distinguishes clicks from drags, with which the browser moves its camera."""
         io = imgui.GetIO()
         height = io.DisplaySize.y
-        over_scene = not io.WantCaptureMouse and imgui.IsMousePosValid()
+        over_scene = (self._pulls or not io.WantCaptureMouse) and imgui.IsMousePosValid()
         at = (io.MousePos.x, height - io.MousePos.y)
 
         def event(kind: str, button: int = LEFT, when: float = 0.0) -> Event:
-            return Event(kind, *at, time=when, button=button, shift=io.KeyShift or io.KeyCtrl)  # type: ignore[arg-type]
+            shift, control = io.KeyShift or io.KeyCtrl, io.KeyCtrl
+            return Event(kind, *at, when, button, shift=shift, control=control)  # type: ignore[arg-type]
 
         found = [self._mouse.take(event("move"))]
         for button, studio_button in _BUTTONS:
@@ -114,9 +118,20 @@ class StudioApp(studio_app.App):
                     found.append(self._mouse.take(event("press", button, when)))
             if imgui.IsMouseReleased(int(studio_button)):
                 found.append(self._mouse.take(event("release", button)))
+        if self.take_hold() and self._mouse.hold(self._host.hold):
+            self._pulls = True
         for each in found:
             if isinstance(each, Clicked):
                 self._host.click(each)
+            elif isinstance(each, Moved):
+                self._pulls |= self._host.drag(each, at, each.pulls_from)
+        if self._pulls and io.MouseWheel:
+            self._host.drag(Moved("zoom", 0.0, io.MouseWheel), at, None)
+        if not self._mouse.is_down:
+            self._pulls = False
+            self._host.let_go()
+        if self._pulls:  # the browser leaves its camera alone, as over a window
+            imgui.SetNextFrameWantCaptureMouse(True)
         self._host.point(at if over_scene and not self._mouse.is_down else None)
 
     def handle_keyboard_events(self) -> None:

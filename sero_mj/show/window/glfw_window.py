@@ -198,7 +198,8 @@ class GlWindow:
         kind = "press" if action == glfw.PRESS else "release"
         shift = bool(mods & (glfw.MOD_SHIFT | glfw.MOD_CONTROL))
         if button in (LEFT, RIGHT, MIDDLE):
-            self._add(kind, button=button, shift=shift, **self._pixel(x, y))
+            control = bool(mods & glfw.MOD_CONTROL)
+            self._add(kind, button=button, shift=shift, control=control, **self._pixel(x, y))
 
     def _on_move(self, window: Any, x: float, y: float) -> None:
         self._at = (x, y)

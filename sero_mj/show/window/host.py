@@ -181,7 +181,7 @@ class Window(LiveHost):
         super().__init__(mirror)
         world = self.world
         self.navigator = Navigator(world, camera)
-        self.camera = Capture(world.scene.name, folder)
+        self.camera, self.folder = Capture(world.scene.name, folder), folder
         self.help_page = 0
         self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
@@ -326,6 +326,8 @@ class Window(LiveHost):
             self._mouse.position = (event.x, event.y)
             return
         found = self._mouse.take(event)
+        if not self._mouse.is_down:
+            self.let_go()
         if isinstance(found, Moved):
             self._move(found, height)
         elif isinstance(found, Clicked):
@@ -333,7 +335,8 @@ class Window(LiveHost):
 
     def _move(self, moved: Moved, height: int) -> None:
         view, navigator = self.decor.view, self.navigator
-        if view is None:
+        begin = None if moved.pulls_from is None else self.decor.to_picture(*moved.pulls_from)
+        if view is None or self.drag(moved, self._pointer(), begin):
             return
         navigator.free(view.position, view.forward)
         right, down = moved.right / height, moved.down / height

@@ -1,0 +1,105 @@
+"""Saves what was pulled by hand: the run as a recording, and a scenario that repeats it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..describe.toml_text import toml_text
+from ..errors import SeroError, UnknownName, UsageError
+from ..paths import find_scenario
+from .hand import Pull
+from .log_output import RunRecorder
+from .scenario import Scenario
+from .simulation import Simulation
+
+_DIGITS = 9  # of times, s
+
+
+def save_pushes(simulation: Simulation, folder: Path) -> Path:
+    """Saves a run that was pushed by hand: `NAME_pushed.toml`, and `.mcap` beside it.
+
+    Args:
+        simulation: that was run, with a hand.
+        folder: where to; names that are taken there get a number.
+
+    Returns:
+        the scenario: it extends the one that was run, and its disturbances have the forces of every
+        step, so that it makes the same run to the last bit.
+
+    Raises:
+        UsageError: nothing was pushed, or what was run is not from a file.
+        RecordingError: the recording cannot be written.
+        SeroError: the scenario cannot be written.
+    """
+    scenario, hand = simulation.scenario, simulation.hand
+    pulls = [] if hand is None else [pull for pull in hand.pulls if pull.forces]
+    if not pulls:
+        raise UsageError("nothing was pushed yet: drag a link with Ctrl held")
+    if scenario.file is None:
+        raise UsageError("a scenario that was made in Python has no file that another could extend")
+    path = _unused(folder, f"{scenario.name}_pushed")
+    timestep = scenario.run.timestep
+    names = (f"push{i}" for i in range(1, 10**6))
+    free = (name for name in names if name not in scenario.disturbances)
+    settings = {key: _plain(value) for key, value in scenario.settings.items()}
+    if simulation.plant.sensors.seed != scenario.run.seed:
+        settings["run.seed"] = simulation.plant.sensors.seed
+    tables: dict[str, Any] = {
+        "extends": _named(scenario, folder),
+        "description": f"{scenario.name}, pushed by hand",
+        **({"set": settings} if settings else {}),
+        "disturbances": {
+            name: _disturbance(pull, timestep) for name, pull in zip(free, pulls, strict=False)
+        },
+    }
+    with RunRecorder(simulation, path.with_suffix(".mcap")) as recorder:
+        recorder.write(0, simulation.step + 1)
+    try:
+        path.write_text(toml_text(tables), "utf-8")
+    except OSError as error:
+        raise SeroError(f"{path}: cannot be written: {error.strerror}") from error
+    return path
+
+
+def _disturbance(pull: Pull, timestep: float) -> dict[str, Any]:
+    forces = np.array(pull.forces)
+    changes = np.append(True, (forces[1:] != forces[:-1]).any(axis=1)).nonzero()[0]
+    samples = [
+        [round(int(k) * timestep, _DIGITS), *(float(value) + 0.0 for value in forces[k])]
+        for k in changes
+    ]
+    return {
+        "kind": "force",
+        "at": pull.at,
+        "point": pull.point.tolist(),
+        "begin": round(pull.first * timestep, _DIGITS),
+        "end": round((pull.first + len(forces)) * timestep, _DIGITS),
+        "samples": samples,
+    }
+
+
+def _named(scenario: Scenario, folder: Path) -> str:
+    """What a scenario in that folder calls this one: its name if it is shipped, else its file."""
+    assert scenario.file is not None
+    try:
+        if find_scenario(scenario.file.stem).samefile(scenario.file):
+            return scenario.file.stem
+    except UnknownName:
+        pass
+    return Path(os.path.relpath(scenario.file, folder)).as_posix()
+
+
+def _unused(folder: Path, stem: str) -> Path:
+    path, count = folder / f"{stem}.toml", 2
+    while path.exists() or path.with_suffix(".mcap").exists():
+        path = folder / f"{stem}_{count}.toml"
+        count += 1
+    return path
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
