@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from . import paths
 from .assemble.robot import SerialRobot
@@ -54,10 +54,9 @@ def load_scene(
                 hint = paths.file_hint(name)
                 raise UnknownName("scene or robot", name, available, hint) from error
     if path.name == paths.ROBOT_FILE or path.suffix in paths.ROBOT_ENDINGS:
-        # The base of a robot that others describe is often its trunk.
-        floor: Literal[True, "below"] = "below" if path.suffix in paths.ROBOT_ENDINGS else True
+        # The base of a robot may be its trunk.
         robot = load_robot(str(path), overrides)
-        return Scene(robots=[robot], floor=floor, name=paths.model_name(path))
+        return Scene(robots=[robot], floor="below", name=paths.model_name(path))
     if path.name == paths.GROUP_FILE:
         own = path.resolve().parent.name
         tables = {"name": own, "groups": {own: {"model": path}}}

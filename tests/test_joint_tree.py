@@ -207,6 +207,15 @@ def test_doubles_of_trees_stand_where_their_joints_have_them():
     np.testing.assert_allclose(data.xpos[bodies], frames[1:, :3, 3], atol=1e-9)
 
 
+def test_fields_of_a_tree_can_be_set_one_by_one():
+    robot = tree_robot(1)
+    robot.base_frame = {"xyz": [0, 0, 1.5]}
+    robot.show_axes = True
+    assert robot.base_frame[2, 3] == 1.5 and robot.show_axes and robot.n == 7
+    with pytest.raises(DeclarationError, match="found dh_base_frame with joint_frames"):
+        robot.dh_base_frame = {"xyz": [0, 0, 1]}
+
+
 def test_arrows_fit_the_links():
     thick = {"shape": "cylinder", "size": [0.2, 0.3]}
     thin = {"shape": "cylinder", "size": [0.02, 0.3], "frame": {"xyz": [0, 0, 0.15]}}

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj import DhTable
+from sero_mj import DhTable, load_scene
 from sero_mj.describe.described import Described
 from sero_mj.describe.urdf import UrdfFile, read_urdf
 from sero_mj.errors import DeclarationError
@@ -283,6 +283,15 @@ def test_a_floating_root_is_a_free_base(tmp_path: Path) -> None:
     assert tables["free_base"] is True
     assert np.array(tables["base_frame"])[:3, 3].tolist() == [0, 0, 1]
     assert len(tables["joint_names"]) == 4
+
+
+def test_a_scene_has_a_robot_of_a_urdf_file(tmp_path: Path) -> None:
+    path = write(tmp_path, GRIPPER)
+    scene = write(tmp_path, '[robots.arm]\nmodel = "robot.urdf"\nshow_arrows = true', "s.toml")
+    robot = load_scene(scene).robots["arm"]
+    assert robot.names == described(tmp_path, GRIPPER).tables["joint_names"] and robot.show_arrows
+    overridden = load_scene(path, {"robot.base_frame": {"xyz": [0, 0, 1]}}).robots["robot"]
+    assert overridden.base_frame[2, 3] == 1
 
 
 BAD = """<robot name="bad">

@@ -60,6 +60,14 @@ log = logging.getLogger(__name__)
 
 BASE = "base"  # what carries a joint that is on no other one
 _AXES_OF_REACH = 0.2
+# Fields of a DH table, as a robot with joint frames has them.
+_OF_TABLE: dict[str, Any] = {
+    "dh_params": np.zeros((0, 4)),
+    "dh_params_deg": None,
+    "dh_columns": [*COLUMNS],
+    "length_unit": "m",
+    "dh_base_frame": np.eye(4),
+}
 _COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
 
 
@@ -318,13 +326,19 @@ class SerialRobot(Declaration):
     @classmethod
     def _frames_instead_of_a_table(cls, fields: Any) -> Any:
         if isinstance(fields, Mapping) and fields.get("joint_frames") is not None:
-            return {"dh_convention": "none", **fields}
+            # What a robot has of them that is checked anew, as one of its fields is set.
+            as_without = {
+                key
+                for key in _OF_TABLE.keys() & fields
+                if np.array_equal(fields[key], _OF_TABLE[key])
+            }
+            left = {key: value for key, value in fields.items() if key not in as_without}
+            return {"dh_convention": "none", **left}
         return fields
 
     @model_validator(mode="after")
     def _frames_or_a_table(self) -> SerialRobot:
-        of_table = {"dh_params", "dh_params_deg", "dh_columns", "length_unit", "dh_base_frame"}
-        given = sorted(of_table & self.model_fields_set)
+        given = sorted(_OF_TABLE.keys() & self.model_fields_set)
         if self.joint_frames is not None and (given or self.dh_convention != "none"):
             found = given[0] if given else f"dh_convention = '{self.dh_convention}'"
             raise ValueError(f"found {found} with joint_frames; expected one of the two")
