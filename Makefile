@@ -5,12 +5,13 @@
 # make lint   style and types
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
+# make foreign   reads robots of example-robot-data from PyPI (200 MB) and compares with Pinocchio
 # make gallery   docs/gallery.md and its pictures
 # make wheel  dist/*.whl, with models and scenes inside
 
 BIN := .venv/bin
 
-.PHONY: demo test quick mutations lint docs bench gallery wheel clean
+.PHONY: demo test quick mutations lint docs bench foreign gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -44,6 +45,10 @@ bench: .venv/.test
 	$(BIN)/python benchmarks/many.py
 	$(BIN)/python benchmarks/learn.py
 	$(BIN)/python benchmarks/web.py
+
+foreign: .venv/.test
+	$(BIN)/python -m pip install --quiet --group foreign
+	$(BIN)/python benchmarks/foreign.py
 
 gallery: .venv/.run
 	$(BIN)/python docs/gallery.py $(SHOTS)

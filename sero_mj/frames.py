@@ -80,6 +80,27 @@ def rotation_from_quat(quat: Array) -> Array:
     )
 
 
+def quat_from_rotation(rotation: Array) -> Array:
+    """Unit quaternion w, x, y, z (4,) of a rotation (3, 3), with w of 0 or more.
+
+    Of the four formulas the one with the largest divisor (Shepperd 1978).
+    """
+    R = rotation
+    trace = float(np.trace(R))
+    squares = np.array([trace, *np.diag(R)])  # 4 w2 - 1, ... up to the same terms
+    k = int(np.argmax(squares))
+    if k == 0:
+        quat = np.array([1 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    else:
+        i, j, m = k - 1, k % 3, (k + 1) % 3
+        quat = np.empty(4)
+        quat[0] = R[m, j] - R[j, m]
+        quat[1 + i] = 1 + R[i, i] - R[j, j] - R[m, m]
+        quat[1 + j], quat[1 + m] = R[j, i] + R[i, j], R[m, i] + R[i, m]
+    quat = quat / np.linalg.norm(quat)
+    return np.asarray(-quat if quat[0] < 0 else quat)
+
+
 def frame(rotation: Array | None = None, position: Array | None = None) -> Array:
     """Builds a 4x4 frame from a rotation (3, 3) and a position (3,) in m; identity by default."""
     matrix = np.eye(4)

@@ -20,7 +20,7 @@ from sero_mj.cli._arguments import overrides
 from sero_mj.paths import find_scene
 
 COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep",
-            "new", "schema", "convert"]  # fmt: skip
+            "new", "schema", "convert", "import"]  # fmt: skip
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:

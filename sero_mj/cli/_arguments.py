@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import math
+import os
 import re
 import signal
 import threading
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from ..describe.package_files import PACKAGES_VARIABLE
 from ..errors import DeclarationError, Problem, RecordingError, UsageError
 
 if TYPE_CHECKING:
@@ -140,13 +142,14 @@ def check_ending(given: str, path: Path, endings: Collection[str], between: str 
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
-    """Adds `--camera`, `--look`, `--set`, `--replay` and `--start`."""
+    """Adds `--camera`, `--look`, `--package`, `--set`, `--replay` and `--start`."""
     parser.add_argument(
         "--camera",
         metavar="CAM",
         help="name of a camera, or azimuth,elevation,distance in degrees and m",
     )
     parser.add_argument("--look", choices=LOOKS, help="over the scene's; default light")
+    add_package_option(parser)
     add_set_option(parser, "ROBOT.FIELD=VALUE", "set a field over the scene's; may be repeated")
     parser.add_argument(
         "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
@@ -156,6 +159,30 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         type=not_negative,
         metavar="S",
         help="where in the recording to begin (default: its first packet)",
+    )
+
+
+class _Package(argparse.Action):
+    """Tells this process, and those that it starts, where a package is."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        """Checks and adds one."""
+        name, equals, folder = str(values).partition("=")
+        if not (name and equals and Path(folder).is_dir()):
+            found = f"'{folder}', which is no folder" if equals else f"'{values}'"
+            parser.error(f"--package: found {found}; expected NAME=DIR, the package's folder")
+        known = os.environ.get(PACKAGES_VARIABLE)
+        own = f"{name}={Path(folder).resolve()}"
+        os.environ[PACKAGES_VARIABLE] = f"{own}{os.pathsep}{known}" if known else own
+
+
+def add_package_option(parser: argparse.ArgumentParser) -> None:
+    """Adds `--package`, for robots from URDF files."""
+    parser.add_argument(
+        "--package",
+        action=_Package,
+        metavar="NAME=DIR",
+        help="folder of a ROS package that a URDF names; may be repeated",
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Set
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from ._arguments import Commands, add_command, read_scene
+from ._arguments import Commands, add_command, add_package_option, read_scene
 
 if TYPE_CHECKING:
     from ..assemble.robot import SerialRobot
@@ -26,6 +26,7 @@ def add_to(commands: Commands) -> None:
         commands, "check", run, "check a scene file and print what it holds", _EPILOG
     )
     parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
+    add_package_option(parser)
 
 
 def run(options: argparse.Namespace) -> int:

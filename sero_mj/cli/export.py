@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, check_ending, read_scene
+from ._arguments import Commands, add_command, add_package_option, check_ending, read_scene
 
 _EPILOG = """\
 example:
@@ -21,6 +21,7 @@ def add_to(commands: Commands) -> None:
     """Adds the command."""
     parser = add_command(commands, "export", run, "write a scene as MJCF with its meshes", _EPILOG)
     parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
+    add_package_option(parser)
     parser.add_argument("output", metavar="OUT.xml", type=Path)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UsageError
-from ._arguments import Commands, add_command, numbers
+from ._arguments import Commands, add_command, add_package_option, numbers
 
 _EPILOG = """\
 examples:
@@ -25,6 +25,7 @@ def add_to(commands: Commands) -> None:
         commands, "fk", run, "print base-to-flange of a robot by DH and by MuJoCo", _EPILOG
     )
     parser.add_argument("robot", metavar="ROBOT", help="robot: a file, a folder or a shipped name")
+    add_package_option(parser)
     parser.add_argument(
         "--joint-angles", metavar="Q", help="joint values with commas, rad or m (default: home)"
     )
@@ -51,7 +52,8 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))
         return 0
     with np.printoptions(precision=6, suppress=True, floatmode="fixed"):
-        print(f"T_base_flange of {robot.name}, by dh\n{result['dh']}")
+        how = "its DH table" if robot.dh is not None else "its joint frames"
+        print(f"T_base_flange of {robot.name}, by {how}\n{result['dh']}")
         print(f"by MuJoCo\n{result['mujoco']}")
     print(
         f"difference: {result['position_difference']:.1e} m, {result['angle_difference']:.1e} rad"

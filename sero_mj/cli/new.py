@@ -117,12 +117,17 @@ def run(options: argparse.Namespace) -> int:
     else:
         _copy(paths.find_model(options.like), robot)
     n = SerialRobot.from_model(str(robot)).n
-    scene.write_text(_SCENE.format(name=name, n=n), encoding="utf-8")
+    scene.write_text(scene_text(name, n), encoding="utf-8")
     for kind in ("robot", "scene"):
         (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
     print(f"{robot}: the robot\n{scene}: a scene that mirrors it")
     print(f"next, in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
     return 0
+
+
+def scene_text(name: str, n: int) -> str:
+    """A scene that mirrors a robot of n independent joints, whose folder is beside it."""
+    return _SCENE.format(name=name, n=n)
 
 
 def _copy(model: Path, to: Path) -> None:

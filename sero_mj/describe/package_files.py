@@ -22,6 +22,8 @@ _PACKAGE_PATHS = (
     "GAZEBO_MODEL_PATH",
 )
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
+# NAME=DIR, as several of a path: what `--package` adds to.
+PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
 _MOST_ABOVE = 12  # folders above a file that are searched
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
 _MANIFEST_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
@@ -85,6 +87,10 @@ def package_folders(
     """
     if packages and package in packages:
         yield Path(packages[package])
+    for entry in os.environ.get(PACKAGES_VARIABLE, "").split(os.pathsep):
+        name, _, at = entry.partition("=")
+        if name == package and at:
+            yield Path(at)
     for above in _above(beside):
         if above.name == package or _manifest_name(above) == package:
             yield above

@@ -25,7 +25,7 @@ def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
     lines += [*([""] if lines and plain else []), *_entries(plain)]
     for key, value in tables.items():
         if _is_section(value):
-            lines += _section(_key(key), value)
+            lines += _section(toml_key(key), value)
     return "\n".join(lines).strip("\n") + "\n"
 
 
@@ -51,33 +51,34 @@ def _body(name: str, table: Mapping[str, Any]) -> list[str]:
     small = {
         key: value
         for key, value in inner.items()
-        if depth > 1 and isinstance(value, Mapping) and len(_inline(value)) + len(key) < _WIDTH - 3
+        if depth > 1 and isinstance(value, Mapping) and len(inline(value)) + len(key) < _WIDTH - 3
     }
     plain = {key: value for key, value in table.items() if key not in inner or key in small}
     lines = _entries(plain)
     for key, value in inner.items():
         if key not in small:
-            lines += _section(f"{name}.{_key(key)}", value)
+            lines += _section(f"{name}.{toml_key(key)}", value)
     return lines
 
 
 def _entries(table: Mapping[str, Any]) -> list[str]:
-    lines = []
-    for key, value in table.items():
-        text = _inline(value)
-        line = f"{_key(key)} = {text}"
-        if isinstance(value, str) and len(value) > _LONG and "'''" not in value:
-            line = f"{_key(key)} = '''\n{value}'''"
-        elif isinstance(value, list) and len(line) > _WIDTH:
-            rows = _rows(value)
-            line = f"{_key(key)} = [\n" + "".join(f"  {row},\n" for row in rows) + "]"
-        lines += line.split("\n")
-    return lines
+    return [line for key, value in table.items() for line in toml_entry(key, value)]
+
+
+def toml_entry(key: str, value: Any) -> list[str]:
+    """The lines of a key and its value, several for what is long."""
+    line = f"{toml_key(key)} = {inline(value)}"
+    if isinstance(value, str) and len(value) > _LONG and "'''" not in value:
+        line = f"{toml_key(key)} = '''\n{value}'''"
+    elif isinstance(value, list) and len(line) > _WIDTH:
+        rows = _rows(value)
+        line = f"{toml_key(key)} = [\n" + "".join(f"  {row},\n" for row in rows) + "]"
+    return line.split("\n")
 
 
 def _rows(values: list[Any]) -> list[str]:
     """Entries of a list, a line for each that is a list or table itself, else as many as fit."""
-    texts = [_inline(value) for value in values]
+    texts = [inline(value) for value in values]
     if any(isinstance(value, list | Mapping) for value in values):
         return texts
     rows: list[str] = []
@@ -89,7 +90,8 @@ def _rows(values: list[Any]) -> list[str]:
     return rows
 
 
-def _key(key: str) -> str:
+def toml_key(key: str) -> str:
+    """A key, in quotes where it has to be."""
     return key if _BARE.fullmatch(key) else _quoted(key)
 
 
@@ -98,13 +100,13 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _inline(value: Any) -> str:
+def inline(value: Any) -> str:
     """A value in one line."""
     if isinstance(value, Mapping):
-        entries = ", ".join(f"{_key(key)} = {_inline(each)}" for key, each in value.items())
+        entries = ", ".join(f"{toml_key(key)} = {inline(each)}" for key, each in value.items())
         return f"{{ {entries} }}" if entries else "{}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_inline, value))}]"
+        return f"[{', '.join(map(inline, value))}]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

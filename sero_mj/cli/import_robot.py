@@ -1,0 +1,93 @@
+"""`sero-mj import`: a robot folder in our format from a robot's URDF, and a scene to mirror it."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+from pathlib import Path
+
+from ..declaration import is_name
+from ..errors import UsageError
+from ._arguments import Commands, add_command, add_package_option, check_ending
+from .new import scene_text
+from .schema import schema_text
+
+_EPILOG = """\
+example:
+  sero-mj import ur5.urdf --out my_ur5      my_ur5/robot.toml, its meshes; the scene my_ur5.toml
+
+The robot file is commented: limits, masses and inertias, meshes with their frames, which joints
+belong to which limb, and a Denavit-Hartenberg table where there is one. It is to be changed by
+hand. Nothing that is there is written over. xacro becomes URDF if the package `xacro` is installed.
+"""
+_BESIDE = re.compile(
+    rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
+    re.MULTILINE,
+)
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the command."""
+    about = "write a robot folder and a scene from a URDF file"
+    parser = add_command(commands, "import", run, about, _EPILOG)
+    parser.add_argument("file", metavar="FILE", type=Path, help="URDF or xacro")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder to be made (default: the robot's name)"
+    )
+    add_package_option(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes the files; returns 0."""
+    from ..assemble.robot import SerialRobot
+    from ..describe.robot_text import copied_meshes, urdf_robot_text
+    from ..describe.urdf import UrdfFile
+
+    check_ending("FILE", options.file, (".urdf", ".xacro"))
+    file = UrdfFile(options.file)
+    folder = Path(file.described.tables["name"] if options.out is None else options.out)
+    scene = folder.parent / f"{folder.name}.toml"
+    try:
+        is_name(folder.name)
+    except ValueError as error:
+        raise UsageError(f"--out: {error}") from None
+    for path in (folder, scene):
+        if path.exists():
+            raise UsageError(f"{path} is there already; choose another with --out")
+    try:
+        folder.mkdir(parents=True)
+        tables = copied_meshes(
+            file.described.tables, lambda mesh, name: _copy(mesh, folder / "meshes" / name)
+        )
+        (folder / "robot.toml").write_text(urdf_robot_text(file, tables), encoding="utf-8")
+        robot = SerialRobot.from_model(str(folder / "robot.toml"))
+        scene.write_text(scene_text(folder.name, robot.coupled.k), encoding="utf-8")
+        for kind in ("robot", "scene"):
+            (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
+    for warning in file.described.warnings:
+        print(f"note: {warning}")
+    how = f"{robot.dh_convention} DH table" if robot.dh is not None else "joint frames"
+    print(f"{folder}/robot.toml: {robot.n} joints, {how}\n{scene}: a scene that mirrors it")
+    print(f"next, in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
+    return 0
+
+
+def _copy(mesh: Path, to: Path) -> None:
+    """Copies a mesh, and the materials and pictures that it has beside it, for their colours."""
+    waiting, seen = [(mesh, to)], set()
+    while waiting:
+        source, target = waiting.pop()
+        if source in seen or not source.is_file():
+            continue
+        seen.add(source)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+        if source.suffix.lower() in (".dae", ".obj", ".mtl"):
+            for names in _BESIDE.findall(source.read_bytes()):
+                name = (names[0] or names[1]).strip().decode(errors="replace")
+                name = name.removeprefix("file://")
+                if name and not Path(name).is_absolute() and ".." not in Path(name).parts:
+                    waiting.append((source.parent / name, target.parent / name))

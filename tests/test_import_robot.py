@@ -1,0 +1,154 @@
+"""`sero-mj import`: a robot folder in our format that is the same robot as its URDF."""
+
+from __future__ import annotations
+
+import os
+import re
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from test_mesh_files import COLLADA
+from test_urdf import CHAIN, GRIPPER, poses_in_xml, write
+
+from sero_mj import HeadlessRenderer, SerialRobot, load_scene
+from sero_mj.assemble.robot_dynamics import robot_dynamics
+from sero_mj.assemble.world import World
+from sero_mj.cli import main
+from sero_mj.describe.package_files import PACKAGES_VARIABLE
+
+ROBOTS = {"tree": GRIPPER, "chain": CHAIN}
+MESHES = """<visual><origin xyz="0 0 0.3"/><geometry>
+<mesh filename="package://arm_meshes/visual/two.dae"/></geometry></visual>
+<visual><geometry><mesh filename="package://arm_meshes/box.stl" scale="0.1 0.2 0.1"/></geometry>
+<material name="red"/></visual></link>
+  <joint name="turn.table\""""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Robots with meshes in a package that only an option leads to."""
+    package = tmp_path / "far" / "away"
+    (package / "visual").mkdir(parents=True)
+    trimesh.creation.box((1, 1, 1)).export(package / "box.stl")
+    Image.new("RGB", (4, 4), (255, 128, 0)).save(package / "visual" / "orange.png")
+    text = COLLADA.format(picture="orange.png", second="pic")
+    (package / "visual" / "two.dae").write_text(text, encoding="utf-8")
+    for name, text in ROBOTS.items():
+        meshes = text.replace('</link>\n  <joint name="turn.table"', MESHES, 1)
+        assert meshes != text
+        write(tmp_path, meshes, f"{name}.urdf")
+    monkeypatch.setenv(PACKAGES_VARIABLE, "")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments])
+    return int(ended.value.code or 0)
+
+
+def same(one: SerialRobot, other: SerialRobot) -> None:
+    """Checks that both are the same robot; positions to 1e-9 m."""
+    assert one.names == other.names and one.types == other.types
+    assert (one.carriers is None) == (other.carriers is None)
+    for q in np.random.default_rng(0).uniform(-2, 2, (10, one.n)):
+        frames = one.kinematics.frames(q), other.kinematics.frames(q)
+        assert np.allclose(*frames, rtol=0, atol=1e-9)
+        flanges = one.fwd_kin_base_to_flange(q), other.fwd_kin_base_to_flange(q)
+        assert np.allclose(*flanges, rtol=0, atol=1e-9)
+    mine, its = robot_dynamics(one), robot_dynamics(other)
+    for key in ("masses", "centers", "tensors", "viscous_friction", "coulomb_friction"):
+        assert np.allclose(getattr(mine, key), getattr(its, key), rtol=1e-9, atol=1e-12), key
+    for key in ("position_limits", "velocity_limits", "torque_limits", "home"):
+        assert np.allclose(getattr(one, key), getattr(other, key)), key
+    assert one.couplings == other.couplings and one.flange_link == other.flange_link
+    for key in ("filenames", "collisions"):
+        links = getattr(one, key), getattr(other, key)
+        assert [len(link) for link in links[0]] == [len(link) for link in links[1]]
+        for a, b in zip(*map(chain.from_iterable, links), strict=True):
+            assert (a.shape, a.color) == (b.shape, b.color)
+            assert np.allclose(a.frame, b.frame, atol=1e-12)
+    assert {k: v.tolist() for k, v in one.colors.items()} == {
+        k: v.tolist() for k, v in other.colors.items()
+    }
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_an_imported_robot_is_the_same(folder: Path, name: str, capsys) -> None:
+    option = f"arm_meshes={folder / 'far' / 'away'}"
+    assert run("import", f"{name}.urdf", "--out", "my_arm", "--package", option) == 0
+    robot = SerialRobot.from_model(str(folder / "my_arm"))
+    packages = {"arm_meshes": folder / "far" / "away"}
+    same(robot, SerialRobot.from_urdf(folder / f"{name}.urdf", packages))
+    # The file itself and the folder are all that it takes.
+    os.environ[PACKAGES_VARIABLE] = ""
+    (folder / "far").rename(folder / "gone")
+    files = {path.relative_to(folder / "my_arm" / "meshes").as_posix()
+             for path in (folder / "my_arm" / "meshes").rglob("*") if path.is_file()}  # fmt: skip
+    assert files == {"box.stl", "visual/two.dae", "visual/orange.png"}
+    model = World(load_scene("my_arm")).model
+    colours = {tuple(np.round(rgba, 2)) for rgba in model.geom_rgba.tolist()}
+    assert {(0.8, 0.1, 0.2, 1.0), (1.0, 0.5, 0.0, 1.0), (0.8, 0.1, 0.1, 1.0)} <= colours
+    scene = load_scene("my_arm.toml")
+    assert set(scene.routes) == {"my_arm.joint_angles", "my_arm.torques"}
+    # k values in packets: the coupled finger follows.
+    size = robot.coupled.k
+    assert size == {"tree": 3, "chain": 2}[name]
+    assert f'structure = "{size}F{size}F"' in (folder / "my_arm.toml").read_text()
+    text = (folder / "my_arm" / "robot.toml").read_text(encoding="utf-8")
+    assert text.startswith("#:schema ./robot.schema.json\n# Made of ")
+    assert "# - names of joints changed: 'turn.table' is turn_table" in text
+    limb = "1 to 2: turn_table ... slide, on base, to lower"
+    assert f"#   {limb}\n" in text
+    assert ("#   3: finger_a, on slide, to left\n" in text) == (name == "tree")
+    assert re.search(r"^  \[0\.1, 0\.4\], +# slide$", text, re.MULTILINE)
+    out = capsys.readouterr().out
+    assert "sero-mj send my_arm.toml" in out
+
+
+def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
+    option = f"arm_meshes={folder / 'far' / 'away'}"
+    assert run("check", "tree.urdf", "--package", option) == 0
+    assert "robot   tree: 4 joints" in capsys.readouterr().out
+    assert run("fk", "chain.urdf", "--joint-angles", "0.4,0.3", "--json") == 0
+    import json
+
+    found = json.loads(capsys.readouterr().out)
+    expected = poses_in_xml(CHAIN, {"turn.table": 0.4, "slide": 0.3})["lower"]
+    assert np.allclose(found["dh"], expected, rtol=0, atol=1e-9)
+    assert found["position_difference"] < 1e-9 and found["angle_difference"] < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["no.urdf"], "no.urdf: no such file"),
+        (["robot.toml"], "FILE: expected a name that ends in .urdf or .xacro"),
+        (["tree.urdf", "--out", "far"], "far is there already; choose another with --out"),
+        (["tree.urdf", "--out", "1st"], "--out: found '1st'; expected letters"),
+        (["tree.urdf", "--package", "x"], "--package: found 'x'; expected NAME=DIR"),
+        (["tree.urdf", "--package", "x=no"], "--package: found 'no', which is no folder"),
+    ],
+)
+def test_what_cannot_be_imported_is_told(folder: Path, capsys, arguments, message) -> None:
+    assert run("import", *arguments) == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "tree").exists()
+
+
+@pytest.mark.gl
+def test_an_imported_robot_looks_the_same(folder: Path) -> None:
+    option = f"arm_meshes={folder / 'far' / 'away'}"
+    assert run("import", "tree.urdf", "--out", "my_arm", "--package", option) == 0
+    pictures = []
+    for name in ("my_arm", "tree.urdf"):
+        world = World(load_scene(name))
+        with HeadlessRenderer(world, 200, 150) as renderer:
+            pictures.append(renderer.render(world.make_data()).astype(float))
+    assert np.abs(pictures[0] - pictures[1]).max() <= 2
+    assert pictures[0].std() > 10
