@@ -40,7 +40,7 @@ MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triang
 MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
 _MOST_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
 _MOST_PICTURE_BYTES = 50_000_000  # of a texture
-_MOST_KEPT_BYTES = 200_000_000  # of converted meshes
+_MOST_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
 _MATERIAL_FILE = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
 _USED = re.compile(rb"^[ \t]*usemtl[ \t]+([^\r\n]+)", re.MULTILINE)
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
@@ -71,8 +71,7 @@ class MeshPiece:
             corners = np.frombuffer(self.contents, _FACET, offset=84)["corners"]
             return np.asarray(corners.reshape(-1, 3), np.float64)
         if self.ending == ".obj":
-            found = np.array(_VERTEX.findall(self.contents), np.bytes_)
-            return found.reshape(-1, 3).astype(np.float64)
+            return _points_of_obj(self.contents)
         count = int.from_bytes(self.contents[:4], "little")
         return np.frombuffer(self.contents, "<f4", 3 * count, 16).reshape(-1, 3).astype(np.float64)
 
@@ -84,6 +83,20 @@ class MeshPiece:
         return bool(moments[0] < _FLAT**2 * moments[2])
 
 
+def _points_of_obj(contents: bytes) -> Array:
+    """Vertices (k, 3) of an OBJ file; raises ValueError."""
+    lines = [line[2:] for line in contents.split(b"\n") if line.startswith(b"v ")]
+    # Fast, where all have as many numbers, 3 or with a colour 6; text that is no number ends it.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        values = np.fromstring(b" ".join(lines), sep=" ")
+    for count in (3, 6):
+        if len(values) == count * len(lines) > 0 and contents.count(b"\nv\t") == 0:
+            return values.reshape(-1, count)[:, :3]
+    found = np.array(_VERTEX.findall(contents), np.bytes_)
+    return found.reshape(-1, 3).astype(np.float64)
+
+
 _kept: OrderedDict[str, tuple[MeshPiece, ...]] = OrderedDict()
 _lock = threading.Lock()
 
@@ -91,7 +104,7 @@ _lock = threading.Lock()
 def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
     """Reads a mesh file; lengths are in the unit that the file states, else in its own.
 
-    What was converted is kept, by the contents of the file, for the next time.
+    What was read is kept, by the contents of the file, for the next time.
 
     Raises:
         DeclarationError: the file is missing, too large (`MOST_MESH_BYTES`,
@@ -105,24 +118,31 @@ def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
         contents = read_file(path, MOST_MESH_BYTES if passed else MOST_CONVERTED_BYTES)
     except (OSError, ValueError) as error:
         raise _wrong(path, getattr(error, "strerror", None) or str(error)) from error
-    if passed and (pieces := _as_it_is(path, ending, contents)) is not None:
-        return pieces
-    if len(contents) > MOST_CONVERTED_BYTES:
-        most = f"{MOST_CONVERTED_BYTES / 1e6:g} MB"
-        found = f"{len(contents) / 1e6:.1f} MB of {ending[1:].upper()} that MuJoCo cannot read"
-        raise _wrong(path, f"found {found} without conversion; expected at most {most}")
     # Materials and pictures stand beside the file, under names that it has.
     key = f"{sha256(contents).hexdigest()}{ending}{path.parent}"
     with _lock:
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
+    if passed and (pieces := _as_it_is(path, ending, contents)) is not None:
+        _keep(key, pieces)
+        return pieces
+    if len(contents) > MOST_CONVERTED_BYTES:
+        most = f"{MOST_CONVERTED_BYTES / 1e6:g} MB"
+        found = f"{len(contents) / 1e6:.1f} MB of {ending[1:].upper()} that MuJoCo cannot read"
+        raise _wrong(path, f"found {found} without conversion; expected at most {most}")
     pieces = _converted(path, ending, contents)
+    _keep(key, pieces)
+    return pieces
+
+
+def _keep(key: str, pieces: tuple[MeshPiece, ...]) -> None:
     with _lock:
         _kept[key] = pieces
-        while sum(len(p.contents) for each in _kept.values() for p in each) > _MOST_KEPT_BYTES:
+        sizes = [sum(len(p.contents) + p.points.nbytes for p in each) for each in _kept.values()]
+        while sum(sizes) > _MOST_KEPT_BYTES:
             _kept.popitem(last=False)
-    return pieces
+            sizes.pop(0)
 
 
 def _wrong(path: Path, reason: str) -> DeclarationError:
