@@ -60,7 +60,8 @@ def run(options: argparse.Namespace) -> int:
         tables = copied_meshes(
             file.described.tables, lambda mesh, name: _copy(mesh, folder / "meshes" / name)
         )
-        (folder / "robot.toml").write_text(urdf_robot_text(file, tables), encoding="utf-8")
+        limbs = SerialRobot(**file.described.tables).limb_joints
+        (folder / "robot.toml").write_text(urdf_robot_text(file, tables, limbs), encoding="utf-8")
         robot = SerialRobot.from_model(str(folder / "robot.toml"))
         scene.write_text(scene_text(folder.name, robot.coupled.k), encoding="utf-8")
         for kind in ("robot", "scene"):

@@ -17,12 +17,15 @@ _ZERO = 1e-15  # m, rad, kg m2: rounding
 _WIDEST = 60  # of a column of entries, before comments
 
 
-def urdf_robot_text(file: UrdfFile, tables: Mapping[str, Any]) -> str:
+def urdf_robot_text(
+    file: UrdfFile, tables: Mapping[str, Any], limbs: Mapping[str, Sequence[int]]
+) -> str:
     """Returns the text of a robot file; `tomllib` reads tables of the same robot from it.
 
     Args:
         file: that was read.
         tables: those of `file.described`, with the mesh files as they are to be.
+        limbs: indices of joints by limb.
     """
     text = _RobotText(file.tree.bodies, _rounded(tables))
     lines = [
@@ -33,7 +36,7 @@ def urdf_robot_text(file: UrdfFile, tables: Mapping[str, Any]) -> str:
         lines += ["", "What is not as in that file:"]
         lines += [f"- {warning}" for warning in file.described.warnings]
     text.lines += [_SCHEMA, *(f"# {line}".rstrip() for line in lines)]
-    text.add_kinematics(file.tree.flange)
+    text.add_kinematics(file.tree.flange, limbs)
     text.add_limits()
     text.add_geometry()
     text.add_dynamics()
@@ -78,10 +81,10 @@ class _RobotText:
             note = f"  # {about}" if about else ""
             self.lines.append(f"{key} = {inline(frame_table(self._tables[key]))}{note}")
 
-    def add_kinematics(self, flange: str) -> None:
+    def add_kinematics(self, flange: str, limbs: Mapping[str, Sequence[int]]) -> None:
         """The table or the joint frames, and how joints hang on each other."""
-        self.lines += ["#", f"# Joints by limb ({len(self._names)} in all):"]
-        self.lines += [f"#   {limb}" for limb in self._limbs()]
+        self.lines += ["#", f"# Limbs, by which routes call them, of {len(self._names)} joints:"]
+        self.lines += [f"# - {self._limb(name, joints)}" for name, joints in limbs.items()]
         self.lines += ["", f"description = {inline(self._tables['description'])}", ""]
         if "dh_params" in self._tables:
             self._given("dh_convention")
@@ -156,25 +159,13 @@ class _RobotText:
             else:
                 self.lines += toml_entry(key, value)
 
-    def _limbs(self) -> list[str]:
-        """Chains of joints without branches, a line for each."""
-        names = self._names
-        parents = self._tables.get("parents", ["base", *names[:-1]])
-        on: dict[str, list[str]] = {}
-        for name, parent in zip(names, parents, strict=True):
-            on.setdefault(parent, []).append(name)
-        found = []
-        for i, (name, parent) in enumerate(zip(names, parents, strict=True)):
-            if parent != "base" and len(on[parent]) == 1:
-                continue  # inside of a limb
-            last = name
-            while len(on.get(last, [])) == 1:
-                last = on[last][0]
-            end = names.index(last)
-            which = f"{i + 1}" if end == i else f"{i + 1} to {end + 1}"
-            between = name if end == i else f"{name} ... {last}"
-            found.append(f"{which}: {between}, on {parent}, to {self._links[end + 1]}")
-        return found
+    def _limb(self, name: str, joints: Sequence[int]) -> str:
+        first, last = joints[0], joints[-1]
+        parents = self._tables.get("parents", ["base", *self._names[:-1]])
+        which = f"joint {first + 1}" if first == last else f"joints {first + 1} to {last + 1}"
+        between = [self._names[first]] if first == last else [self._names[i] for i in (first, last)]
+        on = f"on {parents[first]}, to {self._links[last + 1]}"
+        return f"{name}: {which}, {' ... '.join(between)}, {on}"
 
 
 def _rounded(value: Any) -> Any:
