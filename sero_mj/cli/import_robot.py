@@ -63,7 +63,9 @@ def run(options: argparse.Namespace) -> int:
         limbs = SerialRobot(**file.described.tables).limb_joints
         (folder / "robot.toml").write_text(urdf_robot_text(file, tables, limbs), encoding="utf-8")
         robot = SerialRobot.from_model(str(folder / "robot.toml"))
-        scene.write_text(scene_text(folder.name, robot.coupled.k), encoding="utf-8")
+        # The base of such a robot may be its trunk.
+        text = scene_text(folder.name, robot.coupled.k, 'floor = "below"\n')
+        scene.write_text(text, encoding="utf-8")
         for kind in ("robot", "scene"):
             (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
     except OSError as error:

@@ -66,7 +66,7 @@ _SCENE = """\
 #:schema ./{name}/scene.schema.json
 # Shows {name} as its packets say: {n} joint angles (rad) and {n} torques (Nm), 8 bytes each.
 description = "{name} from packets of {n} angles and {n} torques"
-
+{more}
 [robots.{name}]
 model = "{name}"                   # the folder beside this file
 show_arrows = true
@@ -125,9 +125,15 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def scene_text(name: str, n: int) -> str:
-    """A scene that mirrors a robot of n independent joints, whose folder is beside it."""
-    return _SCENE.format(name=name, n=n)
+def scene_text(name: str, n: int, more: str = "") -> str:
+    """A scene that mirrors a robot of n independent joints, whose folder is beside it.
+
+    Args:
+        name: of the robot and its folder.
+        n: number of its independent joints.
+        more: lines that the scene has as well.
+    """
+    return _SCENE.format(name=name, n=n, more=more)
 
 
 def _copy(model: Path, to: Path) -> None:

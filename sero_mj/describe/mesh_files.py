@@ -17,7 +17,7 @@ import struct
 import threading
 import warnings
 from collections import OrderedDict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -41,8 +41,10 @@ MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 ti
 _MOST_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
 _MOST_PICTURE_BYTES = 50_000_000  # of a texture
 _MOST_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
-_MATERIAL_FILE = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
-_USED = re.compile(rb"^[ \t]*usemtl[ \t]+([^\r\n]+)", re.MULTILINE)
+# Lines of OBJ files; with `\n` instead of `^` a search takes a tenth of the time.
+_MATERIAL_FILE = re.compile(rb"\nmtllib[ \t]+([^\r\n]+)")
+_USED = re.compile(rb"\nusemtl[ \t]+([^\r\n]+)")
+_VERTEX_LINE = re.compile(rb"\nv ([^\n]*)")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
 _FLAT = 1e-5  # thickness over length
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -85,13 +87,13 @@ class MeshPiece:
 
 def _points_of_obj(contents: bytes) -> Array:
     """Vertices (k, 3) of an OBJ file; raises ValueError."""
-    lines = [line[2:] for line in contents.split(b"\n") if line.startswith(b"v ")]
+    lines = _VERTEX_LINE.findall(contents)
     # Fast, where all have as many numbers, 3 or with a colour 6; text that is no number ends it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         values = np.fromstring(b" ".join(lines), sep=" ")
     for count in (3, 6):
-        if len(values) == count * len(lines) > 0 and contents.count(b"\nv\t") == 0:
+        if len(values) == count * len(lines) > 0:
             return values.reshape(-1, count)[:, :3]
     found = np.array(_VERTEX.findall(contents), np.bytes_)
     return found.reshape(-1, 3).astype(np.float64)
@@ -151,32 +153,38 @@ def _wrong(path: Path, reason: str) -> DeclarationError:
 
 def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...] | None:
     """The file itself as the only piece, if MuJoCo reads it and it has at most one colour."""
+    if ending == ".obj":
+        return _obj_as_it_is(path, contents)
     piece = MeshPiece(contents, ending)
     if ending == ".msh":
         vertices, normals, texture, faces = struct.unpack("<4i", contents[:16].ljust(16, b"\0"))
         size = 16 + 12 * vertices + 12 * normals + 8 * texture + 12 * faces
         if len(contents) != size or min(vertices, normals, texture, faces) < 0:
             raise _wrong(path, "is not as long as its counts of vertices and faces say")
-        _check(path, piece.points)
-        return (piece,)
-    if ending == ".stl":
+    else:
         count = int.from_bytes(contents[80:84], "little")
         if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
             return None  # in ASCII, cut off, or too many faces
-        _check(path, piece.points)
-        return (piece,)
+    _check(path, piece.points)
+    return (piece,)
+
+
+def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
+    """As `_as_it_is`."""
+    contents = b"\n" + contents  # so that each line begins with its end
     colors = _material_colors(path, contents)
     used = list(dict.fromkeys(name.strip() for name in _USED.findall(contents)))
     if len({colors.get(name) for name in used}) > 1:
         return None
+    piece = MeshPiece(contents, ".obj", colors.get(used[0]) if used else None)
     try:
         points = piece.points
     except ValueError:
         raise _wrong(path, "has a vertex that is not three numbers") from None
     _check(path, points)
-    if re.search(rb"^[ \t]*f[ \t]", contents, re.MULTILINE) is None:
+    if re.search(rb"\n[ \t]*f[ \t]", contents) is None:
         raise _wrong(path, "has no faces")
-    return (replace(piece, rgba=colors.get(used[0]) if used else None),)
+    return (piece,)
 
 
 def _check(path: Path, points: Any) -> None:
