@@ -141,7 +141,7 @@ def model_name(path: Path) -> str:
     """The name of the robot or group of a file: of its folder, or else of the file itself."""
     if path.suffix == ".toml":
         return path.parent.name
-    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", path.stem)
+    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", path.stem.removesuffix(".urdf"))
 
 
 def file_hint(name: str) -> str:

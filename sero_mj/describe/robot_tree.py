@@ -141,11 +141,6 @@ class TreeTables:
         self._dynamics()
         self._geometry()
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the joints in the tables."""
-        return self._names
-
     def _line(self, key: str, line: int | None) -> None:
         if line is not None:
             self.lines[key] = line
