@@ -5,7 +5,7 @@
 # make lint   style and types
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
-# make foreign   reads robots of example-robot-data from PyPI (200 MB) and compares with Pinocchio
+# make foreign   robots of example-robot-data, robosuite and dm_control (350 MB from PyPI), compared
 # make gallery   docs/gallery.md and its pictures
 # make wheel  dist/*.whl, with models and scenes inside
 
@@ -48,7 +48,9 @@ bench: .venv/.test
 
 foreign: .venv/.test
 	$(BIN)/python -m pip install --quiet --group foreign
+	$(BIN)/python -m pip install --quiet --no-deps "robosuite>=1.5"  # its models alone
 	$(BIN)/python benchmarks/foreign.py
+	$(BIN)/python benchmarks/foreign_mjcf.py
 
 gallery: .venv/.run
 	$(BIN)/python docs/gallery.py $(SHOTS)
