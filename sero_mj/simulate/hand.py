@@ -89,11 +89,6 @@ class Hand:
         self._push: _SpringPush | None = None  # that acts in the plant
         self._wanted: _SpringPush | None = None  # that is to act from the next step on
 
-    @property
-    def is_pulling(self) -> bool:
-        """Whether something is grabbed."""
-        return self._wanted is not None
-
     def grab(self, frame: str, point: Array) -> None:
         """Grabs a point, from the next step on; pulls nothing until `target` is set.
 
