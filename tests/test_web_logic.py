@@ -198,7 +198,7 @@ def test_an_address_of_others_is_refused(host: str) -> None:
 
 
 def options(**given: Any) -> argparse.Namespace:
-    nothing = dict.fromkeys(("port", "host", "size"))
+    nothing = dict.fromkeys(("port", "host", "size", "stereo"))
     switches = dict.fromkeys(("window", "web", "full_screen", "token"), False)
     return argparse.Namespace(**switches | nothing | given)
 
