@@ -147,7 +147,7 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
                 open_page(text, tmp_path, environment)
                 continue
             wanted |= {*OUTPUT.findall(text)}
-            if language in ("toml", "x3d", "xml") and note:
+            if language in ("toml", "text", "xml") and note:
                 path = tmp_path / note
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(text)

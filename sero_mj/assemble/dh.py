@@ -91,7 +91,7 @@ class DhTable(JointTree):
         return replace(self, alpha=-self.alpha, theta=-self.theta, sign=sign, root=root)
 
     def step_lengths(self) -> Array:
-        """Returns |a| + |d| of every row, (n,), m."""
+        """Returns the sum of the lengths a and d of every row, (n,), m."""
         return np.asarray(np.abs(self.a) + np.abs(self.d))
 
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
