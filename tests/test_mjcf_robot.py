@@ -272,7 +272,7 @@ def test_alone_it_stands_on_the_floor_and_falls_no_further(path):
     ("text", "message"),
     [
         ("<mujoco/>", "found no hinge and no slide; expected a robot with joints"),
-        ("<mujoco><worldbody><body/></mujoco>", "mjcf: cannot be read: XML parse error"),
+        ("<mujoco><worldbody><body/></mujoco>", "bad.xml: cannot be read: XML parse error"),
         (
             ALONE.format('<joint type="ball"/><geom size="1"/>'),
             "found no hinge and no slide; expected a robot with joints",
@@ -314,6 +314,48 @@ def test_another_number_of_joints_than_the_file_has_is_refused(path):
     with pytest.raises(DeclarationError) as caught:
         World(Scene(robots=[robot]))
     assert "mjcf: found 7 joints in it; expected 1, as the robot has" in str(caught.value)
+
+
+def test_geoms_that_touch_are_not_drawn_over_those_that_are_to_be_seen():
+    looks = '<geom type="box" size=".1 .1 .1" group="1" contype="0" conaffinity="0"/>'
+    text = ARM.replace('<geom size="0.1"/>', f'{looks}<geom size="0.1" group="0"/>')
+    world = World(Scene(robots=[SerialRobot.from_mjcf(text, name="arm")]))
+    kinds = [int(world.model.geom_type[g]) for g in seen_geoms(world, "arm")]
+    # The first link's ball only touches; the second link has nothing else to be seen.
+    assert kinds == [int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_SPHERE)]
+
+
+def test_torque_limits_that_mean_none_are_taken_for_none(caplog):
+    drives = '<actuator><motor joint="j1" ctrlrange="-9e5 9e5"/></actuator></mujoco>'
+    text = ARM.replace("</mujoco>", drives)
+    with caplog.at_level(logging.WARNING):
+        robot = SerialRobot.from_mjcf(text, name="arm")
+    assert robot.torque_limits is None
+    assert "torque limits up to 900000 are over 10 times what holds all" in caplog.text
+
+
+def test_a_frame_that_is_no_frame_is_told_with_the_link_of_the_joint(path, tmp_path):
+    (tmp_path / "s.toml").write_text("""
+[robots.legs]
+model = "two-legs.xml"
+[arrows.one]
+at = "legs/left_knee"
+[arrows.two]
+at = "legs/left foot"
+""")
+    with pytest.raises(DeclarationError) as caught:
+        load_scene(tmp_path / "s.toml")
+    told = str(caught.value)
+    assert "no frame 'legs/left_knee'; the link of joint left_knee is 'legs/link4'" in told
+    assert "no frame 'legs/left foot'; available: legs/base, legs/flange, and legs/linkN" in told
+
+
+def test_independent_joints_alone_say_where_the_flange_is(robot):
+    q = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.05])
+    whole = [*q, robot.couplings["right_follower"].offset - 0.5 * q[4]]
+    np.testing.assert_allclose(
+        robot.fwd_kin_base_to_flange(q), robot.fwd_kin_base_to_flange(whole), atol=1e-12
+    )
 
 
 FILES = ["acrobot", "cheetah", "fish", "hopper", "humanoid", "quadruped", "swimmer", "walker"]

@@ -160,3 +160,13 @@ def test_nothing_is_written_over_and_wrong_names_are_told(
     status, _, err = run(capsys, "new", *arguments)
     assert status == 2 and expected in err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_robot_in_another_format_is_not_copied_but_imported(
+    capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text("<robot name='arm'/>")
+    status, _, err = run(capsys, "new", "ours", "--like", "arm.urdf")
+    assert status == 2 and not Path("ours").exists()
+    assert "--like: found arm.urdf; expected a robot of TOML. sero-mj import arm.urdf" in err

@@ -169,7 +169,8 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ),
         (
             '[frames.t]\nrelative_to = "lwr/link9"',
-            "s.toml:7: frames.t.relative_to: no frame 'lwr/link9'; did you mean 'lwr/link7'?",
+            "s.toml:7: frames.t.relative_to: no frame 'lwr/link9'; available: lwr/base, "
+            "lwr/flange, and lwr/linkN of joints 1 A1, 2 A2, 3 E1, 4 A3, 5 A4, 6 A5, 7 A6",
         ),
         ("[toggles]\nlegnd = true", "s.toml:7: toggles.legnd: unknown key; did you mean 'legend'?"),
         (

@@ -73,6 +73,12 @@ def drawn_links(
     model, geoms = tree.model, tree.geoms
     seen = geoms[(model.geom_group[geoms] < _SHOWN_GROUPS) & (model.geom_rgba[geoms, 3] > 0)]
     links: list[list[dict[str, Any]]] = [[] for _ in tree.poses]
+    # Where a link has geoms that touch nothing, those of other groups that touch stand for them.
+    links_of = tree.links[model.geom_bodyid[seen]]
+    is_look = (model.geom_contype | model.geom_conaffinity)[seen] == 0
+    replaced = np.isin(links_of, links_of[is_look])
+    replaced &= ~np.isin(model.geom_group[seen], model.geom_group[seen[is_look]])
+    seen = seen[~replaced]
     if model.nskin or not len(seen):  # what a skin would cover, and robots that only touch
         bare = np.setdiff1d(np.arange(len(tree.poses)), tree.links[model.geom_bodyid[seen]])
         hidden = np.isin(tree.links[model.geom_bodyid[geoms]], bare)

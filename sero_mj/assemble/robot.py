@@ -664,9 +664,12 @@ class SerialRobot(Declaration):
         """Returns T_base_flange by `kinematics`, (..., 4, 4), translation in m.
 
         Args:
-            joint_angles: (..., n), rad or m; the declared ones when None.
+            joint_angles: (..., n), rad or m, or (..., k) of the independent joints; the declared
+                ones when None.
         """
-        q = self.home if joint_angles is None else joint_angles
+        q = self.home if joint_angles is None else np.asarray(joint_angles, np.float64)
+        if self.couplings and q.shape[-1:] == (self.coupled.k,):
+            q = self.coupled.full("joint_angles", q)
         return np.asarray(self.kinematics.frames(q)[..., self.flange_link, :, :] @ self.T_n_flange)
 
 

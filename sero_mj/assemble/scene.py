@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ..declaration import Declaration
-from ..errors import DeclarationError, Problem, collect, did_you_mean
+from ..errors import DeclarationError, Problem, collect, did_you_mean, nearest
 from ..frames import Array
 from ..toml_file import key_lines, located
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
@@ -370,10 +370,25 @@ class Scene:
             if frame.relative_to != WORLD
         ]
         return [
-            Problem(key, f"no frame '{name}'{did_you_mean(name, [*frames, WORLD])}")
+            Problem(key, f"no frame '{name}'{self._which_frame(name, frames)}")
             for key, name in wanted
             if name not in frames and not self.is_broken(name.partition("/")[0])
         ]
+
+    def _which_frame(self, name: str, frames: Mapping[str, NamedFrame]) -> str:
+        """Says which frame may be meant: of a joint that of its link, else the nearest name."""
+        owner, _, label = name.partition("/")
+        robot = self.robots.get(owner)
+        if robot is None:
+            return did_you_mean(name, [*frames, WORLD])
+        if label in robot.names:
+            return f"; the link of joint {label} is '{owner}/link{robot.names.index(label) + 1}'"
+        labels = [each.partition("/")[2] for each in frames if each.startswith(f"{owner}/")]
+        near = nearest(label, [each for each in labels if not each[-1].isdigit()])
+        if near is not None:
+            return f"; did you mean '{owner}/{near}'?"
+        joints = ", ".join(f"{k + 1} {joint}" for k, joint in enumerate(robot.names))
+        return f"; available: {owner}/base, {owner}/flange, and {owner}/linkN of joints {joints}"
 
     def is_broken(self, name: str, sections: Sequence[str] = _WITH_FRAMES) -> bool:
         """Whether an entry of this name, or its whole section, is invalid."""

@@ -48,7 +48,7 @@ Try it, in two terminals:
   sero-mj send lwr_udp                     play a motion as the robot would, on port 32000
   sero-mj render lwr_udp -o lwr.mp4        film it for 5 s
 
-SCENE is a file (TOML; X3D as in the paper), or the name of a scene that `sero-mj list` shows.
+SCENE is a file (TOML; a robot's URDF or MJCF; X3D as in the paper), or a name of `sero-mj list`.
 Every command has its own help: sero-mj render --help
 """
 

@@ -41,12 +41,16 @@ def run(options: argparse.Namespace) -> int:
     q = robot.home
     if options.joint_angles is not None:
         q = numbers(options.joint_angles, "--joint-angles")
-        if len(q) != robot.n:
-            raise UsageError(
-                f"--joint-angles: found {len(q)} numbers; {robot.name} has {robot.n} joints"
-            )
+        coupled = robot.coupled
+        if len(q) not in (coupled.n, coupled.k):
+            fewer = f", or {coupled.k} without the coupled ones" if coupled.is_coupled else ""
+            found = f"found {len(q)} number{'s' * (len(q) != 1)}"
+            raise UsageError(f"--joint-angles: {found}; {robot.name} has {robot.n} joints{fewer}")
         if options.deg:
-            q = np.where(robot.kinematics.revolute, np.deg2rad(q), q)
+            turns = robot.kinematics.revolute
+            turns = turns if len(q) == coupled.n else turns[coupled.independent]
+            q = np.where(turns, np.deg2rad(q), q)
+        q = q if len(q) == coupled.n else coupled.positions(q)
     result = compare(robot, q)
     if options.json:
         print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))

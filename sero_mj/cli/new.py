@@ -106,16 +106,21 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"NAME: {error}") from None
     if options.like is not None and options.joints is not None:
         raise UsageError("--joints and --like: a copy has the joints of its robot; choose")
+    like = None if options.like is None else paths.find_model(options.like)
+    if like is not None and like.suffix != ".toml":
+        how = f"sero-mj import {options.like} --out {name}" if like.suffix != ".xml" else ""
+        hint = how or f'model = "{options.like}" in a scene takes it as it is'
+        raise UsageError(f"--like: found {like.name}; expected a robot of TOML. {hint}")
     folder, scene = Path(name), Path(f"{name}.toml")
     for path in (folder, scene):
         if path.exists():
             raise UsageError(f"{path} is there already; choose another name")
     robot = folder / "robot.toml"
-    if options.like is None:
+    if like is None:
         folder.mkdir()
         robot.write_text(robot_text(name, options.joints or 6), encoding="utf-8")
     else:
-        _copy(paths.find_model(options.like), robot)
+        _copy(like, robot)
     n = SerialRobot.from_model(str(robot)).n
     scene.write_text(scene_text(name, n), encoding="utf-8")
     for kind in ("robot", "scene"):

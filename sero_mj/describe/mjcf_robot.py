@@ -15,19 +15,24 @@ import mujoco
 import numpy as np
 
 from ..errors import DeclarationError, Problem
-from ..frames import Array, Ints, frame, inverse, rotation_from_quat
+from ..frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
 from .described import Described
 from .mjcf_file import as_spec
 from .mjcf_tree import MjcfTree, find_tree, torque_limits
 
 _HOME = ("home", "stand", "init", "default")  # key frames that are taken for the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
+_IMPLAUSIBLE = 10  # times the torque that holds all of the robot, stretched
 _WITHIN = 1e-4  # rad or m
 
 
 def read_mjcf(path: Path) -> Described:
     """Reads the robot of an MJCF file; raises DeclarationError."""
-    tables, lost = mjcf_tables(path.name, path.parent)
+    try:
+        tables, lost = mjcf_tables(path.name, path.parent)
+    except DeclarationError as error:
+        problems = [Problem("", problem.message, str(path)) for problem in error.problems]
+        raise DeclarationError(problems) from None
     return Described({"directory": "", **tables}, {}, lost)
 
 
@@ -43,14 +48,14 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     """
     tree = tree_of(source, folder)
     model, joints = tree.model, tree.joints
-    revolute = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
+    revolute = _turns(tree)
     names = _names(model, joints)
     limited = model.jnt_limited[joints].astype(bool)
     limits = np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
-    torques = torque_limits(model, joints)
+    lost = list(tree.left_out)
+    torques = _plausible(tree, torque_limits(model, joints), lost)
     dofs = model.jnt_dofadr[joints]
     link, T_link_flange = _flange(tree)
-    lost = list(tree.left_out)
     couplings = _couplings(tree, names, lost)
     tables: dict[str, Any] = {
         "mjcf": source,
@@ -156,6 +161,28 @@ def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: in
     while at is not None and at != names[one]:
         at = couplings[at]["to"] if at in couplings else None
     return at is not None or names[one] in couplings
+
+
+def _plausible(tree: MjcfTree, limits: Array, lost: list[str]) -> Array:
+    """Returns torque limits without those that are so large that the file means none."""
+    model = tree.model
+    extent = float(np.linalg.norm(np.ptp(tree.poses[:, :3, 3], axis=0)))
+    weight = float(model.body_mass[tree.links >= 0].sum() * np.linalg.norm(model.opt.gravity))
+    most = _IMPLAUSIBLE * weight * np.where(_turns(tree), extent, 1.0)
+    far = np.isfinite(limits) & (limits > most) & (most > 0)
+    if far.any():
+        many = "those of all joints" if far.all() else f"{int(far.sum())} of {len(far)}"
+        largest = float(limits[far].max())
+        lost.append(
+            f"torque limits up to {largest:g} are over {_IMPLAUSIBLE} times what holds all of its "
+            f"weight at its extent; {many} are taken for none"
+        )
+    return np.where(far, np.inf, limits)
+
+
+def _turns(tree: MjcfTree) -> Bools:
+    kinds = tree.model.jnt_type[tree.joints]
+    return np.asarray(kinds == int(mujoco.mjtJoint.mjJNT_HINGE))
 
 
 def _flange(tree: MjcfTree) -> tuple[int, Array]:

@@ -106,7 +106,9 @@ def package_folders(
 
 
 def _above(file: Path) -> list[Path]:
-    return [*Path(os.path.abspath(file)).parents][:_MOST_ABOVE]
+    """Returns the folders above a file, and above what it is a link to."""
+    paths = dict.fromkeys((Path(os.path.abspath(file)), Path(os.path.realpath(file))))
+    return list(dict.fromkeys(above for path in paths for above in [*path.parents][:_MOST_ABOVE]))
 
 
 def _listed(variable: str) -> list[Path]:

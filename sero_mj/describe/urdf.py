@@ -345,12 +345,13 @@ class UrdfFile:
                 for package in sorted(wanted)
                 if not any(f.is_dir() for f in package_folders(package, self.path, self._packages))
             ]
-            where = ", ".join(f"{name} ({'; '.join(who)})" for name, who in self._lost.items())
+            named = [f"{name} ({'; '.join(who)})" for name, who in self._lost.items()]
             how = "".join(f"; --package {package}=DIR says where it is" for package in unknown)
-            count = len(self._lost)
+            count = len(named)
+            more = f" and {count - _MOST_NAMED} more" if count > _MOST_NAMED else ""
             self._warnings.append(
-                f"{count} mesh file{'s are' if count > 1 else ' is'} not found and not shown: "
-                f"{where}{how}"
+                f"{count} mesh file{'s are' if count > 1 else ' is'} not found and not shown{how}: "
+                f"{', '.join(named[:_MOST_NAMED])}{more}"
             )
         self._warnings += [f"{reason}; it is not shown" for reason in self._unread.values()]
 
