@@ -73,8 +73,7 @@ def pick(
             `TOUCH_TOLERANCE`.
     """
     origin = view.position
-    direction = view.at(np.array(pixel, float), 1.0) - origin
-    direction = direction / np.linalg.norm(direction)
+    direction = _through(view, pixel)
     decor = _pick_decor(world, pen, view, origin, direction, 0.0)
     solid = _pick_solid(world, data, pen, origin, direction)
     if decor is None and tolerance:
@@ -82,6 +81,12 @@ def pick(
     if decor is None or solid is None:
         return decor or solid
     return decor if decor.distance <= solid.distance else solid
+
+
+def _through(view: PictureView, pixel: Pixel) -> Array:
+    """Returns the unit vector (3,) from the camera through a pixel, in the world."""
+    direction = view.at(np.array(pixel, float), 1.0) - view.position
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def point_at(
@@ -96,8 +101,7 @@ def point_at(
         view: see `pick`.
         pixel: see `pick`.
     """
-    direction = view.at(np.array(pixel, float), 1.0) - view.position
-    direction /= np.linalg.norm(direction)
+    direction = _through(view, pixel)
     picked = pick(world, data, pen, view, pixel)
     if picked is not None:
         return np.asarray(view.position + picked.distance * direction)
@@ -120,8 +124,7 @@ def link_at(
         view: see `pick`.
         pixel: see `pick`.
     """
-    direction = view.at(np.array(pixel, float), 1.0) - view.position
-    direction /= np.linalg.norm(direction)
+    direction = _through(view, pixel)
     model = world.model
     hidden = np.zeros(model.ngeom, bool) if pen.hidden is None else pen.hidden.copy()
     for double in world.doubles.values():

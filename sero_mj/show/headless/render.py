@@ -219,9 +219,7 @@ class HeadlessRenderer:
             y: down, 0 to height.
             tolerance: see `picking.pick`.
         """
-        return self._lay_out(data).pick(
-            data, self.decor.from_above(x % self._half[0], y), tolerance
-        )
+        return self._lay_out(data).pick(data, self._pixel(x, y), tolerance)
 
     def click(
         self,
@@ -240,9 +238,7 @@ class HeadlessRenderer:
             gesture: a click, one with Shift held, or a double click.
             tolerance: see `picking.pick`.
         """
-        return self._lay_out(data).click(
-            data, self.decor.from_above(x % self._half[0], y), gesture, tolerance
-        )
+        return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
 
     def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
         """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
