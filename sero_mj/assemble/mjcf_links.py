@@ -6,14 +6,13 @@ geoms that touch with their masks and contact parameters.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from ..describe.mjcf_robot import tree_of
+from ..describe.mjcf_robot import kept_tree
 from ..describe.mjcf_tree import MjcfTree
 from ..errors import DeclarationError, Problem
 from ..frames import MIRROR, Array, Ints, frame, inverse, rotation_from_quat
@@ -40,22 +39,11 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
     Raises:
         DeclarationError: it cannot be read, or has another number of joints.
     """
-    source, folder = robot.mjcf, robot.directory
-    if isinstance(source, str) and not source.lstrip().startswith("<"):
-        file = Path(folder) / source
-        changed = file.stat().st_mtime_ns if file.is_file() else 0
-        tree = _tree_of_file(source, folder, changed)
-    else:
-        tree = tree_of(source, Path(folder))
+    tree = kept_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
         message = f"found {len(tree.joints)} joints in it; expected {robot.n}, as the robot has"
         raise DeclarationError([Problem("mjcf", message)])
     return tree
-
-
-@lru_cache(maxsize=8)
-def _tree_of_file(source: str, folder: str, changed: int) -> MjcfTree:
-    return tree_of(source, Path(folder))
 
 
 def drawn_links(

@@ -23,6 +23,7 @@ from pydantic import (
 
 from .. import paths
 from ..declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
+from ..describe.mjcf_file import is_file_name
 from ..describe.mjcf_robot import mjcf_tables
 from ..describe.robot_file import read_robot_file
 from ..errors import DeclarationError, Problem, did_you_mean
@@ -472,8 +473,7 @@ class SerialRobot(Declaration):
         Raises:
             DeclarationError: it cannot be read or compiled, or has no joints.
         """
-        is_file = isinstance(source, Path) or (isinstance(source, str) and "<" not in source)
-        if is_file:
+        if isinstance(source, Path) or is_file_name(source):
             path = Path(source)
             return build_robot({"name": paths.model_name(path), **overrides}, path)
         tables, warnings = mjcf_tables(source, Path())

@@ -51,6 +51,11 @@ def is_mjcf_object(source: Any) -> bool:
     )
 
 
+def is_file_name(source: Any) -> bool:
+    """Whether a piece of MJCF is the name of its file, and not its text or an object."""
+    return isinstance(source, str) and not source.lstrip().startswith("<")
+
+
 def _root_element(source: Any) -> Any:
     """Returns the PyMJCF root element of a composer entity; anything else as it is."""
     return getattr(source, "mjcf_model", source)
@@ -62,7 +67,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
     if not isinstance(source, str):
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
-    if not source.lstrip().startswith("<"):
+    if is_file_name(source):
         open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe forever
         return mujoco.MjSpec.from_file(str(folder / source))
     spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))

@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import DeclarationError, Problem
 from ..frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
 from .described import Described
-from .mjcf_file import as_spec
+from .mjcf_file import as_spec, is_file_name
 from .mjcf_tree import MjcfTree, find_tree, torque_limits
 
 _HOME = ("home", "stand", "init", "default")  # key frames that are taken for the initial pose
@@ -92,10 +92,32 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of attributes that MuJoCo will drop one day
-            return find_tree(spec.compile())
+            tree = find_tree(spec.compile())
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise DeclarationError([Problem("mjcf", reason)]) from None
+    if is_file_name(source):
+        _kept[folder / source] = _changed(folder / source), tree
+        while len(_kept) > _MOST_KEPT:
+            del _kept[next(iter(_kept))]
+    return tree
+
+
+def kept_tree(source: Any, folder: Path) -> MjcfTree:
+    """As `tree_of`, but as it was read last, of a file that has not changed since."""
+    if is_file_name(source):
+        changed, tree = _kept.get(folder / source, (0, None))
+        if tree is not None and changed == _changed(folder / source):
+            return tree
+    return tree_of(source, folder)
+
+
+_MOST_KEPT = 8
+_kept: dict[Path, tuple[int, MjcfTree]] = {}  # by file, with the time of its last change
+
+
+def _changed(file: Path) -> int:
+    return file.stat().st_mtime_ns if file.is_file() else 0
 
 
 def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
