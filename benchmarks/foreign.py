@@ -19,6 +19,7 @@ import os
 import re
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import files
 from pathlib import Path
@@ -137,11 +138,11 @@ def seconds_to_picture(path: Path, quality: Any) -> float:
     return time.perf_counter() - begin
 
 
-def seconds_of_mujoco(text: str) -> float:
-    """Time from the same URDF to plain MuJoCo's first picture."""
+def seconds_of_mujoco(read: Callable[[str], Any], source: str) -> float:
+    """Time from a file or a text, which `read` compiles, to plain MuJoCo's first picture."""
     gc.collect()
     begin = time.perf_counter()
-    model = mujoco.MjModel.from_xml_string(text)
+    model = read(source)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
@@ -172,7 +173,7 @@ def measure(path: Path, row: Row) -> None:
     draft, normal, its = [], [], []
     for _ in range(REPEATS if text else 1):
         draft.append(seconds_to_picture(path, "draft"))
-        its += [seconds_of_mujoco(text)] if text else []
+        its += [seconds_of_mujoco(mujoco.MjModel.from_xml_string, text)] if text else []
         normal.append(seconds_to_picture(path, "normal"))
     row.seconds, row.normal_seconds = min(draft), min(normal)
     row.mujoco_seconds = min(its, default=np.nan)
