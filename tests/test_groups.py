@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import problems_in
 from decor_tools import labels, toggles_of, view_at
+from scripted_widgets import ScriptedWidgets
 from source_slots import set_source
 
 from sero_mj import (
@@ -30,6 +31,7 @@ from sero_mj.drive.place import Placer, Router
 from sero_mj.drive.wiring import wire
 from sero_mj.errors import UnknownName
 from sero_mj.send.play import MotionPackets
+from sero_mj.show.panels.robot_panel import RobotPanel
 from sero_mj.show.robot_inputs import RobotInputs
 from sero_mj.show.viewer_memory import SceneMemory
 from sero_mj.simulate.scenario import Scenario
@@ -499,71 +501,24 @@ def test_deeply_nested_groups_are_resolved_in_no_time() -> None:
     assert len(caught.value.problems) == 99
 
 
-class Page:
-    """Stands for Dear ImGui: notes what is built, and clicks one checkbox below one entry."""
-
-    def __init__(self, entry: str = "", box: str = "") -> None:
-        self.entry, self.box = entry, box
-        self.way: list[str] = []
-        self.tree: list[str] = []
-
-    def CollapsingHeader(self, name: str, flags: int) -> bool:
-        self.way = [name]
-        self.tree.append(name)
-        return True
-
-    def TreeNode(self, name: str) -> bool:
-        self.way.append(name)
-        if name not in ("joints", "sizes"):
-            self.tree.append("/".join(self.way))
-        return True
-
-    def TreePop(self) -> None:
-        self.way.pop()
-
-    def Checkbox(self, name: str, on: bool) -> tuple[bool, bool]:
-        return ("/".join(self.way), name) == (self.entry, self.box), not on
-
-    def Combo(self, name: str, now: int, names: list[str]) -> tuple[bool, int]:
-        return False, now
-
-    def SliderFloat(self, name: str, now: float, *args: Any) -> tuple[bool, float]:
-        return False, now
-
-    def BeginTable(self, name: str, columns: int) -> bool:
-        return False
-
-    def Button(self, name: str) -> bool:
-        return False
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *args: None
-
-
-def test_the_page_shows_a_group_as_a_tree_whose_switches_are_those_of_all(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    panels = pytest.importorskip("sero_mj.show.web._panels")
+def test_the_panel_shows_a_group_as_a_tree_whose_switches_are_those_of_all() -> None:
     doubles = [Double(name="goal", of="arms", joint_angles=np.zeros(6))]
     world = World(justin(doubles=doubles))
     toggles = Toggles(world)
-    panel = panels.RobotPanel(world, toggles)
-    page = Page("justin/arms", "billboards")
-    monkeypatch.setattr(panels, "imgui", page)
-    panel.build()
-    assert page.tree == [
+    panel = RobotPanel(world, toggles)
+    ui = ScriptedWidgets({"justin/arms/billboards": True})
+    panel.build(ui)
+    assert [way for way in ui.ways if way.rpartition("/")[2] not in ("joints", "sizes")] == [
         "justin", "justin/torso", "justin/head", "justin/arms", "justin/arms/left",
         "justin/arms/right", "goal", "goal/goal_left", "goal/goal_right", "Transparent doubles",
         "Scene",
     ]  # fmt: skip
     shown = {list(world.owners)[i] for i in world.joints.owner[toggles.billboards]}
     assert shown == {"left", "right"}
-    page.entry, page.box = "justin", "arrows"
-    panel.build()
+    panel.build(ScriptedWidgets({"justin/arrows": False}))
     robots = world.joints.owner < len(world.robots)
     assert not toggles.arrows[robots].any()
-    page.entry, page.box = "Transparent doubles", "goal##double"
-    panel.build()
+    panel.build(ScriptedWidgets({"Transparent doubles/goal##double": False}))
     assert not toggles.doubles.any()
 
 

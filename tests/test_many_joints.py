@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 import pytest
 from decor_tools import toggles_of, view_at
 from humanoid import humanoid
+from scripted_widgets import ScriptedWidgets
 
 import sero_mj
 from sero_mj.assemble.scene import Scene
@@ -17,6 +16,7 @@ from sero_mj.decor.draw import Decor
 from sero_mj.decor.panels import Panels
 from sero_mj.drive.place import follow
 from sero_mj.show.interaction import click
+from sero_mj.show.panels.robot_panel import RobotPanel
 from sero_mj.show.picking import Picked
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
@@ -133,43 +133,15 @@ def test_robots_in_models_of_others_have_the_same_limbs() -> None:
     assert found == {tuple(robot.names[i] for i in joints) for joints in names}
 
 
-def test_a_panel_lists_limbs_as_foldable_groups(monkeypatch: Any, world: World) -> None:
-    pytest.importorskip("mujoco.studio")
-    from sero_mj.show.web import _panels
-
-    class Imgui:
-        """Opens every node, and clicks on what is called so."""
-
-        def __init__(self, pressed: str = "") -> None:
-            self.pressed, self.nodes, self.rows = pressed, list[str](), list[str]()
-
-        def TreeNode(self, name: str) -> bool:
-            self.nodes.append(name)
-            return True
-
-        def TextUnformatted(self, name: str) -> None:
-            self.rows.append(name)
-
-        def Checkbox(self, words: str, on: bool) -> tuple[bool, bool]:
-            return (True, not on) if words == self.pressed else (False, on)
-
-        def Combo(self, words: str, now: int, names: list[str]) -> tuple[bool, int]:
-            return False, now
-
-        def SliderFloat(self, words: str, now: float, *rest: Any) -> tuple[bool, float]:
-            return False, now
-
-        def __getattr__(self, name: str) -> Any:
-            return lambda *arguments: name not in ("Button",)
-
+def test_a_panel_lists_limbs_as_foldable_groups(world: World) -> None:
     toggles = toggles_of(world)
-    panel = _panels.RobotPanel(world, toggles)
-    imgui = Imgui("billboards##l_arm")
-    monkeypatch.setattr(_panels, "imgui", imgui)
-    panel.build()
+    ui = ScriptedWidgets({"billboards##l_arm": False})
+    RobotPanel(world, toggles).build(ui)
     limbs = world.robots["human"].robot.limb_joints
-    assert imgui.nodes == ["joints", *limbs, "sizes"]
-    assert imgui.rows == [world.joints.names[i] for joints in limbs.values() for i in joints]
+    trees = [label for kind, label in ui.built if kind == "tree"]
+    assert trees == ["joints", *limbs, "sizes"]
+    rows = [label for kind, label in ui.built if kind == "text"]
+    assert rows == [world.joints.names[i] for joints in limbs.values() for i in joints]
     hidden = np.flatnonzero(~toggles.billboards)
     assert hidden.tolist() == limbs["l_arm"]
 

@@ -15,7 +15,7 @@ from sero_mj.drive.wiring import wire
 from sero_mj.load import load_scene
 from sero_mj.receive.source import Packets
 from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
-from sero_mj.show.web._panels import decimate
+from sero_mj.show.web.torque_plots import decimate
 from sero_mj.show.window.plots import TorquePlot, y_range
 
 

@@ -23,7 +23,7 @@ from sero_mj.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.show.status_line import Mood
 from sero_mj.show.web.host import WebHost
-from sero_mj.show.web.page_windows import mood_rgb
+from sero_mj.show.web.studio_widgets import mood_rgb
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = [

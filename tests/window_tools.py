@@ -27,6 +27,18 @@ scene, settings, size, options, replay = json.loads(sys.argv[1])
 scene = read_scene(scene, settings, by_hand=not replay)
 if replay:
     replay_instead(scene, Path(replay), None)
+places = {}  # of the panel's widgets by label: left, top, right, bottom
+from imgui_bundle import imgui
+def noted(build):
+    def built(label, *rest):
+        found = build(label, *rest)
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        places[label] = [low.x, low.y, high.x, high.y]
+        return found
+    return built
+for name in ("button", "checkbox", "combo", "slider_float", "input_double", "collapsing_header",
+             "tree_node"):
+    setattr(imgui, name, noted(getattr(imgui, name)))
 clicks = []
 with Mirror(scene) as mirror, Window(mirror, size=size, folder=Path(), **options) as w:
     w.on_click = lambda picked, gesture: clicks.append((gesture, picked and picked.kind))
@@ -92,6 +104,11 @@ class Driven(Driver):
         """Clicks on a pixel, counted from the upper left corner of the window."""
         self.tool("mousemove", round(x), round(y), *(how or ("click", 1)))
         self.settle()
+
+    def middle(self, label: str) -> tuple[float, float]:
+        """Where a widget of the panel is, by its label, from the upper left corner."""
+        left, top, right, bottom = self.until(f"places.get({label!r})")
+        return (left + right) / 2, (top + bottom) / 2
 
     def settle(self) -> None:
         """Waits until frames were shown: the first takes what the user did."""

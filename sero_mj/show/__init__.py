@@ -1,7 +1,7 @@
 """Render geoms to pixels, and apply clicks and keys to toggles.
 
 In: a mirror, or the user's own model and data. Out: pictures and films (`headless/`), a window
-(`window/`), a web page (`web/`); modules that they share are beside these folders.
+(`window/`), a web page (`web/`); panels of both (`panels/`), and what else they share beside.
 Open first: `viewer.py` (a live viewer in Python, drawn by the process of `viewer_main.py`),
 `live.py` (what window and page share), `interaction.py` (actions of clicks and keys),
 `picking.py` (finds the item at a pixel).

@@ -269,13 +269,14 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "]": ("next_joint", "select the next joint, [ the previous"),
     "k": ("keep", "keep what was pushed: run, and scenario that repeats it"),
     "t": ("status_line", "status line on or off"),
+    "tab": ("panel", "panel with switches and sizes on or off"),
     "f2": ("screenshot", "screenshot of the scene"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
     "h": ("help", "help, its next page"),
 }
 # Actions that a browser provides itself.
-OF_BROWSER = ("f2", "f3", "f11")
+OF_BROWSER = ("tab", "f2", "f3", "f11")
 # Alternative keys, which the help does not list.
 MORE_KEYS: dict[str, str] = {
     "?": "help",

@@ -19,6 +19,8 @@ from .clock import Clock
 from .headless.film import Pixels
 from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
+from .panels.robot_panel import RobotPanel
+from .panels.widgets import Widgets
 from .picking import Picked, Pixel
 from .pulling import Pulling
 from .scene_decor import SceneDecor
@@ -84,6 +86,7 @@ class LiveHost(ABC):
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
         self.pulling = Pulling(mirror, clock, self.toggles)
+        self._robots = RobotPanel(world, self.toggles)
         self.folder: Path | None = None
         self._is_refused = False  # whether the drag that goes on cannot pull
         self.joint = 0
@@ -178,6 +181,10 @@ class LiveHost(ABC):
     def toggle_status(self) -> None:
         """Shows or hides status line or panel."""
         self.shows_status = not self.shows_status
+
+    def build_panel(self, ui: Widgets) -> None:
+        """Builds what the panels of all hosts have in common."""
+        self._robots.build(ui)
 
     @property
     def has_plot(self) -> bool:

@@ -14,10 +14,11 @@ from ...receive.source import Source
 from ..clock import SPEEDS, time_text
 from ..interaction import help_columns
 from ..live import LiveHost
-from ..status_line import Mood, clock_text, source_text
-from ._panels import RobotPanel, TorquePlots
+from ..status_line import clock_text, source_text
 from .studio_controls import StudioApp
 from .studio_decor import CUT_OFF, WebDecor
+from .studio_widgets import StudioWidgets, write_line
+from .torque_plots import TorquePlots
 
 _ONCE = int(imgui.Cond.FirstUseEver)
 _ALWAYS = int(imgui.Cond.Always)
@@ -49,37 +50,6 @@ _CLOCK_MENU = {
     "Backspace": ("reset", "Back to the start"),
 }
 _TALL = 0.35  # fraction of the page's height above which a window counts as covering its edge
-Rgb = tuple[float, float, float]
-# On Studio's light themes and on its dark ones. Contrast with the window is at least 4.5 (WCAG).
-MOODS: dict[Mood, tuple[Rgb, Rgb] | None] = {
-    "good": ((0.04, 0.41, 0.16), (0.45, 0.82, 0.56)),
-    "quiet": ((0.37, 0.39, 0.43), (0.72, 0.74, 0.77)),
-    "bad": ((0.70, 0.17, 0.02), (1.00, 0.62, 0.46)),
-    "plain": None,
-}
-
-
-def mood_rgb(mood: Mood) -> Rgb | None:
-    """Returns the colour of a mood on the page's current theme; None for the theme's own."""
-    colours, window = MOODS[mood], imgui.GetStyleColorVec4(int(imgui.Col.WindowBg))
-    return None if colours is None else colours[window.y < 0.5]
-
-
-def write_line(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> None:
-    """Writes a line in the colour of a mood.
-
-    Args:
-        text: the line.
-        mood: of the line.
-        is_wrapped: whether to wrap it at the window's width.
-    """
-    write, rgb = imgui.TextWrapped if is_wrapped else imgui.TextUnformatted, mood_rgb(mood)
-    if rgb is None:
-        write(text)
-        return
-    imgui.PushStyleColor(int(imgui.Col.Text), imgui.Vec4(*rgb, 1.0))
-    write(text)
-    imgui.PopStyleColor(1)
 
 
 class PageWindows(plugin.ViewerPlugin):
@@ -93,7 +63,7 @@ class PageWindows(plugin.ViewerPlugin):
 
     def __init__(self, host: LiveHost, decor: WebDecor, studio: StudioApp) -> None:
         self._host, self._decor, self._studio = host, decor, studio
-        self._robots = RobotPanel(host.world, host.toggles)
+        self._widgets = StudioWidgets()
         self._plots = TorquePlots(host.world)
         self._is_narrow = False
         # Page sizes, and what is docked there, for which windows were placed.
@@ -178,7 +148,7 @@ class PageWindows(plugin.ViewerPlugin):
         self._cover(size.y)
         if shown:
             self._sources()
-            self._robots.build()
+            host.build_panel(self._widgets)
             self._count()
         imgui.End()
 

@@ -28,6 +28,7 @@ _NAMED_KEYS = {
     glfw.KEY_RIGHT: "right",
     glfw.KEY_HOME: "home",
     glfw.KEY_ESCAPE: "escape",
+    glfw.KEY_TAB: "tab",
     glfw.KEY_F1: "f1",
     glfw.KEY_F2: "f2",
     glfw.KEY_F3: "f3",
@@ -48,6 +49,8 @@ class GlWindow:
         context: for the scene.
         typesetter: of the window's own text; its size depends on the screen, not on the picture.
         blender: lays panels over the window.
+        on_key: is called with key, action and modifiers as GLFW has them, before all else.
+        on_character: is called with every character that is typed.
         refresh_rate: of the screen, Hz.
 
     Raises:
@@ -63,6 +66,8 @@ class GlWindow:
         self._events: list[Event] = []
         self._polled = time.monotonic()
         self._is_repeat = False
+        self.on_key: Callable[[int, int, int], None] | None = None
+        self.on_character: Callable[[int], None] | None = None
         self._at: tuple[float, float] | None = None  # pointer position in screen coordinates
         self._windowed: tuple[int, int, int, int] | None = None
         mode = glfw.get_video_mode(glfw.get_primary_monitor())
@@ -137,6 +142,17 @@ class GlWindow:
             self._of_picture = Typesetter(line)
         return self._of_picture
 
+    @property
+    def clipboard(self) -> str:
+        """The text on the clipboard; empty where there is none."""
+        with _glfw_errors():  # there may be a picture
+            text: Any = glfw.get_clipboard_string(self._window)
+        return str((text or b"").decode("utf-8", "replace"))
+
+    def set_clipboard(self, text: str) -> None:
+        """Puts a text onto the clipboard."""
+        glfw.set_clipboard_string(self._window, text)
+
     def swap(self) -> None:
         """Shows the rendered frame at the screen's next refresh."""
         glfw.swap_buffers(self._window)
@@ -210,6 +226,8 @@ class GlWindow:
 
     def _on_key(self, window: Any, key: int, code: int, action: int, mods: int) -> None:
         self._is_repeat = action == glfw.REPEAT
+        if self.on_key is not None:
+            self.on_key(key, action, mods)
         if action == glfw.RELEASE:
             return
         if key in (glfw.KEY_Q, glfw.KEY_W) and mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
@@ -218,6 +236,8 @@ class GlWindow:
             self._add("key", key=_NAMED_KEYS[key], is_repeat=self._is_repeat)
 
     def _on_char(self, window: Any, code: int) -> None:
+        if self.on_character is not None:
+            self.on_character(code)
         # Characters, not keys, so that all keyboard layouts work.
         self._add("key", key=chr(code).lower(), is_repeat=self._is_repeat)
 

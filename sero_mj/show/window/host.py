@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -33,6 +34,9 @@ from .capture import Capture
 from .glfw_window import GlWindow
 from .hud import Hud, TimeLine, arrange
 from .plots import Plot, TorquePlot
+
+if TYPE_CHECKING:
+    from .panel_layer import PanelLayer
 
 _HINT = "H help"
 _MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
@@ -76,6 +80,7 @@ class Viewport(SceneDecor):
         camera: mujoco.MjvCamera,
         rect: mujoco.MjrRect,
         typesetter: Typesetter,
+        covered: float = 0.0,
     ) -> None:
         """Lays out scene and decor.
 
@@ -84,6 +89,7 @@ class Viewport(SceneDecor):
             camera: of the picture.
             rect: of the picture in the window.
             typesetter: of its panels.
+            covered: width of what covers its left edge, pixels; numbers stay beside it.
         """
         scene, everything = self._scene, mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
@@ -94,7 +100,8 @@ class Viewport(SceneDecor):
         self.rect, self._typesetter = rect, typesetter
         if self._stereo is not None:
             self._distance = looked_at(scene, camera, self._centre)
-        view = PictureView.of_scene(scene, self._width, rect.height, typesetter.font)
+        inset = (min(covered, 0.6 * self._width), 0.0, 0.0, 0.0)
+        view = PictureView.of_scene(scene, self._width, rect.height, typesetter.font, inset)
         self.draw(data, view, scene)
 
     @property
@@ -188,12 +195,14 @@ class Window(LiveHost):
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
         self.decor = Viewport(world, self.toggles, self.gl.context, stereo, eye_distance)
         self._hud = Hud(self.gl)
+        self._panel: PanelLayer | None = None  # until it is opened for the first time
         self._mouse = Mouse()
         self._actions |= {
             "screenshot": self._take_screenshot,
             "film": self._toggle_film,
             "full_screen": self.gl.toggle_full_screen,
             "help": self.next_help_page,
+            "panel": self.toggle_panel,
         }
         self._plot = TorquePlot(world)
         self._help = help_columns()
@@ -243,9 +252,15 @@ class Window(LiveHost):
         size = (width, height)
         rect, plots = arrange(size, hud.font.height, bottom, has_plot=self.has_plot)
         typesetter = self.gl.typesetter_of(rect.height)
-        self.decor.update(self.data, self.navigator.camera, rect, typesetter)
-        is_pointing = not (self._mouse.is_down or self.shows_help)
+        panel = self._panel if self.has_panel else None
+        # Pictures and films are as without it.
+        is_kept = self.wants_picture or self.camera.is_filming
+        covered = 0.0 if panel is None or is_kept else panel.covered
+        self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
+        is_pointing = not (self._mouse.is_down or self.shows_help or self._is_over_panel)
         self.point(self._pointer() if is_pointing else None)
+        if panel is not None:
+            panel.build(bottom, self.build_panel)
         filled = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
@@ -290,6 +305,10 @@ class Window(LiveHost):
             hud.status(pieces, _HINT, width)
         if self.notice.is_shown:
             hud.message(self.notice.text, picture, is_bad=self.notice.is_bad)
+        if self.has_panel and self._panel is not None:
+            self._panel.draw()
+        else:
+            hud.draw_panel_handle(height, is_lit=self._is_on_handle(self._mouse.position))
         if self.shows_help:
             found = self.help_pages(size)
             hud.help(found[min(self.help_page, len(found) - 1)], width, height)
@@ -303,6 +322,32 @@ class Window(LiveHost):
         """Returns the help in pages of columns that fit a window of that size."""
         return pages(self._help, self._hud.help_room(size))
 
+    @property
+    def has_panel(self) -> bool:
+        """Whether the panel is shown."""
+        return self._panel is not None and self._panel.is_open
+
+    def toggle_panel(self) -> None:
+        """Shows or hides the panel."""
+        if self._panel is None:
+            # What draws it is only loaded where it is wanted.
+            from .panel_layer import PanelLayer
+
+            self._panel = PanelLayer(self.gl, self.world.scene.name)
+        else:
+            self._panel.is_open = not self._panel.is_open
+
+    @property
+    def _is_over_panel(self) -> bool:
+        at = self._mouse.position
+        return self._panel is not None and at is not None and self._panel.is_over(*at)
+
+    def _is_on_handle(self, at: Pixel | None) -> bool:
+        left, bottom, width, height = self._hud.panel_handle(self.gl.size[1])
+        return at is not None and (
+            left <= at[0] < left + width and bottom <= at[1] < bottom + height
+        )
+
     def next_help_page(self) -> None:
         """Shows the help, shows its next page, or hides it after the last page."""
         self.help_page = self.help_page + 1 if self.shows_help else 0
@@ -314,8 +359,15 @@ class Window(LiveHost):
 
     def _take(self, event: Event, height: int) -> None:
         """Handles an event."""
+        if self._panel is not None and self._panel.take(event):
+            if event.kind == "move":
+                self._mouse.position = (event.x, event.y)
+            return
         if event.kind == "key":
             self._press(event)
+            return
+        if event.kind == "press" and not self.has_panel and self._is_on_handle((event.x, event.y)):
+            self.toggle_panel()
             return
         line = self._line
         if event.kind == "press" and line is not None and line.hits(event.x, event.y):
@@ -395,4 +447,6 @@ class Window(LiveHost):
     def close(self) -> None:
         """Closes the window after pictures and films are written."""
         self.camera.close()
+        if self._panel is not None:
+            self._panel.close()
         self.gl.close()

@@ -15,6 +15,7 @@ from .glfw_window import GlWindow
 BAR: Rgba = (0.07, 0.09, 0.12, 1.0)
 PANEL: Rgba = (0.07, 0.09, 0.12, 0.92)
 HELP: Rgba = (0.07, 0.09, 0.12, 0.96)
+HANDLE: Rgba = (0.07, 0.09, 0.12, 0.55)
 BAD: Rgba = (0.45, 0.07, 0.06, 0.95)
 _TRACK: Rgba = (0.22, 0.26, 0.31, 1.0)
 _DONE: Rgba = (0.26, 0.56, 0.82, 1.0)
@@ -23,7 +24,7 @@ _RED: Rgba = (0.92, 0.22, 0.18, 1.0)
 TITLE: Rgb = (1.0, 0.72, 0.30)
 DIM = (0.60, 0.65, 0.71)
 TEXT = (0.90, 0.92, 0.94)
-_MOODS: dict[Mood, Rgb] = {
+MOODS: dict[Mood, Rgb] = {
     "good": (0.55, 0.85, 0.62),
     "quiet": (0.95, 0.80, 0.40),
     "bad": (1.00, 0.52, 0.40),
@@ -160,7 +161,7 @@ class Hud:
             wide = self.font.width(text.encode("ascii", "replace"))
             if x + wide > width - _PAD * h:
                 break
-            lines.append(Text(x, base, text, _MOODS[mood]))
+            lines.append(Text(x, base, text, MOODS[mood]))
             x += wide + _GAP * h
         if x < right:
             lines.append(Text(right, base, hint, DIM))
@@ -193,6 +194,24 @@ class Hud:
         bottom = rect.bottom + rect.height - 4.2 * h  # below that a film is recorded
         self.panel((left, bottom, wide, 1.7 * h), lines, BAD if is_bad else PANEL)
 
+    def panel_handle(self, height: float) -> tuple[float, float, float, float]:
+        """Returns left, bottom, width and height of the panel's handle, at the picture's edge.
+
+        Args:
+            height: of the window, pixels.
+        """
+        h = self.font.height
+        return 0.0, height - 3.0 * h, 1.2 * h, 2.2 * h
+
+    def draw_panel_handle(self, height: float, *, is_lit: bool) -> None:
+        """Draws three bars at the left edge, which open the panel."""
+        left, bottom, wide, tall = self.panel_handle(height)
+        self.panel((left, bottom, wide, tall), [], BAR if is_lit else HANDLE)
+        bar = 0.09 * self.font.height
+        for k in (-1, 0, 1):
+            y = bottom + tall / 2 + 3.2 * k * bar - bar / 2
+            self.box(left + 0.3 * wide, y, 0.4 * wide, max(bar, 1.0), _HANDLE)
+
     def filming(self, text: str, width: int, top: float) -> None:
         """Shows that a film is being recorded, in a picture of that width and upper edge."""
         h = self.font.height
@@ -223,7 +242,7 @@ class Hud:
             y = tall - 1.2 * h - line
             for key, meaning in rows:
                 if meaning:
-                    lines.append(Text(x, y, key, _MOODS["good"]))
+                    lines.append(Text(x, y, key, MOODS["good"]))
                     lines.append(Text(x + keys, y, meaning, TEXT))
                 elif key:
                     lines.append(Text(x, y, key, TITLE, is_strong=True))

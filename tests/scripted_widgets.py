@@ -1,0 +1,114 @@
+"""Stands for the widgets of a panel: notes what is built, and does what a test wants done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+class ScriptedWidgets:
+    """See `Widgets`: all that can be folded is unfolded.
+
+    Args:
+        does: what its user does: a value by the label of a widget, or by its way, the labels of
+            sections and nodes before it with slashes between them; `True` for a button.
+
+    Attributes:
+        built: kind and label of every widget, in order.
+        ways: of sections and nodes.
+        disabled: labels of what takes no input.
+        copied: what was put onto the clipboard last.
+    """
+
+    def __init__(self, does: Mapping[str, Any] | None = None) -> None:
+        self._does = dict(does or {})
+        self.built: list[tuple[str, str]] = []
+        self.ways: list[str] = []
+        self.disabled: list[str] = []
+        self.copied = ""
+        self._way: list[str] = []
+        self._is_off: list[bool] = []
+
+    def _done(self, kind: str, label: str, now: Any) -> tuple[bool, Any]:
+        self.built.append((kind, label))
+        if any(self._is_off):
+            self.disabled.append(label)
+            return False, now
+        for key in ("/".join([*self._way, label]), label):
+            if key in self._does:
+                return True, self._does[key]
+        return False, now
+
+    def texts(self) -> list[str]:
+        """All texts, in order."""
+        return [label for kind, label in self.built if kind == "text"]
+
+    def text(self, words: str, mood: str = "plain") -> None:
+        self.built.append(("text", words))
+
+    def title(self, words: str) -> None:
+        self.built.append(("title", words))
+
+    def header(self, label: str, *, is_open: bool = False) -> bool:
+        self._way = [label]
+        self.built.append(("header", label))
+        self.ways.append(label)
+        return True
+
+    def tree(self, label: str) -> bool:
+        self._way.append(label)
+        self.built.append(("tree", label))
+        self.ways.append("/".join(self._way))
+        return True
+
+    def end_tree(self) -> None:
+        self._way.pop()
+
+    def table(self, name: str, widths: Sequence[float]) -> bool:
+        return True
+
+    def button(self, label: str) -> bool:
+        return self._done("button", label, False)[0]
+
+    def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
+        return self._done("check", label, is_on)
+
+    def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
+        changed, chosen = self._done("choose", label, index)
+        return changed, names.index(chosen) if isinstance(chosen, str) else chosen
+
+    def slide(
+        self, label: str, value: float, low: float, high: float, text: str
+    ) -> tuple[bool, float]:
+        return self._done("slide", label, value)
+
+    def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
+        return self._done("number", label, value)
+
+    def lines(self, label: str, text: str, count: int) -> None:
+        self.built.append(("lines", text))
+
+    def copy(self, text: str) -> None:
+        self.copied = text
+
+    def disable(self, *, is_off: bool) -> None:
+        self._is_off.append(is_off)
+
+    def enable(self) -> None:
+        self._is_off.pop()
+
+    def row(self) -> None: ...
+
+    def cell(self) -> None: ...
+
+    def end_table(self) -> None: ...
+
+    def scope(self, name: str) -> None: ...
+
+    def end_scope(self) -> None: ...
+
+    def same_line(self, left: float = 0.0) -> None: ...
+
+    def width(self, width: float) -> None: ...
+
+    def tip(self, words: str) -> None: ...
