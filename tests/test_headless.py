@@ -224,6 +224,8 @@ def test_a_draft_has_no_shadows_and_hard_edges(world) -> None:
             pictures[quality] = renderer.render(world.make_data())
     is_shadow = pictures["draft"].mean(axis=2) > 1.2 * pictures["normal"].mean(axis=2)
     assert is_shadow.mean() > 0.005
+    skies = [np.ptp(pictures[name][:100, 2].astype(int), axis=0) for name in pictures]
+    assert skies[0].max() > 2 >= skies[1].max()
     assert mixed_colours(pictures["draft"]) < 0.5 * mixed_colours(pictures["normal"])
 
 
@@ -259,8 +261,13 @@ def test_an_unknown_quality_is_refused_and_commands_know_all(world) -> None:
 
 
 def test_what_is_rendered_leaves_the_model_as_it_was(world) -> None:
-    quality = world.model.vis.quality
-    before = quality.offsamples, world.model.vis.global_.offwidth
+    def state() -> list[float]:
+        model = world.model
+        quality = model.vis.quality
+        return [quality.offsamples, quality.shadowsize, model.vis.global_.offwidth,
+                *model.tex_width, *model.tex_height]  # fmt: skip
+
+    before = state()
     with HeadlessRenderer(world, 64, 48, quality="draft") as renderer:
         renderer.render(world.make_data())
-    assert (quality.offsamples, world.model.vis.global_.offwidth) == before
+    assert state() == before

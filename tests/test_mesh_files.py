@@ -177,6 +177,27 @@ def test_obj_files_have_the_colours_of_their_materials(tmp_path: Path) -> None:
     assert sorted(piece.rgba or () for piece in read_mesh(path)) == [(0, 0, 1, 1), (1, 0, 0, 1)]
 
 
+TETRAHEDRON = np.array([[1, 3, 2], [1, 2, 4], [1, 4, 3], [2, 3, 4]])
+FORMS = {"v": "{0}", "v/t": "{0}/9", "v//n": "{0}//9", "v/t/n": "{0}/9/9"}
+
+
+@pytest.mark.parametrize("last", [0, 1])
+@pytest.mark.parametrize("forms", [*FORMS, "v v/t/n", "v//n v/t", "v/t v v/t/n v//n"])
+def test_corners_of_faces_have_any_form(tmp_path: Path, forms: str, last: int) -> None:
+    texts = [FORMS[form] for form in forms.split()]
+    points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    corners = TETRAHEDRON.flatten()
+    corners[-1] += last
+    words = [texts[i % len(texts)].format(corner) for i, corner in enumerate(corners)]
+    faces = "\n".join("f " + " ".join(words[i : i + 3]) for i in range(0, 12, 3))
+    path = tmp_path / "forms.obj"
+    path.write_text(points + "vt 0 0\n" * 9 + "vn 0 0 1\n" * 9 + faces, encoding="utf-8")
+    if last and " " not in forms:
+        assert refused(path) == "mesh forms.obj: has faces of vertices that it does not have"
+    elif not last:
+        assert read_mesh(path)[0].points.shape == (4, 3)
+
+
 @pytest.mark.parametrize(
     ("name", "contents", "expected"),
     [

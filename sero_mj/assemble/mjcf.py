@@ -41,6 +41,7 @@ from .scene import Scene
 from .surroundings import PALETTES, Look, Object, Palette
 
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
+SKY = "sky"  # name of the texture
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
 _TILE = 0.25  # edge of a tile of the floor, m
@@ -312,7 +313,7 @@ def _add_key_light(root: mujoco.MjSpec, palette: Palette, at: Array) -> None:
 
 def _add_sky(root: mujoco.MjSpec, palette: Palette) -> None:
     root.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        name=SKY, type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=palette.sky[0], rgb2=palette.sky[1], width=64, height=384,
     )  # fmt: skip

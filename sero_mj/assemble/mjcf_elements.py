@@ -33,8 +33,8 @@ def mesh_assets(
     """Adds a mesh file to the assets.
 
     Args:
-        spec: gets it; meshes of these names that it has are used again.
-        name: of the mesh.
+        spec: gets it; a mesh of the same file and scale that it has is used again.
+        name: of the mesh, where it is a new one.
         path: of the file, in any format that `read_mesh` takes.
         scale: m per unit, one number or along x, y and z; negative ones mirror it.
         solid: whether it has to have a volume, as it touches or has a mass.
@@ -47,15 +47,19 @@ def mesh_assets(
     """
     meshes = []
     for k, piece in enumerate(read_mesh(path)):
-        meshes.append((f"{name}_{k}" if k else name, piece.rgba))
-        if spec.mesh(meshes[-1][0]) is None:
-            spec.add_mesh(
-                name=meshes[-1][0],
-                file=add_file(spec, path.with_suffix(piece.ending), piece.contents),
+        file = add_file(spec, path.with_suffix(piece.ending), piece.contents)
+        # By the convex hull, so that a mesh with holes has a mass; a flat one has no hull.
+        inertia = _CONVEX if solid or not piece.is_flat else _SHELL
+        same = [mesh for mesh in spec.meshes if (mesh.file, mesh.inertia) == (file, inertia)]
+        mesh = next((mesh for mesh in same if (mesh.scale == scale).all()), None)
+        if mesh is None:
+            mesh = spec.add_mesh(
+                name=f"{name}_{k}" if k else name,
+                file=file,
                 scale=np.broadcast_to(scale, 3),
-                # By the convex hull, so that a mesh with holes has a mass; a flat one has no hull.
-                inertia=_CONVEX if solid or not piece.is_flat else _SHELL,
+                inertia=inertia,
             )
+        meshes.append((mesh.name, piece.rgba))
     return meshes
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import product
+
 import mujoco
 import numpy as np
 
@@ -59,6 +62,7 @@ class Solids:
         self._groups[:_SHOWN_GROUPS] = 1
         if not (moving & is_shown(model)).any() and not model.nskin:
             self._groups[:] = 1  # a model of collision geoms only
+        self._geom, self._normal = np.full(1, -1, np.int32), np.zeros(3)  # of the last ray
         self._skins = _posed_skins(model, data) if model.nskin else []
 
     def hidden_shares(self, centre: Array, axis: Array, radii: Array, height: float) -> Array:
@@ -74,26 +78,27 @@ class Solids:
         side /= np.linalg.norm(side)
         other = np.cross(axis, side)
         skins = [_near(skin, centre, _NEAR * float(radii[-1])) for skin in self._skins]
-        hidden = np.zeros(len(radii))
-        heights = (-height / 2, 0.0, height / 2)
-        for angle in _ROUND:
-            direction = np.cos(angle) * side + np.sin(angle) * other
-            for along in heights:
-                hidden += self._is_inside(centre + along * axis, direction, radii, skins)
-        return np.asarray(hidden / (len(_ROUND) * len(heights)))
+        starts = centre + np.array([[-height / 2], [0.0], [height / 2]]) * axis
+        directions = np.cos(_ROUND)[:, None] * side + np.sin(_ROUND)[:, None] * other
+        reach, count = float(radii[-1]), len(_ROUND) * len(starts)
+        spans: list[tuple[int, float, float]] = []  # ray, and from where to where it is inside
+        for ray, (direction, start) in enumerate(product(directions, starts)):
+            entered: dict[int, float] = {}  # where the ray has last met each geom or skin
+            for what, at, is_exit in self._crossings(start, direction, reach, skins):
+                if is_exit:
+                    spans.append((ray, entered.get(what, 0.0), at))
+                entered[what] = at
+        inside = np.zeros((count, len(radii)), bool)
+        if spans:
+            rays, begins, ends = np.array(spans).T[:, :, None]
+            np.logical_or.at(inside, rays[:, 0].astype(int), (radii > begins) & (radii < ends))
+        return np.asarray(inside.mean(axis=0))
 
-    def _is_inside(self, start: Array, direction: Array, radii: Array, skins: list[_Skin]) -> Bools:
-        """Returns whether points on a ray are inside a solid, (k,)."""
-        inside = np.zeros(len(radii), bool)
-        reach, step = radii[-1], _STEP * radii[-1]
-        geom, normal = np.full(1, -1, np.int32), np.zeros(3)
-        entered: dict[int, float] = {}  # where the ray has last met each geom or skin
-
-        def meet(what: int, at: float, is_exit: bool) -> None:
-            if is_exit:
-                inside[(radii > entered.get(what, 0.0)) & (radii < at)] = True
-            entered[what] = at
-
+    def _crossings(
+        self, start: Array, direction: Array, reach: float, skins: list[_Skin]
+    ) -> Iterator[tuple[int, float, bool]]:
+        """Yields the surfaces along a ray: of which geom or skin, how far, whether it is left."""
+        geom, normal, step = self._geom, self._normal, _STEP * reach
         at = 0.0
         for _ in range(_MOST_CROSSINGS):
             point = start + at * direction
@@ -102,7 +107,7 @@ class Solids:
             )
             if gap < 0 or at > reach:
                 break
-            meet(int(geom[0]), at + gap, float(normal @ direction) > 0)
+            yield int(geom[0]), at + gap, bool(normal @ direction > 0)
             at += gap + step
         for i, (faces, vertices, normals) in enumerate(skins):
             at = 0.0
@@ -113,9 +118,8 @@ class Solids:
                 )
                 if gap < 0 or at > reach:
                     break
-                meet(-1 - i, at + gap, float(normals[geom[0]] @ direction) > 0)
+                yield -1 - i, at + gap, bool(normals[geom[0]] @ direction > 0)
                 at += gap + step
-        return inside
 
 
 _Skin = tuple[Array, Array, Array]  # faces (f, 3), vertices (v, 3) and their normals (v, 3)

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
+from ...assemble.mjcf import SKY
 from ...assemble.scene import Scene
 from ...assemble.world_view import WorldView
 from ...decor.font import line_height
@@ -41,7 +42,8 @@ from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save
 log = logging.getLogger(__name__)
 
 MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
-# `draft` has neither shadows nor multisampling; `fine` is drawn larger and reduced, for print.
+# `draft` has neither shadows nor multisampling, and one colour for a sky; `fine` is drawn larger
+# and reduced, for print.
 Quality = Literal["draft", "normal", "fine"]
 QUALITIES: tuple[str, ...] = get_args(Quality)
 _SUPERSAMPLING = 2  # a side, of `fine`
@@ -65,7 +67,7 @@ def check_size(what: str, width: int, height: int) -> None:
 
 @contextmanager
 def offscreen_size(
-    model: mujoco.MjModel, width: int, height: int, samples: int | None = None
+    model: mujoco.MjModel, width: int, height: int, *, is_draft: bool = False
 ) -> Iterator[None]:
     """Sets the offscreen buffer of the OpenGL contexts that are created in this context.
 
@@ -75,17 +77,23 @@ def offscreen_size(
         model: changed temporarily.
         width: pixels.
         height: pixels.
-        samples: of every pixel; None for the model's.
+        is_draft: whether there are neither multisampling nor shadows, and the sky has one colour.
     """
     size, quality = model.vis.global_, model.vis.quality
-    before = size.offwidth, size.offheight, quality.offsamples
+    before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
+    tall, wide = model.tex_height.copy(), model.tex_width.copy()
     size.offwidth, size.offheight = width, height
-    if samples is not None:
-        quality.offsamples = samples
+    if is_draft:
+        quality.offsamples = quality.shadowsize = 0
+        # The smaller versions of a sky take software OpenGL 50 ms; one pixel a side has none.
+        sky = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXTURE, SKY)
+        if sky >= 0:
+            model.tex_width[sky], model.tex_height[sky] = 1, 6
     try:
         yield
     finally:
-        size.offwidth, size.offheight, quality.offsamples = before
+        size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
+        model.tex_height[:], model.tex_width[:] = tall, wide
 
 
 DEFAULT_SIZE = (1280, 800)
@@ -140,9 +148,8 @@ class HeadlessRenderer:
         check_size("half of the picture", *self._half)
         self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
         self.decor = SceneDecor(world, with_text=False)
-        samples = 0 if quality == "draft" else None
         drawn, tall = self._half[0] * self._scale, height * self._scale
-        self._renderer = _make_renderer(world, drawn, tall, samples)
+        self._renderer = _make_renderer(world, drawn, tall, is_draft=quality == "draft")
         if quality == "draft":
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         # A new renderer's OpenGL context is the current one.
@@ -265,11 +272,11 @@ class HeadlessRenderer:
         self.close()
 
 
-def _make_renderer(world: WorldView, width: int, height: int, samples: int | None) -> Any:
+def _make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
     model = world.model
     adopt_backend()
     try:
-        with offscreen_size(model, width, height, samples):
+        with offscreen_size(model, width, height, is_draft=is_draft):
             return mujoco.Renderer(model, height, width)
     except Exception as error:  # every GL backend raises errors of its own
         raise RenderError(
