@@ -74,6 +74,7 @@ class UrdfFile:
         self._warnings: list[str] = []
         self._has_lines = True
         self._lost: dict[str, list[str]] = {}  # mesh files that were not found, and who has them
+        self._found: dict[str, Path | None] = {}  # the file that a name means
         self._unread: dict[Path, str] = {}
         self._colored: dict[Path, bool] = {}  # whether a mesh file has colours of its own
         self._flat: set[Path] = set()
@@ -317,7 +318,9 @@ class UrdfFile:
 
     def _mesh_file(self, mesh: Element, name: str, tag: str, link: str) -> Path | None:
         """The file of a mesh; None for one that cannot be found, read or used."""
-        file = find_file(name, self.path, self._packages)
+        if name not in self._found:
+            self._found[name] = find_file(name, self.path, self._packages)
+        file = self._found[name]
         if file is None:
             line = f", line {mesh.sourceline}" if self._has_lines else ""
             self._lost.setdefault(name, []).append(f"<{tag}> of '{link}'{line}")
