@@ -249,7 +249,9 @@ class Figure:
         begin, end = self.axes[0][0].get_xlim()
         shown = [span for span in spans if span.begin < end
                  and (span.end is None or span.end > begin)]  # fmt: skip
-        self.figure.draw_without_rendering()  # now it is known where the panels are
+        if not shown:
+            return
+        self.lay_out()  # now it is known where the panels are
         taken: list[Any] = []
         for span in sorted(shown, key=lambda span: span.begin):
             left, right = max(span.begin, begin), end if span.end is None else min(span.end, end)
@@ -271,6 +273,13 @@ class Figure:
                 name.set_position((0.0, -_LINE * level))
             taken.append(name.get_window_extent())
 
+    def lay_out(self) -> None:
+        """Gives every label its room, once for all; matplotlib would do so in every drawing."""
+        engine = self.figure.get_layout_engine()
+        if engine is not None:
+            engine.execute(self.figure)
+            self.figure.set_layout_engine(None)
+
     def legend(self, handles: Sequence[Any]) -> None:
         """Puts the legend into the upper right corner."""
         self._head.legend(
@@ -288,6 +297,8 @@ def save_figures(figures: Sequence[Figure], path: Path) -> None:
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
+    for each in figures:
+        each.lay_out()
     suffix = path.suffix.lower()
     if len(figures) > 1 and suffix != ".pdf":
         raise UsageError(f"{path}: {len(figures)} pages; expected a name that ends in .pdf")
