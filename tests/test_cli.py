@@ -20,7 +20,7 @@ from sero_mj.cli._arguments import overrides
 from sero_mj.paths import find_scene
 
 COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep",
-            "new", "schema", "convert", "import"]  # fmt: skip
+            "new", "schema", "convert", "import", "calibrate"]  # fmt: skip
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:
@@ -51,7 +51,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
     status, out, _ = run(capsys, "--help")
     assert status == 0
     for command in COMMANDS:
-        assert re.search(rf"^    {command} +\w", out, re.MULTILINE)
+        assert re.search(rf"^    {command}\s+\w", out, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

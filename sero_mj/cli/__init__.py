@@ -11,6 +11,7 @@ from .. import __version__
 from ..errors import DeclarationError, SeroError
 from ..show.headless.backend import choose_backend
 from . import (
+    calibrate,
     check,
     compare,
     convert,
@@ -93,6 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     for module in (
         view,
         render,
+        calibrate,
         send,
         simulate,
         sweep,

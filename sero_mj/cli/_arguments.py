@@ -34,6 +34,7 @@ LOOKS = ("light", "dark")
 QUALITIES = ("draft", "normal", "fine")
 STEREO = ("side-by-side", "anaglyph")  # as in `show.stereo`, which takes a while to import
 EYE_DISTANCE = 0.065
+DEFAULT_SIZE = (1280, 800)
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -189,7 +190,7 @@ def add_package_option(parser: argparse.ArgumentParser) -> None:
 def add_picture_options(parser: argparse.ArgumentParser) -> None:
     """Adds `--size` and `--quality` of pictures and films."""
     parser.add_argument(
-        "--size", type=size, default=(1280, 800), metavar="WxH", help="pixels (default 1280x800)"
+        "--size", type=size, default=DEFAULT_SIZE, metavar="WxH", help="pixels (default 1280x800)"
     )
     parser.add_argument(
         "--quality",
@@ -220,6 +221,38 @@ def check_stereo_options(options: argparse.Namespace) -> None:
     """Raises UsageError where `--eye-distance` is given without `--stereo`."""
     if options.stereo is None and options.eye_distance != EYE_DISTANCE:
         raise UsageError("--eye-distance is for --stereo side-by-side or anaglyph; give it as well")
+
+
+def add_over_options(parser: argparse.ArgumentParser) -> None:
+    """Adds `--over`, `--camera-file` and `--offset`."""
+    parser.add_argument(
+        "--over", type=Path, metavar="FILE", help="draw over a photo or a video of the real robot"
+    )
+    parser.add_argument(
+        "--camera-file", type=Path, metavar="FILE", help="the camera that took it; YAML or TOML"
+    )
+    parser.add_argument(
+        "--offset",
+        type=_offset,
+        metavar="S",
+        help="time of the recording when the video begins, s since the recording began",
+    )
+
+
+def _offset(text: str) -> float:
+    return _number(text, "a number, s", lambda value: True)
+
+
+def check_over_options(options: argparse.Namespace) -> None:
+    """Raises UsageError where one of the options of `add_over_options` lacks another."""
+    if options.over is not None and options.camera_file is None:
+        raise UsageError(
+            "--over needs the camera that took it: --camera-file CAMERA.yaml or .toml; "
+            "`sero-mj calibrate` writes one"
+        )
+    for name in ("camera_file", "offset"):
+        if getattr(options, name) is not None and options.over is None:
+            raise UsageError(f"--{name.replace('_', '-')} is for --over PHOTO or VIDEO")
 
 
 def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) -> None:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
 from ._arguments import (
+    DEFAULT_SIZE,
     Commands,
     add_command,
+    add_over_options,
     add_picture_options,
     add_scene_options,
     add_stereo_options,
+    check_over_options,
     check_stereo_options,
     not_negative,
     positive,
@@ -35,10 +39,20 @@ examples:
   sero-mj render lwr_udp -o lwr.png --stereo anaglyph  for red-cyan glasses
   sero-mj render lwr_udp -o run.mp4 --replay run.mcap --duration 10
   sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
+  sero-mj render lwr_udp -o now.png --over photo.jpg --camera-file cell.yaml
+  sero-mj render lwr_udp -o run.mp4 --over video.mp4 --camera-file cell.yaml \\
+      --replay run.mcap --offset 3.2                  the video begins 3.2 s into the recording
 
 --set takes any field of a robot (sero-mj list --fields shows them), as TOML. An input that is set
 is not received. A film of live sources shows real time, however long rendering takes.
+
+--over draws arrows, billboards and doubles over a photo or video of the real robot, whose model
+only hides what is behind it. The camera file is OpenCV's or ROS's YAML, or TOML, with `frame`:
+where the camera stands in the world (x to the right of the picture, y down, z forward). sero-mj
+calibrate finds it. Needs `pip install 'sero-mj[camera]'`.
 """
+
+_OF_OTHERS = "the picture is as large as the photo or video, seen by its camera"
 
 
 def add_to(commands: Commands) -> None:
@@ -81,6 +95,7 @@ def add_to(commands: Commands) -> None:
         metavar="S",
         help="how long to wait for the first packet (default 2)",
     )
+    add_over_options(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar, no closing line")
 
 
@@ -108,6 +123,9 @@ def run(options: argparse.Namespace) -> int:
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
     check_stereo_options(options)
+    check_over_options(options)
+    if options.over is not None:
+        return _run_over(options, is_film=is_film)
     scene = read_shown_scene(options)
     if is_film:
         silent = film_with_progress(
@@ -138,6 +156,10 @@ def run(options: argparse.Namespace) -> int:
             stereo=options.stereo,
             eye_distance=options.eye_distance,
         )
+    return _told(options, silent)
+
+
+def _told(options: argparse.Namespace, silent: list[str]) -> int:
     for name in silent:
         print(
             f"sero-mj: no good packet for source '{name}' within {options.wait:g} s; "
@@ -145,8 +167,57 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     if not options.quiet:
-        print(output)
+        print(options.output)
     return 0
+
+
+def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
+    """Renders over a photo or a video."""
+    from ..show.footage import is_photo
+    from ..show.headless.over import render_film_over, render_picture_over
+
+    over: Path = options.over
+    of_photo = is_photo(over)
+    if of_photo and is_film:
+        raise UsageError(f"-o {options.output}: a photo gives a picture, .png say; found a film")
+    if not of_photo and not is_film:
+        raise UsageError(f"-o {options.output}: a video gives a film, .mp4 say; found a picture")
+    for name, given in (
+        ("camera", options.camera), ("stereo", options.stereo), ("click", options.clicks or None),
+        ("size", options.size if options.size != DEFAULT_SIZE else None),
+        ("fps", options.fps),
+    ):  # fmt: skip
+        if given is not None:
+            raise UsageError(f"--{name} does not go with --over: {_OF_OTHERS}")
+    if of_photo:
+        if options.offset is not None:
+            raise UsageError("--offset is for videos; --start says when of a recording a photo is")
+        silent = render_picture_over(
+            read_shown_scene(options),
+            over,
+            options.camera_file,
+            options.output,
+            wait=options.wait,
+            quality=options.quality,
+        )
+        return _told(options, silent)
+    if options.start is not None:
+        raise UsageError("--start does not go with a video; --offset says when it begins")
+    if options.replay is not None:
+        options.start = 0.0  # times are those of the recording
+    scene = read_shown_scene(options)
+    silent = film_with_progress(
+        scene,
+        options.output,
+        quiet=options.quiet,
+        render=render_film_over,
+        over=over,
+        camera_file=options.camera_file,
+        offset=options.offset or 0.0,
+        duration=options.duration,
+        quality=options.quality,
+    )
+    return _told(options, silent)
 
 
 def check_picture_or_film(option: str, path: Path) -> bool:
@@ -164,9 +235,18 @@ def check_picture_or_film(option: str, path: Path) -> bool:
 
 
 def film_with_progress(
-    scene: Scene, output: Path, *, quiet: bool = False, **options: Any
+    scene: Scene,
+    output: Path,
+    *,
+    quiet: bool = False,
+    render: Callable[..., list[str]] | None = None,
+    **options: Any,
 ) -> list[str]:
-    """Calls `render_film` with a progress bar, unless `quiet`; returns the silent sources."""
+    """Calls `render_film` or another with a progress bar, unless `quiet`.
+
+    Returns:
+        the silent sources.
+    """
     from rich import progress as bars
     from rich.console import Console
 
@@ -186,7 +266,7 @@ def film_with_progress(
         progress.update(task, completed=done, total=total)
 
     try:
-        return render_film(scene, output, on_progress=update, **options)
+        return (render or render_film)(scene, output, on_progress=update, **options)
     except KeyboardInterrupt:
         done = int(progress.tasks[task].completed)
         if done:

@@ -225,19 +225,20 @@ def draw_leaders(
     if not len(rows):
         return
     depth = _LEADER_DEPTH * view.near
-    pixel = view.pixel_size(depth)
     base = max(_LEADER_BASE * view.font.height, 3.0)
     along = ends - starts
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
     along /= length[:, None]
     across = along[:, ::-1] * (1.0, -1.0)
-    # x across, y along, z towards the camera, so that the front is visible.
-    rows["pos"] = view.at(starts - across * (base / 2), depth)
-    in_world = view.facing[:, :2].T
-    rows["mat"][..., 0] = across @ in_world
-    rows["mat"][..., 1] = along @ in_world
+    # x across, y along, z towards the camera, so that the front is visible. By its corners, since
+    # lenses bend what is straight in the world.
+    corners = starts - across * (base / 2)
+    pos = view.at(corners, depth)
+    rows["pos"] = pos
+    for k, end in enumerate((corners + across * base, corners + along * length[:, None])):
+        edge = view.at(end, depth) - pos
+        rows["size"][:, k] = size = np.linalg.norm(edge, axis=1)
+        rows["mat"][..., k] = edge / size[:, None]
     rows["mat"][..., 2] = -view.forward
-    rows["size"][:, 0] = base * pixel
-    rows["size"][:, 1] = length * pixel
     rows["rgba"] = rgba
     rows["emission"] = 1.0

@@ -46,8 +46,8 @@ MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
 # and reduced, for print.
 Quality = Literal["draft", "normal", "fine"]
 QUALITIES: tuple[str, ...] = get_args(Quality)
-_SUPERSAMPLING = 2  # a side, of `fine`
-_PRINT_DPI = 300
+SUPERSAMPLING = 2  # a side, of `fine`
+PRINT_DPI = 300
 
 
 def check_size(what: str, width: int, height: int) -> None:
@@ -137,7 +137,7 @@ class HeadlessRenderer:
         check_stereo(stereo, eye_distance)
         if quality not in QUALITIES:
             raise RenderError(f"found quality {quality!r}; expected {', '.join(QUALITIES)}")
-        self._scale = _SUPERSAMPLING if quality == "fine" else 1
+        self._scale = SUPERSAMPLING if quality == "fine" else 1
         check_size("picture", width * self._scale, height * self._scale)
         self.world = world
         self.camera = find_camera(world, camera)
@@ -149,7 +149,7 @@ class HeadlessRenderer:
         self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
         self.decor = SceneDecor(world, with_text=False)
         drawn, tall = self._half[0] * self._scale, height * self._scale
-        self._renderer = _make_renderer(world, drawn, tall, is_draft=quality == "draft")
+        self._renderer = make_renderer(world, drawn, tall, is_draft=quality == "draft")
         if quality == "draft":
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         # A new renderer's OpenGL context is the current one.
@@ -272,7 +272,18 @@ class HeadlessRenderer:
         self.close()
 
 
-def _make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
+def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
+    """Returns MuJoCo's renderer with an OpenGL context for pictures of a size.
+
+    Args:
+        world: what to render.
+        width: pixels.
+        height: pixels.
+        is_draft: without multisampling and shadows.
+
+    Raises:
+        RenderError: there is no OpenGL, or no picture so large.
+    """
     model = world.model
     adopt_backend()
     try:
@@ -285,7 +296,7 @@ def _make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool)
         ) from error
 
 
-_NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
+NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
 MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
 # Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
 Click = tuple[float, float, str, bool]
@@ -331,9 +342,9 @@ def render_picture(
             mirror.world, *size, camera, quality, stereo=stereo, eye_distance=eye_distance
         ) as renderer:
             silent = mirror.wait(wait)
-            mirror.wait_fresh(min(wait, _NEXT_WITHIN), at)
+            mirror.wait_fresh(min(wait, NEXT_WITHIN), at)
             _click(renderer, mirror.data, clicks)
-            dpi = _PRINT_DPI if quality == "fine" else None
+            dpi = PRINT_DPI if quality == "fine" else None
             save_picture(Path(path), renderer.render(mirror.data), dpi)
     return silent
 

@@ -1,0 +1,136 @@
+"""Photos and videos of real robots, read from files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from ..errors import RenderError
+
+Pixels = NDArray[np.uint8]
+PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+_MOST_PIXELS = 16384**2
+_FPS = 30.0  # where a video does not say
+
+
+def is_photo(path: Path) -> bool:
+    """Whether a file's name is that of a photo, and not that of a video."""
+    return path.suffix.lower() in PHOTOS
+
+
+def read_photo(path: Path) -> Pixels:
+    """Reads a photo, (height, width, 3), upright as OpenCV reads it.
+
+    Raises:
+        RenderError: it cannot be read.
+    """
+    try:
+        with Image.open(path) as picture:
+            if picture.width * picture.height > _MOST_PIXELS:
+                raise RenderError(f"{path}: {picture.width}x{picture.height} is too large a photo")
+            return np.array(ImageOps.exif_transpose(picture).convert("RGB"))
+    except FileNotFoundError:
+        raise RenderError(f"{path}: no such file") from None
+    except UnidentifiedImageError:
+        raise RenderError(f"{path}: is no photo that can be read ({', '.join(PHOTOS)})") from None
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise RenderError(f"{path}: cannot be read: {error}") from error
+
+
+class Video:
+    """A video, read from its beginning; a context manager.
+
+    Args:
+        path: the file.
+
+    Attributes:
+        path: the file.
+        size: width and height of its frames as they are to be seen, pixels.
+        fps: frames per second, on average.
+        duration: s; 0 where the file does not say.
+
+    Raises:
+        RenderError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._container = av.open(str(path))
+        except FileNotFoundError:
+            raise RenderError(f"{path}: no such file") from None
+        except (av.FFmpegError, OSError, ValueError) as error:
+            raise RenderError(f"{path}: is no video that can be read: {_reason(error)}") from error
+        if not self._container.streams.video:
+            self._container.close()
+            raise RenderError(f"{path}: has no video in it; expected a file with pictures")
+        self._stream = self._container.streams.video[0]
+        self._stream.thread_type = "AUTO"
+        self.fps = float(self._stream.average_rate or self._stream.guessed_rate or _FPS)
+        length = self._container.duration
+        self.duration = 0.0 if length is None else length / 1e6
+        try:
+            first = next(self.frames())[1]
+        except (StopIteration, RenderError):
+            self._container.close()
+            raise RenderError(f"{path}: not one frame of it can be read") from None
+        self.size = (first.shape[1], first.shape[0])
+
+    def frames(self) -> Iterator[tuple[float, Pixels]]:
+        """Yields every frame from the first one on: its time since the first one, s, and pixels.
+
+        What is damaged ends it, with all frames before.
+
+        Raises:
+            RenderError: there is nothing to be read.
+        """
+        stream = self._stream
+        self._container.seek(0)
+        first: float | None = None
+        step = 1.0 / self.fps
+        time = -step
+        try:
+            for frame in self._container.decode(stream):
+                found = (
+                    float(Fraction(frame.pts or 0) * stream.time_base) if stream.time_base else 0.0
+                )
+                first = found if first is None else first
+                # Without good times frames are counted.
+                time = found - first if found - first > time else time + step
+                yield time, upright(frame)
+        except (av.FFmpegError, OSError, ValueError) as error:
+            if first is None:
+                raise RenderError(f"{self.path}: cannot be read: {_reason(error)}") from error
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._container.close()
+
+    def __enter__(self) -> Video:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def upright(frame: av.VideoFrame) -> Pixels:
+    """Returns the pixels of a frame as it is to be seen: phones write how they were held."""
+    pixels = frame.to_ndarray(format="rgb24")
+    turns = round(getattr(frame, "rotation", 0) / 90) % 4
+    return np.ascontiguousarray(np.rot90(pixels, turns))
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
