@@ -60,7 +60,7 @@ class Row:
     frames: float = np.nan  # difference to Pinocchio
     compiled: float = np.nan  # of the compiled model to ours, m
     mass: float = np.nan  # kg
-    mass_difference: float = np.nan  # to Pinocchio, kg
+    mass_difference: float = np.nan  # to Pinocchio, over the mass
     seconds: float = np.nan  # from the file to a picture as MuJoCo draws it: without shadows
     normal_seconds: float = np.nan  # with shadows and smooth edges, as we draw by default
     mujoco_seconds: float = np.nan
@@ -95,7 +95,7 @@ def compare(path: Path) -> tuple[Row, Any]:
     model = pinocchio.buildModelFromUrdf(str(path))
     row.frames, row.compiled = differences(file, world, robot, model)
     row.mass = float(robot_dynamics(robot).masses.sum())
-    row.mass_difference = abs(row.mass - sum(inertia.mass for inertia in model.inertias))
+    row.mass_difference = abs(sum(inertia.mass for inertia in model.inertias) / row.mass - 1.0)
     with HeadlessRenderer(world, *SIZE) as renderer:
         picture = renderer.render(world.make_data())
     return row, picture
