@@ -348,6 +348,10 @@ def test_doctor_tries_every_backend_and_says_what_to_install() -> None:
     for name, backend in found["backends"].items():
         line = next(line for line in done.stdout.splitlines() if f"  {name} " in line)
         assert ("works: " in line) == backend["works"]
+    times = found["frame_times"]
+    assert 0 < times["draft"] < times["normal"]
+    assert "a frame of an LWR with egl, 1280x800: normal " in done.stdout
+    assert ("slow for what is live" in done.stdout) != ("fast enough" in done.stdout)
     assert found["live"]["page"] is None
     assert "sero-mj view: page can be opened" in done.stdout
     where = "can be opened" if found["live"]["window"] is None else "not here: neither DISPLAY"

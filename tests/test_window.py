@@ -409,3 +409,26 @@ def test_the_window_blends_panels_as_headless_pictures_do(window: Driven) -> Non
     panels, changed, difference = window.ask(" ".join(_BLENDED.split()))
     assert panels >= 7 and changed > 7 * 500
     assert difference <= 2
+
+
+def test_on_a_slow_machine_a_moving_view_is_drawn_quickly_and_comes_back(window: Driven) -> None:
+    picture = "w.picture()[::4, ::4].astype(int)"
+    before = np.array(window.ask(picture))
+    window.ask("setattr(w._pace, 'slow', 0.0)")  # whatever this machine can do
+    try:
+        assert not window.ask("w.is_quick")
+        window.tool("mousemove", 500, 100, "mousedown", 1)
+        for x in range(490, 300, -10):
+            window.tool("mousemove", x, 100)
+        window.until("w.is_quick")
+        window.tool("mouseup", 1)
+        window.until("not w.is_quick")
+        moved = np.array(window.ask(picture))
+        assert (np.abs(moved - before).max(axis=2) > 30).mean() > 0.02
+    finally:
+        window.tool("mouseup", 1)
+        window.ask("setattr(w._pace, 'slow', 1e9)")
+    window.ask("w.navigator.choose(0)[:0]")
+    window.tool("mousemove", 5, 5)
+    window.settle()
+    assert np.array_equal(window.ask(picture), before)

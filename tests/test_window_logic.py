@@ -28,6 +28,7 @@ from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
 from sero_mj.show.window.capture import due_frames, unused_name
 from sero_mj.show.window.glfw_window import spread_times
+from sero_mj.show.window.host import Pace
 from sero_mj.show.window.hud import TimeLine, arrange
 
 # ---- clock
@@ -393,3 +394,31 @@ def test_what_the_user_sets_has_no_speed(lwr: SerialRobot) -> None:
         assert clock_text(clock)[1] == "plain"
         clock.pause()
         assert clock_text(clock)[1] == "bad"
+
+
+# ---- quality
+
+
+def test_only_a_slow_machine_draws_a_moving_view_quickly() -> None:
+    pace, now = Pace(), 0.0
+
+    def frames(seconds: float, moves: bool, count: int = 10) -> list[bool]:
+        nonlocal now
+        found = []
+        for _ in range(count):
+            now += 0.1
+            view = (now if moves else 1.0, 0.0, 0.0)
+            found.append(pace.is_quick(view, now))
+            if not found[-1]:
+                pace.took(seconds)
+        return found
+
+    assert not any(frames(0.01, moves=True))
+    assert not any(frames(0.2, moves=False)[4:])
+    assert all(frames(0.2, moves=True))
+    rests = frames(0.2, moves=False)
+    assert rests[0] and not any(rests[4:])
+    pace = Pace()
+    assert not any(frames(0.2 if k == 3 else 0.01, moves=True, count=1)[0] for k in range(9)), (
+        "one late frame"
+    )

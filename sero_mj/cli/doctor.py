@@ -46,6 +46,24 @@ with mujoco.Renderer(model, 64, 64) as renderer:
 print(f"{name}|{took * 1e3:.1f}")
 """
 
+# A frame of a robot with arrows and numbers, s, by quality.
+_SPEED = """
+import time
+from sero_mj import HeadlessRenderer, World
+from sero_mj.load import load_scene
+world = World(load_scene("lwr"))
+data = world.make_data()
+for quality in ("normal", "draft"):
+    with HeadlessRenderer(world, quality=quality) as renderer:
+        renderer.render(data)
+        start, frames = time.perf_counter(), 0
+        while frames < 20 and time.perf_counter() - start < 0.5:
+            renderer.render(data)
+            frames += 1
+        print(quality, (time.perf_counter() - start) / frames)
+"""
+_SMOOTH = 0.04  # s, of a frame
+
 
 def add_to(commands: Commands) -> None:
     """Adds the command."""
@@ -63,9 +81,11 @@ def run(options: argparse.Namespace) -> int:
     live = {"window": window_problem(), "page": page_problem()}
     chosen = os.environ.get("MUJOCO_GL")
     works = [name for name, found in backends.items() if found["works"]]
+    used = chosen if chosen in works else next(iter(works), None)
+    speed = None if used is None else frame_times(used)
     if options.json:
         found = {"versions": versions, "python": platform.python_version(), "backends": backends}
-        print(json.dumps({**found, "chosen": chosen, "live": live}, indent=2))
+        print(json.dumps({**found, "chosen": chosen, "live": live, "frame_times": speed}, indent=2))
         return 0 if works else 1
     print(
         f"Python {platform.python_version()}, "
@@ -80,6 +100,8 @@ def run(options: argparse.Namespace) -> int:
             print(f"  {name:7} does not work: {found['reason']}")
             print(f"  {'':7} Debian, Ubuntu: apt install {PACKAGES[name]}")
     print(f"sero-mj uses {chosen or 'what MuJoCo chooses'}; MUJOCO_GL overrides it")
+    if speed is not None:
+        print(_about_speed(used or "", speed))
     for name, problem in live.items():
         print(f"sero-mj view: {name} {f'not here: {problem}' if problem else 'can be opened'}")
     if not works:
@@ -106,6 +128,34 @@ def page_problem() -> str | None:
     except ImportError as error:
         return f"this MuJoCo comes without Studio's web viewer ({error})"
     return None
+
+
+def frame_times(backend: str) -> dict[str, float] | None:
+    """Times of a frame of an LWR, 1280x800, s, by quality; None where it cannot be drawn."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _SPEED],
+            env={**os.environ, "MUJOCO_GL": backend},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
+        )
+    except subprocess.SubprocessError:
+        return None
+    return {name: float(time) for name, time in map(str.split, done.stdout.splitlines())}
+
+
+def _about_speed(backend: str, times: dict[str, float]) -> str:
+    """What the machine holds, and what to do about it."""
+    said = ", ".join(f"{name} {time * 1e3:.3g} ms" for name, time in times.items())
+    text = f"a frame of an LWR with {backend}, 1280x800: {said}"
+    if times["normal"] <= _SMOOTH:
+        return f"{text}; fast enough for all that is shown live"
+    return (
+        f"{text}\n  slow for what is live: windows leave out shadows and smooth edges while the view "
+        "moves;\n  --quality draft makes films quickly"
+    )
 
 
 def try_backend(name: str) -> dict[str, Any]:

@@ -67,7 +67,12 @@ def check_size(what: str, width: int, height: int) -> None:
 
 @contextmanager
 def offscreen_size(
-    model: mujoco.MjModel, width: int, height: int, *, is_draft: bool = False
+    model: mujoco.MjModel,
+    width: int,
+    height: int,
+    *,
+    samples: int | None = None,
+    is_draft: bool = False,
 ) -> Iterator[None]:
     """Sets the offscreen buffer of the OpenGL contexts that are created in this context.
 
@@ -77,12 +82,15 @@ def offscreen_size(
         model: changed temporarily.
         width: pixels.
         height: pixels.
+        samples: of every pixel; the model's when None.
         is_draft: whether there are neither multisampling nor shadows, and the sky has one colour.
     """
     size, quality = model.vis.global_, model.vis.quality
     before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
     tall, wide = model.tex_height.copy(), model.tex_width.copy()
     size.offwidth, size.offheight = width, height
+    if samples is not None:
+        quality.offsamples = samples
     if is_draft:
         quality.offsamples = quality.shadowsize = 0
         # The smaller versions of a sky take software OpenGL 50 ms; one pixel a side has none.

@@ -88,8 +88,8 @@ class GlWindow:
         height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
         self.typesetter = self._of_picture = Typesetter(round(height))
         self.blender = Blender()
-        # Rendering goes to the window's buffer; the offscreen buffer is unused.
-        with offscreen_size(world.model, 16, 16):
+        # Rendering goes to the window's buffer; the other is for pictures in less time.
+        with offscreen_size(world.model, 16, 16, samples=0):
             self.context = mujoco.MjrContext(world.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
 
@@ -152,6 +152,23 @@ class GlWindow:
     def set_clipboard(self, text: str) -> None:
         """Puts a text onto the clipboard."""
         glfw.set_clipboard_string(self._window, text)
+
+    def render_quickly(self, rect: mujoco.MjrRect, scene: mujoco.MjvScene) -> None:
+        """Renders into a rectangle of the window without multisampling and shadows.
+
+        Without a GPU that is in a fraction of the time.
+        """
+        context, shadow = self.context, mujoco.mjtRndFlag.mjRND_SHADOW
+        here = mujoco.MjrRect(0, 0, rect.width, rect.height)
+        if (context.offWidth, context.offHeight) != (rect.width, rect.height):
+            mujoco.mjr_resizeOffscreen(rect.width, rect.height, context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+        before = scene.flags[shadow]
+        scene.flags[shadow] = 0
+        mujoco.mjr_render(here, scene, context)
+        scene.flags[shadow] = before
+        mujoco.mjr_blitBuffer(here, rect, 1, 0, context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, context)
 
     def swap(self) -> None:
         """Shows the rendered frame at the screen's next refresh."""

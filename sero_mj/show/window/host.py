@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from .panel_layer import PanelLayer
 
 _HINT = "H help"
+_RESTS = 0.3  # s after which a view that does not move rests
+_SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
 _MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
 
 
@@ -109,11 +111,18 @@ class Viewport(SceneDecor):
         """Of what one eye sees, pixels."""
         return int(self.rect.width) // (2 if self._stereo == "side-by-side" else 1)
 
-    def render(self, gl: GlWindow) -> None:
-        """Renders the picture in a window, in stereo for one eye after the other."""
+    def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
+        """Renders the picture in a window, in stereo for one eye after the other.
+
+        Args:
+            gl: the window.
+            quickly: whether without multisampling and shadows; not in stereo.
+        """
         rect, scene = self.rect, self._scene
         lefts = [int(rect.left)]
-        if self._stereo is None:
+        if self._stereo is None and quickly:
+            gl.render_quickly(rect, scene)
+        elif self._stereo is None:
             mujoco.mjr_render(rect, scene, gl.context)
         elif self._stereo == "anaglyph":
             # MuJoCo sets all colours where something is reflected, so no mask holds meanwhile.
@@ -147,6 +156,31 @@ class Viewport(SceneDecor):
         return x % self._width, y
 
 
+class Pace:
+    """Says when frames are to be drawn quickly: while the view moves, on a slow machine.
+
+    Attributes:
+        slow: s from which on a frame of full quality is slow.
+    """
+
+    def __init__(self) -> None:
+        self.slow = 0.04
+        self._time = 0.0  # of a frame of full quality, s
+        self._view: tuple[float, ...] = ()
+        self._moved = float("-inf")  # when the view did
+
+    def took(self, seconds: float) -> None:
+        """Notes what a frame of full quality took, s; one late frame does not make a difference."""
+        self._time += 0.15 * (seconds - self._time)
+
+    def is_quick(self, view: tuple[float, ...], now: float) -> bool:
+        """Whether the frame of a view, where the camera is and looks, is to be drawn quickly."""
+        if self._view and not np.allclose(view, self._view, rtol=0.0, atol=_SAME_VIEW):
+            self._moved = now
+        self._view = view
+        return self._time > self.slow and now - self._moved < _RESTS
+
+
 class Window(LiveHost):
     """Shows a mirror in a window.
 
@@ -165,6 +199,8 @@ class Window(LiveHost):
     Attributes:
         navigator: moves the camera.
         camera: records screenshots and films.
+        is_quick: whether the last frame was drawn without multisampling and shadows, since the
+            view moves and the machine is slow.
 
     Raises:
         RenderError: there is no display, no OpenGL, or no such stereo.
@@ -208,6 +244,7 @@ class Window(LiveHost):
         self._help = help_columns()
         self._line: TimeLine | None = None
         self._is_scrubbing = False
+        self._pace, self.is_quick = Pace(), False
         self._last = self._end = time.monotonic()  # start and end of the last frame
         self._interval = 1.0 / self.gl.refresh_rate  # s, averaged over the last frames
 
@@ -266,11 +303,18 @@ class Window(LiveHost):
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         end = float(self.clock.end or 0.0)
         self._line = hud.time_line(width, end) if self._has_line else None
-        self.work = time.monotonic() - begin
+        drawn = time.monotonic()
+        self.work = drawn - begin
+        view = self.decor.view
+        assert view is not None  # it has just been updated
+        is_quick = self._pace.is_quick((*view.position, *view.forward), drawn)
+        self.is_quick = is_quick and not is_kept
         # A narrow window has only one.
         self._draw(list(zip(plots, filled, strict=False)), pieces, size)
         self.gl.swap()
         self._end = time.monotonic()
+        if not self.is_quick:
+            self._pace.took(self._end - drawn)
         # Limits the frame rate where swapping does not wait for the screen's refresh.
         if wait:
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
@@ -288,7 +332,7 @@ class Window(LiveHost):
     ) -> None:
         width, height = size
         hud, picture, now = self._hud, self.decor.rect, time.monotonic()
-        self.decor.render(self.gl)
+        self.decor.render(self.gl, quickly=self.is_quick)
         for rect, plot in plots:
             plot.draw(hud, rect, self.gl.context)
         if self.wants_picture or self.camera.wants(now):
