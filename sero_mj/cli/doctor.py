@@ -153,8 +153,8 @@ def _about_speed(backend: str, times: dict[str, float]) -> str:
     if times["normal"] <= _SMOOTH:
         return f"{text}; fast enough for all that is shown live"
     return (
-        f"{text}\n  slow for what is live: windows leave out shadows and smooth edges while the view "
-        "moves;\n  --quality draft makes films quickly"
+        f"{text}\n  slow for what is live: windows leave out shadows and smooth edges while the "
+        "view\n  moves; --quality draft makes films quickly"
     )
 
 
