@@ -380,6 +380,8 @@ def _finite(found: Any) -> Any:
         return {key: _finite(value) for key, value in found.items()}
     if isinstance(found, list | tuple):
         return [_finite(value) for value in found]
+    if isinstance(found, np.generic):
+        found = found.item()
     return None if isinstance(found, float) and not math.isfinite(found) else found
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
+from ..errors import RouteError, UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -17,11 +21,13 @@ from ._arguments import (
     not_negative,
     positive,
     read_scene,
+    replay_instead,
     until_ended,
 )
 
 if TYPE_CHECKING:
     from ..record.recorder import Recorder
+    from ..record.triggered_recorder import RecordedEvent, TriggeredRecorder
 
 _EPILOG = """\
 examples:
@@ -29,11 +35,19 @@ examples:
   sero-mj record lwr_udp run.mcap --duration 10
   sero-mj render lwr_udp --replay run.mcap -o run.mp4
   sero-mj export-csv run.mcap run.csv
+  sero-mj record lwr_udp night --trigger "abs(lwr.torques) > 100" --before 5 --after 5
+  sero-mj record lwr_udp hits.mcap --trigger "abs(lwr.torques[3]) > 40" --replay run.mcap
 
 The file holds every packet as it came, malformed ones too, with the time at which the kernel got
 it, and decoded values as JSON, which Foxglove and PlotJuggler plot; what is routed to a joint has
 its name and unit, lwr.A1.torque [Nm]. What was written up to half a second before a crash can be
 read. When the disk is full the recording ends with an error and what was written is kept.
+
+With --trigger only what matters is kept: a recording of each event, from --before s before it to
+--after s after its last packet. OUT is a folder, or OUT.mcap for OUT_001.mcap, OUT_002.mcap, ...
+The condition compares (< <= > >= == !=, and, or, not) what routes lead to, lwr.joint_angles[3],
+lwr.torque_error (commanded less measured), and events, udp.values0, computed with + - * / and abs,
+min, max, norm, any, all. On several joints it holds where it holds for any of them.
 """
 
 _EVERY = 0.25  # s
@@ -45,14 +59,39 @@ def add_to(commands: Commands) -> None:
         commands, "record", run, "record what the sources of a scene receive, as MCAP", _EPILOG
     )
     parser.add_argument("scene", metavar="SCENE", help="scene: a file, or a shipped name")
-    parser.add_argument("output", type=Path, metavar="OUT.mcap", help="where to")
+    parser.add_argument(
+        "output",
+        type=Path,
+        nargs="?",
+        metavar="OUT.mcap",
+        help="where to; with --trigger also a folder (default: this one)",
+    )
+    parser.add_argument("-o", "--out", type=Path, metavar="OUT", help="likewise")
+    parser.add_argument(
+        "--trigger", metavar="CONDITION", help="record only what is about packets that fulfil it"
+    )
+    parser.add_argument(
+        "--before", type=not_negative, metavar="S", help="s before an event (default 5)"
+    )
+    parser.add_argument(
+        "--after", type=not_negative, metavar="S", help="s after its last packet (default 5)"
+    )
+    parser.add_argument(
+        "--replay",
+        type=Path,
+        metavar="REC",
+        help="look for events in a recording instead of the live sources",
+    )
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="seconds to record (default: until Ctrl-C)"
     )
     parser.add_argument(
-        "--signals-rate", type=not_negative, default=1000.0, metavar="HZ",
+        "--signals-rate",
+        type=not_negative,
+        default=1000.0,
+        metavar="HZ",
         help="decoded values per second and source; all packets are kept (default 1000)",
-    )  # fmt: skip
+    )
     parser.add_argument("--overwrite", action="store_true", help="write over a file that exists")
     parser.add_argument("--quiet", action="store_true", help="no progress line")
 
@@ -62,6 +101,16 @@ def run(options: argparse.Namespace) -> int:
     from ..drive.record_sources import record_sources
     from ..drive.wiring import wire
 
+    if options.out is not None and options.output is not None:
+        raise UsageError(f"found OUT {options.output} and --out {options.out}; expected one")
+    options.output = options.output or options.out
+    if options.trigger is not None:
+        return _record_events(options)
+    for name in ("before", "after", "replay"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name} is for --trigger CONDITION; give it as well")
+    if options.output is None:
+        raise UsageError("where to? expected OUT.mcap")
     check_ending(str(options.output), options.output, (".mcap",))
     scene = read_scene(options.scene)
     wiring = wire(scene).check(scene)
@@ -82,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
             )
         )
         with until_ended():
-            _watch(recorder, options.duration, quiet=options.quiet)
+            _watch(recorder, _line, options.duration, quiet=options.quiet)
     found = recorder.statistics
     lost = sum(found.not_recorded.values())
     print(
@@ -94,7 +143,134 @@ def run(options: argparse.Namespace) -> int:
     return 0 if found.packets else 1
 
 
-def _watch(recorder: Recorder, duration: float | None, *, quiet: bool) -> None:
+def _record_events(options: argparse.Namespace) -> int:
+    """Records events; returns 0, or 1 when nothing came."""
+    from rich.console import Console
+
+    from ..drive.record_sources import record_events
+    from ..drive.trigger import Trigger
+    from ..drive.wiring import wire
+    from ..record.recording import Recording
+    from ..record.recording_format import RecordingClock
+
+    scene = read_scene(options.scene)
+    begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch
+    more: dict[str, Any] = {}
+    if options.replay is not None:
+        if options.duration is not None:
+            raise UsageError("--duration is for live sources; a recording is looked at as a whole")
+        replay_instead(scene, options.replay, 0.0)
+        with Recording(options.replay) as recording:
+            begin = recording.start.timestamp()
+        more = {
+            "now": None,
+            "clock_at": lambda s: RecordingClock(round((begin + s) * 1e9), round(s * 1e9)),
+        }
+    wiring = wire(scene).check(scene)
+    sources = {
+        name: source
+        for name, source in wiring.sources.items()
+        if source.is_live is (options.replay is None)
+    }
+    if not sources:
+        raise UsageError(f"scene '{scene.name}' has no source to record")
+    try:
+        trigger = Trigger(options.trigger, scene, wiring)
+    except RouteError as error:
+        raise UsageError(f"--trigger {error}") from None
+    path_of = _names_of_events(options.output or Path(), scene.name, begin)
+    console = Console(stderr=True)
+    with ExitStack() as stack:
+        recorder = stack.enter_context(
+            record_events(
+                sources,
+                trigger,
+                path_of,
+                scene,
+                before=5.0 if options.before is None else options.before,
+                after=5.0 if options.after is None else options.after,
+                overwrite=options.overwrite,
+                signals_rate=options.signals_rate,
+                **more,
+            )
+        )
+        recorder.on_event = partial(_tell, begin)
+        for source in sources.values():
+            source.open()
+            stack.callback(source.close)
+        with until_ended():
+            if options.replay is None:
+                _watch(recorder, _line_of_events, options.duration, quiet=options.quiet)
+            else:
+                _play_through(recorder, sources, console, quiet=options.quiet)
+    found = recorder.statistics
+    kept = sum(event.packets for event in recorder.events)
+    many = f"{found.events} events" if found.events != 1 else "1 event"
+    missed = sum(found.not_seen.values())
+    print(
+        f"{many} in {found.packets} packets, of which {kept} were recorded"
+        + (f"; {missed} packets came too fast to be looked at" if missed else "")
+        + (f"; there was no room for {found.forgotten} before events" if found.forgotten else "")
+    )
+    if not found.packets:
+        print("sero-mj: nothing came; sero-mj status says what arrives", file=sys.stderr)
+    return 0 if found.packets else 1
+
+
+def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, float], Path]:
+    """Returns what names the file of an event, by its number and its arrival."""
+    if output.suffix.lower() == ".mcap":
+        return lambda number, _: output.with_name(f"{output.stem}_{number:03}{output.suffix}")
+    if output.suffix:
+        raise UsageError(f"{output}: expected a folder, or a name that ends in .mcap")
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{output}: cannot be made a folder: {error.strerror}") from None
+
+    def path_of(number: int, arrival: float) -> Path:
+        at = datetime.fromtimestamp(begin + arrival)
+        return output / f"{scene}_{at:%Y-%m-%d_%H-%M-%S}.{at.microsecond // 1000:03}.mcap"
+
+    return path_of
+
+
+def _tell(begin: float, event: RecordedEvent) -> None:
+    """Prints an event when it begins, and its recording when it ends."""
+    if math.isnan(event.ended):
+        at = datetime.fromtimestamp(begin + event.time)
+        print(f"{at:%H:%M:%S}.{at.microsecond // 1000:03}  {event.what}", flush=True)
+        return
+    again = f", fulfilled {event.again} times again" if event.again else ""
+    print(
+        f"  {event.path}: {event.packets} packets in {event.ended - event.began:.1f} s, "
+        f"{event.time - event.began:.1f} s of them before{again}",
+        flush=True,
+    )
+
+
+def _play_through(
+    recorder: TriggeredRecorder, sources: Mapping[str, Any], console: Any, *, quiet: bool
+) -> None:
+    """Hands all packets of recordings to the recorder, as fast as it looks at them."""
+    end = max(source.end or 0.0 for source in sources.values())
+    now, step = 0.0, 0.5
+    while now < end + step and recorder.error is None:
+        now += step
+        for source in sources.values():
+            source.advance_to(now)
+        recorder.wait_until_seen()
+        if not quiet and console.is_terminal:
+            console.print(f"{min(now, end):.1f} of {end:.1f} s", end="\r")
+
+
+def _watch(
+    recorder: Recorder | TriggeredRecorder,
+    line: Callable[[Any], str],
+    duration: float | None,
+    *,
+    quiet: bool,
+) -> None:
     from rich.console import Console
     from rich.live import Live
 
@@ -104,7 +280,7 @@ def _watch(recorder: Recorder, duration: float | None, *, quiet: bool) -> None:
         while (left := end - time.monotonic()) > 0 and recorder.error is None:
             time.sleep(min(left, _EVERY))
             if not quiet and console.is_terminal:
-                screen.update(_line(recorder.statistics), refresh=True)
+                screen.update(line(recorder.statistics), refresh=True)
 
 
 def _line(found: Any) -> str:
@@ -114,3 +290,9 @@ def _line(found: Any) -> str:
     return (
         f"recording {found.seconds:6.1f} s  {found.packets} packets  {size}{warning}  Ctrl-C ends"
     )
+
+
+def _line_of_events(found: Any) -> str:
+    now = "recording an event" if found.is_recording else "waiting for an event"
+    many = f"{found.events} event{'s' * (found.events != 1)}"
+    return f"{now} {found.seconds:6.1f} s  {found.packets} packets  {many}  Ctrl-C ends"

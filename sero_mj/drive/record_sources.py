@@ -5,10 +5,11 @@ The numbers of joints and arrows are called `lwr.A1.torque [Nm]`, in SI units.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +17,15 @@ from .. import __version__
 from ..assemble.inputs import Input
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
-from ..frames import Array
+from ..frames import Array, Bools, Ints
 from ..receive.source import Source
+from ..receive.structure import Rows
 from ..record.recorder import SIGNALS_RATE, Recorder
 from ..record.recording_format import Signals, media_type
+from ..record.triggered_recorder import TriggeredRecorder
 from ._units import robot_of
 from .route import Route
+from .trigger import Trigger
 from .wiring import wire
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -70,17 +74,67 @@ def record_sources(
                 if source.is_live:
                     _add(recorder, name, source, scene, routes)
                     recorded.append(source)
-            for file in [] if scene is None else scene.files():
-                name = f"{file.parent.name}/{file.name}"
-                recorder.attach(name, media_type(name), file.read_bytes())
+            if scene is not None:
+                _attach_files(recorder, scene)
             yield recorder
         finally:
             for source in recorded:
                 source.record_to(None)
 
 
+@contextmanager
+def record_events(
+    sources: Mapping[str, Source],
+    trigger: Trigger,
+    path_of: Callable[[int, float], Path],
+    scene: Scene,
+    **options: Any,
+) -> Iterator[TriggeredRecorder]:
+    """Records what comes shortly before and after a condition is fulfilled, while it lasts.
+
+    Args:
+        sources: by name; opened or not, live or replays.
+        trigger: the condition.
+        path_of: see `TriggeredRecorder`.
+        scene: whose files are kept in every recording.
+        **options: of `TriggeredRecorder`: `before`, `after`, ...
+
+    Raises:
+        RecordingError: a file exists already or cannot be written; at the end, too.
+    """
+
+    def find(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
+        events, index = sources[name].decode_rows(rows, lengths)
+        hits = trigger.find(name, events)
+        holds = np.zeros(len(rows), bool)
+        holds[index] = hits.holds
+        return holds, lambda row: hits.describe(int(np.searchsorted(index, row)))
+
+    about = {"sero-mj": __version__, "scene": scene.name, "trigger": trigger.text}
+    with TriggeredRecorder(path_of, find, about=about, **options) as recorder:
+        routes = wire(scene).routes
+        try:
+            _attach_files(recorder, scene)
+            for name, source in sources.items():
+                _add(recorder, name, source, scene, routes)
+            yield recorder
+        finally:
+            for source in sources.values():
+                source.record_to(None)
+
+
+def _attach_files(recorder: Recorder | TriggeredRecorder, scene: Scene) -> None:
+    for file in scene.files():
+        name = f"{file.parent.name}/{file.name}"
+        recorder.attach(name, media_type(name), file.read_bytes())
+
+
 def _add(
-    recorder: Recorder, name: str, source: Source, scene: Scene | None, routes: list[Route]
+    recorder: Recorder | TriggeredRecorder,
+    name: str,
+    source: Source,
+    scene: Scene | None,
+    routes: list[Route],
 ) -> None:
     routed = None if scene is None else RoutedSignals(scene, routes, name, source.events)
 
@@ -90,8 +144,8 @@ def _add(
 
     recorder.add_source(
         name,
-        kind=source.kind,
-        declared=source.decoding_fields(),
+        kind=source.original.kind,
+        declared=source.original.decoding_fields(),
         events=source.events,
         size=source.size,
         decode=decode,

@@ -222,6 +222,11 @@ class Source(Declaration):
         )
 
     @property
+    def original(self) -> Source:
+        """What receives the packets; of a recording the source that it was made of."""
+        return self
+
+    @property
     def counters(self) -> Counters:
         """What came in since it was opened."""
         return self.intake.counters
@@ -334,6 +339,21 @@ class Source(Declaration):
         if not len(rows):
             return None
         return {event: array[0] for event, array in judge.decode(rows).items()}
+
+    def decode_rows(self, rows: Rows, lengths: Ints) -> tuple[dict[str, Array], Ints]:
+        """Decodes packets, each by itself. Counts nothing.
+
+        Args:
+            rows: (n, bytes), a packet each, as taps get them.
+            lengths: of the packets, (n,).
+
+        Returns:
+            event name to its arrays (m, ...), and which of the rows these are, (m,).
+        """
+        judge = self._new_intake(follows=False)
+        judge.on_fault = lambda _: None
+        good, numbers = judge.take(rows, lengths, np.arange(len(rows), dtype=float))
+        return judge.decode(good), numbers.astype(np.intp)
 
     def record_to(self, tap: Tap | None) -> None:
         """Hands all packets, the malformed too, to `tap` as they come; None ends that."""

@@ -271,7 +271,7 @@ class Recorder:
                 self._writer.write_raw(batch.name, packet, arrival)
                 self._packets += 1
                 self._bytes += len(packet)
-                values = _decoded(decode, packet) if limiter.allow(arrival) else None
+                values = decoded(decode, packet) if limiter.allow(arrival) else None
                 if values is not None:
                     self._writer.write_signals(batch.name, values, arrival)
                     self._signals += 1
@@ -294,7 +294,8 @@ class Recorder:
                     error.add_note(str(second))
 
 
-def _decoded(decode: Decode, packet: bytes) -> Mapping[str, Array] | None:
+def decoded(decode: Decode, packet: bytes) -> Mapping[str, Array] | None:
+    """Returns the values of a packet; None for a malformed one."""
     try:
         return decode(packet)
     except ValueError:  # what `Structure.decode` raises for a packet of another size

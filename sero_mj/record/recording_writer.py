@@ -198,8 +198,9 @@ class RecordingWriter:
         overwrite: bool = False,
         chunk_bytes: int = CHUNK_BYTES,
         flush_after: float = FLUSH_AFTER,
+        clock: RecordingClock | None = None,
     ) -> None:
-        self.clock = RecordingClock()
+        self.clock = RecordingClock() if clock is None else clock
         self._channels: dict[str, _Channels] = {}
         self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
         self._waiting = 0  # bytes of the messages that are not yet in the file
