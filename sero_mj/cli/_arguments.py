@@ -235,12 +235,13 @@ def add_over_options(parser: argparse.ArgumentParser) -> None:
         "--offset",
         type=_offset,
         metavar="S",
-        help="time of the recording when the video begins, s since the recording began",
+        help="time of the recording when the video begins, s since the recording began; auto (the "
+        "default) finds it from the motion in both",
     )
 
 
-def _offset(text: str) -> float:
-    return _number(text, "a number, s", lambda value: True)
+def _offset(text: str) -> float | str:
+    return text if text == "auto" else _number(text, "s, or auto", lambda value: True)
 
 
 def check_over_options(options: argparse.Namespace) -> None:

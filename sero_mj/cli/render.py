@@ -41,7 +41,7 @@ examples:
   sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
   sero-mj render lwr_udp -o now.png --over photo.jpg --camera-file cell.yaml
   sero-mj render lwr_udp -o run.mp4 --over video.mp4 --camera-file cell.yaml \\
-      --replay run.mcap --offset 3.2                  the video begins 3.2 s into the recording
+      --replay run.mcap                               when it begins is found from the motion
 
 --set takes any field of a robot (sero-mj list --fields shows them), as TOML. An input that is set
 is not received. A film of live sources shows real time, however long rendering takes.
@@ -206,6 +206,8 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
     if options.replay is not None:
         options.start = 0.0  # times are those of the recording
     scene = read_shown_scene(options)
+    if options.offset in (None, "auto"):
+        options.offset = _find_offset(options, scene)
     silent = film_with_progress(
         scene,
         options.output,
@@ -213,11 +215,29 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
         render=render_film_over,
         over=over,
         camera_file=options.camera_file,
-        offset=options.offset or 0.0,
+        offset=options.offset,
         duration=options.duration,
         quality=options.quality,
     )
     return _told(options, silent)
+
+
+def _find_offset(options: argparse.Namespace, scene: Scene) -> float:
+    """Finds when in the recording the video begins, and says so; 0 where nothing moves it."""
+    from ..show.camera_file import read_camera
+    from ..show.footage import Video
+    from ..show.video_offset import find_offset
+
+    if not scene.sources:
+        if options.offset is not None:
+            raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
+        return 0.0
+    with Video(options.over) as video:
+        camera = read_camera(options.camera_file, video.size)
+    found = find_offset(scene, options.over, camera)
+    if not options.quiet:
+        print(found)
+    return found.offset
 
 
 def check_picture_or_film(option: str, path: Path) -> bool:

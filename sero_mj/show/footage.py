@@ -125,6 +125,24 @@ class Video:
         self.close()
 
 
+def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[float, Pixels]]:
+    """Yields frames at a rate, each with its own time: those of phones vary."""
+    shown = 0
+    last: tuple[float, Pixels] | None = None
+    for frame in video.frames():
+        if last is not None:
+            while shown / fps < frame[0] - 0.5 / fps and (
+                duration is None or shown / fps < duration
+            ):
+                yield last
+                shown += 1
+        last = frame
+        if duration is not None and shown / fps >= duration:
+            return
+    if last is not None and (duration is None or shown / fps < duration):
+        yield last
+
+
 def upright(frame: av.VideoFrame) -> Pixels:
     """Returns the pixels of a frame as it is to be seen: phones write how they were held."""
     pixels = frame.to_ndarray(format="rgb24")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 
@@ -15,7 +14,7 @@ from ...decor.font import line_height
 from ...drive.mirror import Mirror
 from ...errors import RenderError, UsageError
 from ..camera_file import read_camera
-from ..footage import Pixels, Video, read_photo
+from ..footage import Pixels, Video, at_rate, read_photo
 from ..over_photo import PhotoPainter
 from ..photo_camera import PhotoCamera
 from ..scene_decor import SceneDecor
@@ -147,7 +146,8 @@ def render_film_over(
         path: of the film; .mp4, .webm or .gif.
         over: the video.
         camera_file: see `camera_file`.
-        offset: time of the recording, s since it began, at the first frame of the video.
+        offset: time of the recording, s since it began, at the first frame of the video; see
+            `video_offset.find_offset`.
         duration: of the film, s; None for the video's.
         quality: see `HeadlessRenderer`.
         on_progress: called with the number of rendered frames and of all frames.
@@ -160,11 +160,7 @@ def render_film_over(
     """
     with Video(over) as video, Mirror(scene) as mirror:
         camera = read_camera(camera_file, video.size)
-        if mirror.is_live:
-            raise UsageError(
-                f"{over}: live sources do not go with a video; expected a recording, --replay "
-                "REC.mcap, or a photo"
-            )
+        refuse_live(mirror, over)
         begin, end = recorded_span(mirror)
         length = video.duration if duration is None else min(duration, video.duration or duration)
         fps = min(video.fps, FILMS[path.suffix.lower()].most_fps)
@@ -196,22 +192,13 @@ def render_film_over(
     return silent
 
 
-def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[float, Pixels]]:
-    """Yields frames at a rate, each with its own time: videos of phones have none of their own."""
-    shown = 0
-    last: tuple[float, Pixels] | None = None
-    for frame in video.frames():
-        if last is not None:
-            while shown / fps < frame[0] - 0.5 / fps and (
-                duration is None or shown / fps < duration
-            ):
-                yield last
-                shown += 1
-        last = frame
-        if duration is not None and shown / fps >= duration:
-            return
-    if last is not None and (duration is None or shown / fps < duration):
-        yield last
+def refuse_live(mirror: Mirror, video: Path) -> None:
+    """Raises UsageError where a video is to show what comes now."""
+    if mirror.is_live:
+        raise UsageError(
+            f"{video}: live sources do not go with a video; expected a recording, --replay "
+            "REC.mcap, or a photo"
+        )
 
 
 def recorded_span(mirror: Mirror) -> tuple[float, float]:
