@@ -67,6 +67,16 @@ def rotation_from_rpy(rpy: Array) -> Array:
     return rotation_about(2, yaw) @ rotation_about(1, pitch) @ rotation_about(0, roll)
 
 
+def rpy_from_rotation(rotation: Array) -> Array:
+    """Roll, pitch, yaw (3,) in rad of a rotation (3, 3); yaw is zero where pitch is 90 degrees."""
+    R = rotation
+    across = float(np.hypot(R[0, 0], R[1, 0]))
+    pitch = np.arctan2(-R[2, 0], across)
+    if across < 1e-9:
+        return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+
+
 def rotation_from_quat(quat: Array) -> Array:
     """Rotation (3, 3) from a unit quaternion w, x, y, z."""
     quat = quat / np.abs(quat).max()  # squares of huge numbers would overflow

@@ -46,6 +46,9 @@ class ScriptedWidgets:
     def text(self, words: str, mood: str = "plain") -> None:
         self.built.append(("text", words))
 
+    def label(self, words: str) -> None:
+        self.built.append(("text", words))
+
     def title(self, words: str) -> None:
         self.built.append(("title", words))
 

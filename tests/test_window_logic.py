@@ -296,7 +296,8 @@ class Host(LiveHost):
     frame = picture = centre = close = None  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
-        mirror = SimpleNamespace(world=world, data=world.make_data(), is_live=False, sources={})
+        data = world.make_data()
+        mirror = SimpleNamespace(world=world, data=data, is_live=False, sources={}, routes=[])
         super().__init__(mirror)  # type: ignore[arg-type]
         self.said: list[str] = []
         self.helped = 0

@@ -18,6 +18,7 @@ from ..errors import DeclarationError, Problem
 from ..frames import Array
 from .compiler import Compiler
 from .controller import Controller, ControllerDeclaration
+from .inverse_kinematics import Reached, reach
 from .robot_model import RobotModel
 from .target_motions import (
     CartesianConstant,
@@ -46,10 +47,6 @@ LAWS: Mapping[str, type[Law]] = {
 }
 
 _EVERY = 0.02  # s between two poses that are tried
-_ITERATIONS = 60
-_DAMPING = 1e-4  # of the pseudo-inverse, m2 and rad2
-_CLOSE = 1e-3  # m, or rad
-_LONGEST = 0.2  # rad or m per iteration
 
 
 def law_from(table: Any) -> Law:
@@ -156,9 +153,9 @@ def follow_poses(
 ) -> Array:
     """Joint angles (T, n) along a motion of the flange, within the position limits.
 
-    Found pose by pose, every 20 ms and linearly between, by damped least squares (Nakamura and
-    Hanafusa 1986; Wampler 1986), each from the one before; a check and a first guess, no plan. A
-    redundant arm might get through with another elbow where this one is stopped by a limit.
+    Found pose by pose, every 20 ms and linearly between, by damped least squares (`reach`), each
+    from the one before; a check and a first guess, no plan. A redundant arm might get through with
+    another elbow where this one is stopped by a limit.
 
     Args:
         motion: of the flange.
@@ -175,68 +172,24 @@ def follow_poses(
     )
     found: Array = np.empty((len(picked), model.n))
     angles = np.array(start, float)
-    limits = robot.position_limits
+    still: Array = np.zeros(model.n)
+
+    def place(angles: Array) -> tuple[Array, Array]:
+        model.update(angles, still)
+        return model.flange(), model.jacobian()
+
     for row, pose in zip(found, picked, strict=True):
-        angles, distance, angle = _reach(model, motion.poses[pose], angles, limits)
-        if distance > _CLOSE or angle > _CLOSE:
-            raise _too_far(times[pose], distance, angle, angles, robot)
-        row[:] = angles
+        reached = reach(place, motion.poses[pose], angles, robot.position_limits)
+        if not reached.is_there:
+            raise _too_far(times[pose], reached, robot)
+        row[:] = angles = reached.angles
     return np.stack([np.interp(times, times[picked], column) for column in found.T], axis=1)
 
 
-def _reach(
-    model: RobotModel, pose: Array, angles: Array, limits: Array | None
-) -> tuple[Array, float, float]:
-    """Angles as near as they get to a pose, and what is left in m and rad."""
-    error: Array = np.zeros(6)
-    still: Array = np.zeros(model.n)
-    for iteration in range(_ITERATIONS):
-        model.update(angles, still)
-        error[:3] = pose[:3, 3] - model.flange_position
-        turn = pose[:3, :3] @ model.flange_rotation.T
-        sin = 0.5 * np.array(
-            [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
-        )
-        size = float(np.linalg.norm(sin))
-        angle = float(np.arctan2(size, 0.5 * (np.trace(turn) - 1.0)))
-        error[3:] = sin * (angle / size if size > 1e-12 else 1.0)
-        left = float(np.linalg.norm(error[:3])), angle
-        if max(left) < 1e-2 * _CLOSE or iteration == _ITERATIONS - 1:
-            break
-        angles = angles + _step(model.jacobian(), error, angles, limits)
-    return angles, *left
-
-
-def _step(jacobian: Array, error: Array, angles: Array, limits: Array | None) -> Array:
-    """A step towards the pose; joints that would leave their limits go up to them and stay."""
-    n = len(angles)
-    low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
-    free: Array = np.ones(n)
-    held: Array = np.zeros(n)
-    step = held
-    for _ in range(n):
-        J = jacobian * free
-        rest = error - jacobian @ held
-        step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), rest)
-        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
-        out = (free > 0.0) & ((angles + step < low) | (angles + step > high))
-        if not out.any():
-            break
-        held[out] = np.clip(angles + step, low, high)[out] - angles[out]
-        free[out] = 0.0
-    return np.asarray(np.where(free > 0.0, step, held))
-
-
-def _too_far(
-    time: float, distance: float, angle: float, angles: Array, robot: SerialRobot
-) -> DeclarationError:
-    left = f"{1e3 * distance:.1f} mm and {np.rad2deg(angle):.1f} deg"
+def _too_far(time: float, reached: Reached, robot: SerialRobot) -> DeclarationError:
+    left = f"{1e3 * reached.distance:.1f} mm and {np.rad2deg(reached.angle):.1f} deg"
     found = f"the flange cannot follow at t = {time:.3f} s: it stays {left} away"
-    limits = robot.position_limits
-    names = []
-    if limits is not None:
-        at = (angles <= limits[:, 0] + 1e-6) | (angles >= limits[:, 1] - 1e-6)
-        names = [name for name, there in zip(robot.names, at, strict=True) if there]
+    names = [name for name, there in zip(robot.names, reached.at_limit, strict=True) if there]
     if names:
         joints = f"joint {names[0]} is" if len(names) == 1 else f"joints {', '.join(names)} are"
         why = f"{joints} at the limit"

@@ -30,7 +30,7 @@ _STALE_SHARE = 0.75  # fraction of grey in the colour of a stale frame
 _AT_ONE_PLACE = (0.004, 0.02)  # m
 _SHORTER, _THICKER = 0.45, 0.35  # scale factors per coinciding frame
 # Rotations of the bar's z onto x, y and z.
-_ONTO_AXIS = np.array(
+ONTO_AXIS = np.array(
     [
         [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
         [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
@@ -131,7 +131,7 @@ def draw_bars(
         return
     grid = rows.reshape(-1, 3)  # three bars per frame
     length, half_width = size[0][:, None], size[1][:, None]
-    onto = rotation[:, None] @ _ONTO_AXIS
+    onto = rotation[:, None] @ ONTO_AXIS
     grid["pos"] = origins[:, None] + onto[..., 2] * (length / 2)[..., None]
     grid["mat"] = onto
     grid["size"][..., :2] = half_width[..., None]

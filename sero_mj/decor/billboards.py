@@ -71,6 +71,7 @@ class Billboards(Feature):
         parts = list(world.owners.values())
         self._lines: list[list[Line]] = []
         self._details: list[list[Line]] = []
+        self._modelled: list[list[Line]] = []  # where torques are the model's
         declared = [declared_lines(part, world.scene) for part in parts]
         # With several robots, joint names alone are ambiguous.
         is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
@@ -80,7 +81,11 @@ class Billboards(Feature):
             is_ambiguous,
         )
         for owner, name, revolute in zip(joints.owner, names, joints.revolute, strict=True):
-            self._lines.append(billboard_lines(name, declared[owner], not revolute))
+            lines = declared[owner]
+            self._lines.append(billboard_lines(name, lines, not revolute))
+            if [line.value for line in lines] == ["joint_angles"]:
+                lines = [BillboardLine(value="torques")]
+            self._modelled.append(billboard_lines(name, lines, not revolute))
             self._details.append(detail_lines(name, not revolute))
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
@@ -115,7 +120,13 @@ class Billboards(Feature):
         index, anchors, depth = index[inside], anchors[inside], depth[inside]
         if not len(index):
             return None
-        lines = [self._details[i] if toggles.details[i] else self._lines[i] for i in index]
+        plain = [
+            of_model if is_modelled else lines
+            for of_model, lines, is_modelled in zip(
+                self._modelled, self._lines, toggles.modelled, strict=True
+            )
+        ]
+        lines = [self._details[i] if toggles.details[i] else plain[i] for i in index]
         if toggles.details.any():
             limit = joints.torque_limit
             share = 100 * np.abs(values["torques"]) / limit

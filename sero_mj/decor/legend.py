@@ -20,6 +20,7 @@ _RGBA = (0.09, 0.11, 0.14, 0.6)
 _SIGNS = b"orange: + about z, blue: -"
 _LARGEST_SHARE = 0.10  # maximum fraction of the picture
 _MARGIN = 0.5  # of a line's height
+_MODELLED = "gravity torque of the model"
 _WORDS = {
     "torques": ("joint torque", "torque limit"),
     "torque_error": ("torque error, commanded - measured", "torque limit"),
@@ -64,6 +65,7 @@ class Legend(Feature):
         key = (
             toggles.arrows.tobytes(),
             toggles.arrow_quantity.tobytes(),
+            toggles.modelled.tobytes(),
             toggles.vectors.tobytes(),
             view.font.height,
             view.width,
@@ -78,9 +80,18 @@ class Legend(Feature):
         margin = _MARGIN * view.font.height
         scales = self._scales(toggles)
         texts = [lines for lines in (self._notes, scales) if lines]
-        for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist())):
-            shown = toggles.arrows & (toggles.arrow_quantity == code)
+        of_torque = toggles.arrow_quantity == ARROW_QUANTITIES.index("torques")
+        kinds = [
+            (code, toggles.arrows & (toggles.arrow_quantity == code) & of_model)
+            for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist()))
+            for of_model in (~(toggles.modelled & of_torque), toggles.modelled & of_torque)
+        ]
+        for code, shown in kinds:
+            if not shown.any():
+                continue
             what, width = _WORDS[ARROW_QUANTITIES[code]]
+            if (toggles.modelled & of_torque)[shown].any():
+                what = _MODELLED
             if not np.isfinite(limit[shown]).any():
                 has_load = np.isfinite(self.world.joints.arrow_load[shown]).any()
                 width = _BY_LOAD if has_load else _UNLIMITED

@@ -48,6 +48,7 @@ class Kind(IntEnum):
     VECTOR = 5  # item: smart arrow
     CARD = 6  # item: smart arrow; the panel with its numbers
     CHECK = 7  # item: robot; the panel of its flange check
+    HANDLE = 8  # item: what it does, see `handles`
 
 
 class Pen:

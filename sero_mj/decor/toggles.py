@@ -13,7 +13,7 @@ from ..assemble.inputs import SCENE, Input
 from ..assemble.parts import DoublePart
 from ..assemble.robot_parts import ARROW_QUANTITIES
 from ..assemble.world_view import WorldView
-from ..frames import Bools
+from ..frames import Array, Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,21 @@ class Shown:
     cards: Bools
 
 
+@dataclass(frozen=True, eq=False)
+class Handles:
+    """What is shown to drag a frame by, see `handles.py`.
+
+    Attributes:
+        pose: T_world_frame (4, 4), m; None for a mark alone.
+        lit: the handle under the pointer, index in `handles.HANDLE_NAMES`; -1 for none.
+        mark: where the frame is wanted and where it is, (2, 3), m; None where that is one.
+    """
+
+    pose: Array | None = None
+    lit: int = -1
+    mark: Array | None = None
+
+
 class Toggles:
     """Which features are switched on: initially as declared, changed by users and packets.
 
@@ -58,11 +73,16 @@ class Toggles:
         status: whether faults of the sources are shown.
         flange_checks: whether received flange frames are compared with the robots' own.
         hover: text beside the pointer, and the pointer's position (pixels); None for no text.
+        handles: that are shown to drag a frame by; None for none.
+        modelled: joints whose torque is that of gravity by the model, (N,) bool; no toggle, so
+            `reset` leaves it.
     """
 
     def __init__(self, world: WorldView) -> None:
         self._world = world
         self.hover: tuple[str, tuple[float, float]] | None = None
+        self.handles: Handles | None = None
+        self.modelled = np.zeros(len(world.joints.names), bool)
         self._last = np.full(0, np.nan)
         doubles = list(world.doubles)
         owners = [

@@ -291,7 +291,7 @@ MORE_KEYS: dict[str, str] = {
 HOST_MOUSE: dict[str, str] = {
     "drag": "rotates the view",
     "right drag": "pans, also with Shift",
-    "Ctrl+drag": "pulls a link of a simulated robot",
+    "Ctrl+drag": "pulls a simulated link, moves one without data",
     "wheel": "zooms; how strongly it pulls",
     "right double click": "centres the view there",
 }

@@ -19,6 +19,8 @@ from .clock import Clock
 from .headless.film import Pixels
 from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
+from .jogging import Jogging
+from .panels.jog_panel import JogPanel
 from .panels.robot_panel import RobotPanel
 from .panels.widgets import Widgets
 from .picking import Picked, Pixel
@@ -62,6 +64,7 @@ class LiveHost(ABC):
         clock: pause, speed and time line.
         history: the torques of the last seconds.
         pulling: pulls links of simulated robots by the pointer.
+        jogging: moves robots by hand that nothing else moves.
         folder: where what the user keeps goes; the current one when None.
         joint: the joint of the world whose torques are plotted.
         decor: of the last frame; pixels of the pointer are those of its picture, y up.
@@ -86,7 +89,12 @@ class LiveHost(ABC):
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
         self.pulling = Pulling(mirror, clock, self.toggles)
+        self.jogging = Jogging(mirror, self.toggles)
+        self._drag: Jogging | Pulling | None = None  # what the drag that goes on moves
+        self._trouble = ""  # what was said of it last
+        self._advanced = time.monotonic()
         self._robots = RobotPanel(world, self.toggles)
+        self._jog_panel = JogPanel(world, self.jogging)
         self.folder: Path | None = None
         self._is_refused = False  # whether the drag that goes on cannot pull
         self.joint = 0
@@ -184,6 +192,7 @@ class LiveHost(ABC):
 
     def build_panel(self, ui: Widgets) -> None:
         """Builds what the panels of all hosts have in common."""
+        self._jog_panel.build(ui)
         self._robots.build(ui)
 
     @property
@@ -193,8 +202,16 @@ class LiveHost(ABC):
 
     def _advance(self, advance: Callable[[], object]) -> None:
         """Brings the mirror to the current time; an error pauses and is shown."""
-        if self.pulling.is_on:
-            self.pulling.update(self.decor)
+        now = time.monotonic()
+        passed, self._advanced = now - self._advanced, now
+        if self._drag is not None:
+            trouble = self._drag.update(self.decor)
+            if trouble:
+                self.say(trouble, is_bad=True)
+            elif self._trouble:
+                self.notice = Message()  # it is over
+            self._trouble = trouble
+        self.jogging.advance(passed)
         try:
             advance()
         except SeroError as error:  # for example a deleted file; the display does not change
@@ -273,7 +290,7 @@ class LiveHost(ABC):
             self.on_click(picked, gesture)
 
     def drag(self, moved: Moved, at: Pixel | None, begin: Pixel | None) -> bool:
-        """Pulls a link, if a drag or a turn of the wheel does.
+        """Pulls or moves a link, if a drag or a turn of the wheel does.
 
         Args:
             moved: the drag, or turn.
@@ -288,27 +305,32 @@ class LiveHost(ABC):
             return True
         if moved.pulls_from is None:
             return False
-        if not (self.pulling.is_on or self._is_refused) and begin is not None:
-            found = self.pulling.begin(self.decor, begin)
-            if found is None:
-                return False
-            self._is_refused = found[1]
-            self.say(found[0], is_bad=found[1])
-        if self.pulling.is_on and at is not None:
-            self.pulling.move(at)
-        return self.pulling.is_on or self._is_refused
+        if self._drag is None and not self._is_refused and begin is not None:
+            for each in (self.jogging, self.pulling):
+                found = each.begin(self.decor, begin)
+                if found is not None:
+                    self._is_refused = found[1]
+                    self.say(found[0], is_bad=found[1])
+                    self._drag = None if found[1] else each
+                    break
+        if self._drag is not None and at is not None:
+            self._drag.move(at)
+        return self._drag is not None or self._is_refused
 
     def hold(self, at: Pixel) -> bool:
-        """Says what is pulled from a pixel where a finger is held; returns whether anything is."""
-        found = self.pulling.announce(self.decor, at)
-        if found is not None:
-            self.say(found[0], is_bad=found[1])
-        return found is not None and not found[1]
+        """Says what a finger that is held at a pixel would drag; returns whether anything."""
+        for each in (self.jogging, self.pulling):
+            found = each.announce(self.decor, at)
+            if found is not None:
+                self.say(found[0], is_bad=found[1])
+                return not found[1]
+        return False
 
     def let_go(self) -> None:
         """Ends a drag."""
-        self.pulling.end()
-        self._is_refused = False
+        if self._drag is not None:
+            self._drag.end()
+        self._drag, self._trouble, self._is_refused = None, "", False
 
     def _keep_pushes(self) -> str:
         try:

@@ -14,12 +14,23 @@ import numpy as np
 
 from ..assemble.parts import RobotPart, robots_of_bodies
 from ..assemble.world_view import WorldView
+from ..decor.handles import HANDLE_NAMES
 from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
 from ..decor.picture_view import PictureView
 from ..frames import Array, Bools
 
 PickedKind = Literal[
-    "link", "double", "object", "arrow", "billboard", "axes", "name", "vector", "card", "check"
+    "link",
+    "double",
+    "object",
+    "arrow",
+    "billboard",
+    "axes",
+    "name",
+    "vector",
+    "card",
+    "check",
+    "handle",
 ]
 
 Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of a picture
@@ -136,13 +147,57 @@ def link_at(
     return None if found is None else (found[0], view.position + distance * direction)
 
 
+def handle_at(pen: Pen, view: PictureView, pixel: Pixel, tolerance: float = 0.0) -> int | None:
+    """Returns the handle at a pixel, see `decor.handles`, whatever is before it; None for none.
+
+    Args:
+        pen: see `pick`.
+        view: see `pick`.
+        pixel: see `pick`.
+        tolerance: see `pick`.
+    """
+    handles = pen.kinds[: pen.count] == Kind.HANDLE
+    if not handles.any():
+        return None
+    direction = _through(view, pixel)
+    for margin in (0.0, tolerance):
+        found = _nearest_decor(handles, pen, view, view.position, direction, margin)
+        if found is not None:
+            return int(pen.items[found[0]])
+    return None
+
+
 def _pick_decor(
     world: WorldView, pen: Pen, view: PictureView, origin: Array, direction: Array, tolerance: float
 ) -> Picked | None:
+    of_something = pen.kinds[: pen.count] != Kind.NONE
+    found = _nearest_decor(of_something, pen, view, origin, direction, tolerance)
+    if found is None:
+        return None
+    nearest, distance = found
+    kind = Kind(int(pen.kinds[nearest]))
+    item = int(pen.items[nearest])
+    name, owner = _name_of(world, kind, item)
+    what = cast("PickedKind", kind.name.lower())
+    return Picked(what, name, owner, item, distance)
+
+
+def _nearest_decor(
+    among: Bools, pen: Pen, view: PictureView, origin: Array, direction: Array, tolerance: float
+) -> tuple[int, float] | None:
+    """Returns the row of the nearest box or arrow along a ray, and its distance, m.
+
+    Args:
+        among: which rows to look at, (count,).
+        pen: see `pick`.
+        view: see `pick`.
+        origin: of the ray, (3,), m.
+        direction: unit vector (3,).
+        tolerance: see `pick`.
+    """
     rows = pen.rows[: pen.count]
     box, arrow = int(_TYPES.mjGEOM_BOX), int(_TYPES.mjGEOM_ARROW)
-    of_something = pen.kinds[: pen.count] != Kind.NONE
-    index = (of_something & ((rows["type"] == box) | (rows["type"] == arrow))).nonzero()[0]
+    index = (among & ((rows["type"] == box) | (rows["type"] == arrow))).nonzero()[0]
     if not len(index):
         return None
     rows = rows[index]
@@ -156,11 +211,7 @@ def _pick_decor(
     nearest = int(np.argmin(distance))
     if not np.isfinite(distance[nearest]):
         return None
-    kind = Kind(int(pen.kinds[index[nearest]]))
-    item = int(pen.items[index[nearest]])
-    name, owner = _name_of(world, kind, item)
-    what = cast("PickedKind", kind.name.lower())
-    return Picked(what, name, owner, item, float(distance[nearest]))
+    return int(index[nearest]), float(distance[nearest])
 
 
 def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
@@ -170,6 +221,8 @@ def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
         return name, name.partition("/")[0] if "/" in name else ""
     if kind in (Kind.VECTOR, Kind.CARD):
         return world.arrows.names[item], ""
+    if kind == Kind.HANDLE:
+        return HANDLE_NAMES[item], ""
     if kind == Kind.CHECK:
         robot = list(world.robots)[item]
         return f"{robot}/flange", robot

@@ -106,16 +106,21 @@ class Pulling:
         """Moves the pointer."""
         self._at = at
 
-    def update(self, decor: SceneDecor) -> None:
-        """Pulls to where the pointer is, in the plane of the picture through the point."""
+    def update(self, decor: SceneDecor) -> str:
+        """Pulls to where the pointer is, in the plane of the picture through the point.
+
+        Returns:
+            what to tell the user of trouble with it: nothing.
+        """
         view = decor.view
         if not self.is_on or view is None:
-            return
+            return ""
         if self._refusal(""):  # it has ended, or the past is shown
             self.end()
-            return
+            return ""
         self._hand.target = target_of(view.position, view.forward, self._hand.place,
                                       view.at(np.array(self._at, float), 1.0))  # fmt: skip
+        return ""
 
     def stronger(self, steps: float) -> str:
         """Makes the spring stiffer by so many steps of the wheel; returns what to tell."""

@@ -169,7 +169,7 @@ class RobotPanel:
             row = slice(joint, joint + 1)
             ui.row()
             ui.cell()
-            ui.text(self._world.joints.names[joint])
+            ui.label(self._world.joints.names[joint])
             ui.cell()
             self._check(ui, f"arrow##{joint}", self._toggles.arrows, row)
             ui.cell()

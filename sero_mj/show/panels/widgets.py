@@ -19,6 +19,9 @@ class Widgets(Protocol):
     def text(self, words: str, mood: Mood = "plain") -> None:
         """Writes a text, wrapped at the panel's width."""
 
+    def label(self, words: str) -> None:
+        """Writes a text at the height of that of fields beside it."""
+
     def title(self, words: str) -> None:
         """Writes a heading with a line."""
 

@@ -40,6 +40,8 @@ class Browsers:
         # Buttons and times, the oldest first.
         self._presses = collections.deque[tuple[int, float]](maxlen=_MOST_PRESSES)
         self._is_held = False
+        self._presser: Any = None  # the connection of the last press: of who has control
+        self._copied: str | None = None  # for its clipboard
         self._lock = threading.Lock()
 
     @property
@@ -60,9 +62,21 @@ class Browsers:
             with self._lock:
                 self._presses.append((int(press[1]), time.monotonic()))
                 self._is_held = False
+                self._presser = connection
         elif message == _HOLD:
             self._is_held = True
         return bool(size or press) or message == _HOLD
+
+    def copy(self, text: str) -> None:
+        """Puts a text onto the clipboard of the browser that pressed last, or asks there to."""
+        self._copied = text
+
+    def take_copied(self, connection: Any) -> str | None:
+        """Returns what a browser is to copy, once."""
+        if connection is not self._presser:
+            return None
+        copied, self._copied = self._copied, None
+        return copied
 
     def forget(self, connection: Any) -> None:
         """Forgets a browser that has left."""
@@ -146,5 +160,7 @@ class BrowserConnection(ServerConnection):
         """Sends a message of Studio's server; of a state the one for the browser's size."""
         is_state = self.request is not None and self.request.path.startswith("/state")
         if is_state and isinstance(message, bytes):
+            if (copied := self._browsers.take_copied(self)) is not None:
+                await super().send(f"sero-mj copy {copied}", text=True)
             message = self._browsers.state_for(self, message)
         await super().send(message, text=text)

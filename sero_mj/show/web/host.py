@@ -91,6 +91,7 @@ class WebHost(LiveHost):
             raise RenderError(f"no page at {where}: {why}") from error
         WebHost._is_any_open = True
         self._app.press_time = self.viewer.server.browsers.press_time
+        self._panels.widgets.to_clipboard = self.viewer.server.browsers.copy
         self._app.take_hold = self.viewer.server.browsers.take_hold
         self._time = TimeControl(self.clock)
         self._time.is_held = waits and not self.clock.is_live

@@ -59,11 +59,14 @@ class PageWindows(plugin.ViewerPlugin):
         host: the host of the page.
         decor: of the page.
         studio: whose docked windows these stay beside.
+
+    Attributes:
+        widgets: of the panels.
     """
 
     def __init__(self, host: LiveHost, decor: WebDecor, studio: StudioApp) -> None:
         self._host, self._decor, self._studio = host, decor, studio
-        self._widgets = StudioWidgets()
+        self.widgets = StudioWidgets()
         self._plots = TorquePlots(host.world)
         self._is_narrow = False
         # Page sizes, and what is docked there, for which windows were placed.
@@ -148,7 +151,7 @@ class PageWindows(plugin.ViewerPlugin):
         self._cover(size.y)
         if shown:
             self._sources()
-            host.build_panel(self._widgets)
+            host.build_panel(self.widgets)
             self._count()
         imgui.End()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
@@ -46,9 +46,21 @@ def write_line(text: str, mood: Mood = "plain", *, is_wrapped: bool = True) -> N
 
 
 class StudioWidgets:
-    """See `Widgets`."""
+    """See `Widgets`.
+
+    Attributes:
+        to_clipboard: takes a text to the clipboard of the browser in control.
+    """
+
+    def __init__(self) -> None:
+        self.to_clipboard: Callable[[str], None] = imgui.SetClipboardText
 
     text = staticmethod(write_line)
+
+    def label(self, words: str) -> None:
+        """Writes a text beside a field."""
+        imgui.AlignTextToFramePadding()
+        imgui.TextUnformatted(words)
 
     def title(self, words: str) -> None:
         """Writes a heading."""
@@ -148,4 +160,4 @@ class StudioWidgets:
 
     def copy(self, text: str) -> None:
         """Puts a text onto the browser's clipboard."""
-        imgui.SetClipboardText(text)
+        self.to_clipboard(text)

@@ -84,6 +84,11 @@ class BundleWidgets:
         imgui.pop_text_wrap_pos()
         imgui.pop_style_color()
 
+    def label(self, words: str) -> None:
+        """Writes a text beside a field."""
+        imgui.align_text_to_frame_padding()
+        imgui.text_unformatted(words)
+
     def title(self, words: str) -> None:
         """Writes a heading."""
         imgui.push_style_color(imgui.Col_.text, ImVec4(*TITLE, 1.0))

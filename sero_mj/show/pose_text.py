@@ -1,0 +1,53 @@
+"""Poses of robots as text: as a table of a scene, as Python, as a command."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from .. import paths
+from ..assemble.scene import Scene
+from ..errors import UnknownName
+from ..frames import Array
+
+_DIGITS = 6  # of rad and m
+
+
+def as_toml(robot: str, angles: Array) -> str:
+    """Returns a table of a scene: `[robots.lwr]` with `joint_angles`, rad or m."""
+    return f"[robots.{robot}]\njoint_angles = [{_listed(angles)}]  # rad or m\n"
+
+
+def as_python(robot: str, angles: Array) -> str:
+    """Returns a line for a loop with `sero_mj.view`, rad or m."""
+    return f'viewer.robot("{robot}").joint_angles = [{_listed(angles)}]\n'
+
+
+def as_command(scene: Scene, robot: str, angles: Array) -> str:
+    """Returns the command that shows the scene with a robot like that."""
+    setting = f"{robot}.joint_angles={_listed(angles, ',')}"
+    return f"sero-mj view {shlex.quote(scene_argument(scene))} --set {setting}\n"
+
+
+def scene_argument(scene: Scene) -> str:
+    """Returns what commands call a scene or a lone robot: its name where it is shipped, or file."""
+    file = scene.file
+    if file is None:
+        files = [robot._model for robot in scene.robots.values()]
+        file = files[0] if len(files) == 1 else None
+    if file is None:
+        return scene.name
+    name = paths.model_name(file) if file.name == paths.ROBOT_FILE else file.stem
+    for find in (paths.find_scene, paths.find_scenario, paths.find_model, paths.find_group_model):
+        try:
+            if find(name).samefile(file):
+                return name
+        except (UnknownName, OSError):
+            continue
+    here = Path.cwd()
+    file = file.resolve()
+    return str(file.relative_to(here)) if file.is_relative_to(here) else str(file)
+
+
+def _listed(angles: Array, separator: str = ", ") -> str:
+    return separator.join(f"{round(float(angle), _DIGITS) + 0.0:g}" for angle in angles)

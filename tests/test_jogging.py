@@ -1,0 +1,335 @@
+"""Robots that are moved by hand: without a screen, in a window, and what their joints then hold."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from decor_tools import view_at
+from scripted_widgets import ScriptedWidgets
+from window_tools import MISSING, SIZE, Driven, screen
+
+import sero_mj
+from sero_mj.control.compiler import Compiler
+from sero_mj.control.gravity_torques import GravityTorques
+from sero_mj.decor.toggles import Toggles
+from sero_mj.drive.mirror import Mirror
+from sero_mj.errors import DeclarationError
+from sero_mj.frames import frame, inverse, rotation_from_rpy, rpy_from_rotation
+from sero_mj.show.jogging import Jogging, approached
+from sero_mj.show.joint_goal import JointGoal
+from sero_mj.show.panels.jog_panel import JogPanel
+from sero_mj.show.pose_text import as_command, as_python, as_toml
+from sero_mj.show.scene_decor import SceneDecor
+
+BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
+
+
+def lwr_mirror(**fields: Any) -> Mirror:
+    return Mirror(sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr", **fields)]))
+
+
+def settle(mirror: Mirror, jogging: Jogging, seconds: float = 2.0) -> None:
+    for _ in range(round(60 * seconds)):
+        jogging.advance(1 / 60)
+        mirror.advance(0.0)
+
+
+def weigh(mirror: Mirror, jogging: Jogging) -> None:
+    """Waits until the model of gravity is compiled."""
+    end = time.monotonic() + 20
+    while not mirror.data.userdata[mirror.world.flags["lwr.torques"]] > 0:
+        assert time.monotonic() < end
+        settle(mirror, jogging, 0.1)
+
+
+def test_gravity_torques_are_those_of_the_controllers_model() -> None:
+    robot = sero_mj.SerialRobot.from_model("lwr")
+    model = Compiler().robot_model(robot)
+    known = GravityTorques({"lwr": robot})
+    for angles in (BENT, -BENT):
+        model.update(angles, np.zeros(7))
+        assert known.of({"lwr": angles})["lwr"] == pytest.approx(model.gravity(), abs=1e-9)
+
+
+def test_a_carrier_holds_what_is_mounted_on_it() -> None:
+    arm = sero_mj.SerialRobot.from_model("lwr")
+    finger = sero_mj.SerialRobot.from_model("hit_finger", name="finger", mount="lwr/flange")
+    both = GravityTorques({"lwr": arm, "finger": finger})
+    alone = GravityTorques({"lwr": arm})
+    angles = {"lwr": BENT, "finger": np.zeros(finger.n)}
+    more = both.of(angles)["lwr"] - alone.of({"lwr": BENT})["lwr"]
+    # J^T m g by the numpy Jacobian, at the finger's centre of mass.
+    world = sero_mj.World(sero_mj.Scene(robots=[arm, finger]), dynamic=True)
+    data = world.make_data()
+    data.qpos[world.robots["lwr"].qpos] = BENT
+    mujoco.mj_forward(world.model, data)
+    body = world.robots["finger"].bodies[0]
+    mass, centre = world.model.body_subtreemass[body], data.subtree_com[body]
+    T = arm.fwd_kin_base_to_flange(BENT)
+    at = arm.T_n_flange @ inverse(T) @ frame(np.eye(3), centre)
+    J = arm.kinematics.jacobian(BENT, None, at, arm.flange_link)
+    assert more == pytest.approx(9.80665 * mass * J[2], abs=2e-3)
+
+
+def test_what_floats_holds_nothing() -> None:
+    robot = sero_mj.SerialRobot.from_model("lwr", free_base=True)
+    with pytest.raises(DeclarationError, match=r"^robots.lwr: has a free base: it holds nothing$"):
+        GravityTorques({"lwr": robot})
+
+
+def test_roll_pitch_and_yaw_come_back() -> None:
+    rng = np.random.default_rng(1)
+    for rpy in [*rng.uniform(-1.5, 1.5, (20, 3)), [0.3, np.pi / 2, 0.0], [0.3, -np.pi / 2, 0.0]]:
+        rotation = rotation_from_rpy(np.array(rpy))
+        again = rotation_from_rpy(rpy_from_rotation(rotation))
+        assert again == pytest.approx(rotation, abs=1e-9)
+
+
+def test_shown_angles_go_smoothly_and_arrive() -> None:
+    shown, fastest = np.zeros(2), np.array([4.0, 1.0])
+    wanted = np.array([1.0, 0.01])
+    steps = []
+    for _ in range(60):
+        now = approached(shown, wanted, 1 / 60, fastest)
+        steps.append(now - shown)
+        shown = now
+    assert shown.tolist() == wanted.tolist()
+    assert np.max(steps) <= 4.0 / 60 + 1e-12
+    assert np.min(steps) >= 0.0
+
+
+def test_joints_stay_within_their_limits_and_say_so() -> None:
+    goal = JointGoal(sero_mj.SerialRobot.from_model("lwr"), BENT)
+    goal.set_joint(1, 3.0)
+    assert goal.trouble == "limit of A2 reached, 120 deg"
+    assert goal.angles[1] == pytest.approx(np.deg2rad(120))
+    goal.set_joint(1, 0.5)
+    assert goal.trouble == "" and goal.angles[1] == 0.5
+    goal.set_all(np.full(7, 9.0))
+    assert goal.trouble.startswith("limit of A1 reached, 170 deg, limit of A2")
+    # Typed poses that are out of reach change nothing.
+    goal.set_all(BENT)
+    goal.move_flange(np.eye(4), frame(np.eye(3), [2.0, 0, 0.3]), at_once=True)
+    assert goal.angles == pytest.approx(BENT)
+    assert goal.trouble.startswith("not reached, 1") and "it stays where it was" in goal.trouble
+    assert goal.mark is not None and goal.mark[0].tolist() == [2.0, 0.0, 0.3]
+    there = goal.flange(np.eye(4))
+    assert goal.mark[1] == pytest.approx(there[:3, 3])
+    there[:3, 3] += [0.02, -0.03, 0.01]
+    goal.move_flange(np.eye(4), there, at_once=True)
+    assert goal.trouble == ""
+    found = goal.robot.fwd_kin_base_to_flange(goal.angles)
+    assert found == pytest.approx(there, abs=1e-3)
+
+
+def test_only_what_has_no_data_is_moved_by_hand() -> None:
+    def jogged(name: str) -> list[str]:
+        mirror = Mirror(sero_mj.load_scene(name))
+        return [*Jogging(mirror, Toggles(mirror.world)).goals]
+
+    assert jogged("lwr") == ["lwr"]
+    assert jogged("lwr_udp") == []
+    assert len(jogged("models/justin/group.toml")) > 10
+
+
+def test_gravity_is_shown_and_the_legend_says_whose_it_is() -> None:
+    mirror = lwr_mirror(show_arrows=True, show_billboards=True)
+    world, toggles = mirror.world, Toggles(mirror.world)
+    jogging = Jogging(mirror, toggles)
+    jogging.goals["lwr"].set_all(BENT)
+    settle(mirror, jogging)
+    assert mirror.data.qpos == pytest.approx(BENT)
+    weigh(mirror, jogging)
+    settle(mirror, jogging, 0.1)
+    expected = GravityTorques({"lwr": world.robots["lwr"].robot}).of({"lwr": BENT})["lwr"]
+    shown = mirror.data.userdata[world.slots["lwr.torques"]]
+    assert shown == pytest.approx(expected)
+    assert np.abs(shown).max() > 20
+    decor = SceneDecor(world, toggles)
+    decor.lay_out(mirror.data, view_at())
+    texts = [line for panels in decor.panels for lines in panels.texts for line in lines]
+    assert b"arrows: gravity torque of the model" in texts
+    assert any(b"Nm" in text for text in texts)
+    # Torques of a program are its own.
+    world.set_input(mirror.data, "lwr.torques", np.arange(7.0))
+    settle(mirror, jogging, 0.1)
+    assert mirror.data.userdata[world.slots["lwr.torques"]].tolist() == [*range(7)]
+    assert not toggles.modelled.any()
+    decor.lay_out(mirror.data, view_at())
+    texts = [line for panels in decor.panels for lines in panels.texts for line in lines]
+    assert b"arrows: joint torque" in texts
+
+
+def test_declared_torques_are_not_replaced() -> None:
+    mirror = lwr_mirror(show_arrows=True, torques=[1, 2, 3, 4, 5, 6, 7])
+    toggles = Toggles(mirror.world)
+    jogging = Jogging(mirror, toggles)
+    settle(mirror, jogging, 0.2)
+    assert not toggles.modelled.any() and jogging._compiling is None
+
+
+def test_what_a_program_sets_is_taken_over() -> None:
+    mirror = lwr_mirror()
+    jogging = Jogging(mirror, Toggles(mirror.world))
+    jogging.goals["lwr"].set_all(BENT)
+    settle(mirror, jogging)
+    mirror.world.set_input(mirror.data, "lwr.joint_angles", -BENT)
+    settle(mirror, jogging, 0.1)
+    assert mirror.data.qpos == pytest.approx(-BENT)
+    assert jogging.goals["lwr"].angles == pytest.approx(-BENT)
+
+
+@pytest.mark.parametrize("link", [3, 5, 7])
+def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
+    mirror = lwr_mirror(joint_angles=BENT)
+    world, data = mirror.world, mirror.data
+    mirror.advance(0.0)
+    toggles = Toggles(world)
+    jogging, decor = Jogging(mirror, toggles), SceneDecor(world)
+    view = view_at()
+    decor.lay_out(data, view)
+    body = world.robots["lwr"].bodies[link]
+    (x, y), _ = view.project(data.xipos[body] if data.xipos[body].any() else data.xpos[body])
+    found = jogging.begin(decor, (x, y))
+    assert found is not None and found[0].startswith("moves lwr/link") and not found[1]
+    name, grabbed, point = jogging._dragged
+    part = world.robots[name]
+
+    def there() -> np.ndarray:
+        at = part.bodies[grabbed]
+        return data.xpos[at] + data.xmat[at].reshape(3, 3) @ point
+
+    assert view.project(there())[0] == pytest.approx([x, y], abs=1.0)
+    jogging.move((x + 25, y - 15))
+    for _ in range(60):
+        trouble = jogging.update(decor)
+        settle(mirror, jogging, 0.05)
+    assert trouble == ""
+    assert view.project(there())[0] == pytest.approx([x + 25, y - 15], abs=1.5)
+    jogging.move((x + 4000, y))
+    for _ in range(60):
+        trouble = jogging.update(decor)
+        settle(mirror, jogging, 0.05)
+    assert trouble.startswith("not reached, ")
+    assert toggles.handles is not None and toggles.handles.mark is not None
+    low, high = part.robot.position_limits.T
+    assert (data.qpos >= low - 1e-9).all() and (data.qpos <= high + 1e-9).all()
+    jogging.end()
+    assert toggles.handles is None and jogging.goals["lwr"].trouble == ""
+
+
+def test_the_panel_has_limits_units_poses_and_copies() -> None:
+    mirror = lwr_mirror(joint_angles=BENT)
+    world = mirror.world
+    jogging = Jogging(mirror, Toggles(world))
+    panel = JogPanel(world, jogging)
+    panel.build(ScriptedWidgets({"##A2": 90.0, "##unit": "rad"}))
+    assert jogging.goals["lwr"].angles[1] == pytest.approx(np.pi / 2)
+    panel.build(ScriptedWidgets({"##E1 typed": -0.25}))  # rad now
+    assert jogging.goals["lwr"].angles[2] == -0.25
+    panel.build(ScriptedWidgets({"##A2 typed": 9.0}))
+    ui = ScriptedWidgets()
+    panel.build(ui)
+    assert "limit of A2 reached, 120 deg" in ui.texts()
+    panel.build(ScriptedWidgets({"home": True}))
+    settle(mirror, jogging)
+    before = jogging.goals["lwr"].flange(np.eye(4))
+    panel.build(ScriptedWidgets({"##x": before[0, 3] + 0.05}))
+    settle(mirror, jogging)
+    moved = world.fwd_kin_base_to_flange(mirror.data, "lwr")
+    assert moved[:3, 3] == pytest.approx(before[:3, 3] + [0.05, 0, 0], abs=1e-3)
+    assert moved[:3, :3] == pytest.approx(before[:3, :3], abs=2e-3)
+    angles = jogging.goals["lwr"].angles
+    for label, text in (
+        ("TOML", as_toml("lwr", angles)),
+        ("Python", as_python("lwr", angles)),
+        ("command", as_command(world.scene, "lwr", angles)),
+    ):
+        ui = ScriptedWidgets({label: True})
+        panel.build(ui)
+        assert ui.copied == text
+
+
+def test_copied_poses_are_read_back(tmp_path: Path) -> None:
+    file = tmp_path / "lwr.toml"
+    file.write_text(as_toml("lwr", BENT).replace("]\n", ']\nmodel = "lwr"\n', 1), "utf-8")
+    assert sero_mj.load_scene(file).robots["lwr"].joint_angles == pytest.approx(BENT)
+    scene = sero_mj.load_scene("lwr")
+    command = shlex.split(as_command(scene, "lwr", BENT))
+    assert command[:4] == ["sero-mj", "view", "lwr", "--set"]
+    target, _, values = command[4].partition("=")
+    assert target == "lwr.joint_angles"
+    assert [float(value) for value in values.split(",")] == pytest.approx(BENT)
+    assert as_python("lwr", BENT).startswith('viewer.robot("lwr").joint_angles = [0.2, 0.6,')
+    own = sero_mj.load_scene(file)
+    assert shlex.split(as_command(own, "lwr", BENT))[2] == str(file)
+
+
+def test_robots_that_branch_have_their_joints_by_limb() -> None:
+    from humanoid import humanoid
+
+    mirror = Mirror(sero_mj.Scene(robots=[humanoid()], floor=False))
+    jogging = Jogging(mirror, Toggles(mirror.world))
+    ui = ScriptedWidgets()
+    JogPanel(mirror.world, jogging).build(ui)
+    limbs = mirror.world.robots["human"].robot.limb_joints
+    assert [label for kind, label in ui.built if kind == "tree"][: len(limbs)] == [
+        f"{limb}##sliders" for limb in limbs
+    ]
+
+
+@pytest.mark.gl
+@pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
+    settings = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0",)
+    with screen() as display, Driven(display, tmp_path, "lwr", settings=settings) as window:
+        window.key("Tab")
+        window.until("w.has_panel")
+        window.until("places.get('##A2')")
+        window.settle()
+        left, top, right, bottom = window.ask("places['##A2']")
+        middle, y = round((left + right) / 2), round((top + bottom) / 2)
+        window.tool("mousemove", middle + 15, y, "mousedown", 1)
+        window.settle()
+        window.tool("mousemove", middle - 10, y)
+        window.settle()
+        window.tool("mouseup", 1)
+        share = -10 / (right - left - 2 * 7)  # the grab has a width
+        window.until(f"abs(w.data.qpos[1] - {share * np.deg2rad(240)}) < 0.15")
+        # A typed number.
+        x, y = window.middle("##A3 typed")
+        window.tool("mousemove", round(x), round(y), "click", 1)
+        window.settle()
+        window.tool("key", "ctrl+a")
+        window.tool("key", "minus", "9", "0")
+        window.settle()
+        window.tool("key", "Return")
+        window.until("abs(w.data.qpos[3] + np.pi / 2) < 1e-6")
+        assert not window.ask("w.toggles.arrows.any()")
+        # A link, which the panel would cover.
+        window.key("Tab")
+        window.until("not w.has_panel")
+        window.settle()
+        place = (
+            "[*w.decor.view.project(w.data.xpos[w.world.robots['lwr'].bodies[5]])[0].tolist(), "
+            "w.decor.rect.bottom]"
+        )
+        x, y, bottom = window.ask(place)
+        before = window.ask("w.data.qpos.tolist()")
+        window.tool("mousemove", round(x), round(SIZE[1] - bottom - y), "keydown", "Control_L")
+        window.tool("mousedown", 1, "mousemove_relative", 20, 10, "mousemove_relative", 30, 5)
+        window.until("'moves lwr/' in w.notice.text")
+        window.settle()
+        window.tool("mouseup", 1, "keyup", "Control_L")
+        after = window.ask("w.data.qpos.tolist()")
+        assert np.abs(np.subtract(after, before)).max() > 0.02
+        moved = window.ask(place)
+        assert np.linalg.norm(np.subtract(moved, [x, y, bottom])[:2]) > 20
+        camera = window.ask("w.navigator.following")
+        assert camera is None
