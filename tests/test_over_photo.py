@@ -234,8 +234,8 @@ def files(tmp_path: Path) -> Path:
         ("--over p.png",
          "--over needs the camera that took it: --camera-file CAMERA.yaml or .toml; "
          "`sero-mj calibrate` writes one"),
-        ("--camera-file c.toml", "--camera-file is for --over PHOTO or VIDEO"),
-        ("--offset 3", "--offset is for --over PHOTO or VIDEO"),
+        ("--camera-file c.toml", "--camera-file is for --over; give it as well"),
+        ("--offset 3", "--offset is for --over; give it as well"),
         ("--over p.png --camera-file c.toml --offset 3",
          "--offset is for videos; --start says when of a recording a photo is"),
         ("--over v.mp4 --camera-file c.toml",

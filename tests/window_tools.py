@@ -40,6 +40,13 @@ for name in ("button", "checkbox", "combo", "slider_float", "input_double", "col
              "tree_node"):
     setattr(imgui, name, noted(getattr(imgui, name)))
 clicks = []
+if "over" in options:  # a camera and its file
+    from functools import partial
+    from sero_mj.show.camera_feed import CameraFeed
+    from sero_mj.show.window.photo_viewport import PhotoViewport
+    what, camera_file = options.pop("over")
+    feed = CameraFeed(what, Path(camera_file))
+    options["make_viewport"] = partial(PhotoViewport, feed=feed)
 with Mirror(scene) as mirror, Window(mirror, size=size, folder=Path(), **options) as w:
     w.on_click = lambda picked, gesture: clicks.append((gesture, picked and picked.kind))
     w.frame()

@@ -223,14 +223,23 @@ def check_stereo_options(options: argparse.Namespace) -> None:
         raise UsageError("--eye-distance is for --stereo side-by-side or anaglyph; give it as well")
 
 
-def add_over_options(parser: argparse.ArgumentParser) -> None:
-    """Adds `--over`, `--camera-file` and `--offset`."""
-    parser.add_argument(
-        "--over", type=Path, metavar="FILE", help="draw over a photo or a video of the real robot"
-    )
+def add_over_options(parser: argparse.ArgumentParser, *, is_live: bool = False) -> None:
+    """Adds `--over`, `--camera-file` and, for videos that are not live, `--offset`."""
+    if is_live:
+        parser.add_argument(
+            "--over", metavar="CAMERA",
+            help="draw over the pictures of a camera: its number, 0 say, an address, or a video",
+        )  # fmt: skip
+    else:
+        parser.add_argument(
+            "--over", type=Path, metavar="FILE",
+            help="draw over a photo or a video of the real robot",
+        )  # fmt: skip
     parser.add_argument(
         "--camera-file", type=Path, metavar="FILE", help="the camera that took it; YAML or TOML"
     )
+    if is_live:
+        return
     parser.add_argument(
         "--offset",
         type=_offset,
@@ -252,8 +261,8 @@ def check_over_options(options: argparse.Namespace) -> None:
             "`sero-mj calibrate` writes one"
         )
     for name in ("camera_file", "offset"):
-        if getattr(options, name) is not None and options.over is None:
-            raise UsageError(f"--{name.replace('_', '-')} is for --over PHOTO or VIDEO")
+        if getattr(options, name, None) is not None and options.over is None:
+            raise UsageError(f"--{name.replace('_', '-')} is for --over; give it as well")
 
 
 def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) -> None:

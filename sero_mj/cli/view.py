@@ -5,17 +5,22 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from contextlib import ExitStack
+from functools import partial
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
+    add_over_options,
     add_scene_options,
     add_stereo_options,
+    check_over_options,
     check_stereo_options,
     port,
     read_shown_scene,
+    refuse,
     size,
     until_ended,
 )
@@ -29,6 +34,7 @@ examples:
   sero-mj view lwr_udp --replay run.mcap              a recording, with a time line
   sero-mj view lwr_udp --web                          on a page for browsers on this machine
   sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
+  sero-mj view lwr_udp --over 0 --camera-file cell.yaml   over what a camera sees of the robot
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
 the page. Browsers on other machines reach it through `ssh -L 8080:localhost:8080 MACHINE`, or with
@@ -62,12 +68,16 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
     add_stereo_options(parser)
+    add_over_options(parser, is_live=True)
     add_scene_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Shows the scene until it is closed; returns 0."""
     check_stereo_options(options)
+    check_over_options(options)
+    if options.over is not None:
+        refuse(options, ("camera", "stereo"), " does not go with --over: the view is the camera's")
     on_page = wants_page(options)
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
@@ -84,11 +94,12 @@ def wants_page(options: argparse.Namespace) -> bool:
     """Whether the scene goes to browsers instead of into a window; raises UsageError."""
     of_page = _of_page(options)
     of_window = ["size"] * (options.size is not None) + ["full-screen"] * options.full_screen
-    of_window += ["stereo"] * (options.stereo is not None)
+    of_window += ["stereo"] * (options.stereo is not None) + ["over"] * (options.over is not None)
     if options.window and of_page:
         raise UsageError(f"--{of_page[0]} is for the page; leave --window out, or take --web")
     if (options.web or of_page) and of_window:
-        why = "has one eye" if of_window[0] == "stereo" else "is as large as its browser's"
+        reasons = {"stereo": "has one eye", "over": "shows no camera's pictures"}
+        why = reasons.get(of_window[0], "is as large as its browser's")
         raise UsageError(f"--{of_window[0]} is for the window; a page {why}")
     if options.web or of_page:
         return True
@@ -114,17 +125,25 @@ def _open_window(scene: Scene, options: argparse.Namespace) -> None:
     from ..drive.mirror import Mirror
     from ..show.window.host import Window
 
-    with (
-        Mirror(scene) as mirror,
-        Window(
+    with ExitStack() as stack:
+        make_viewport = None
+        if options.over is not None:
+            from ..show.camera_feed import CameraFeed
+            from ..show.window.photo_viewport import PhotoViewport
+
+            feed = stack.enter_context(CameraFeed(options.over, options.camera_file))
+            make_viewport = partial(PhotoViewport, feed=feed)
+        mirror = stack.enter_context(Mirror(scene))
+        window = Window(
             mirror,
             size=options.size or _SIZE,
             camera=options.camera,
             full_screen=options.full_screen,
             stereo=options.stereo,
             eye_distance=options.eye_distance,
-        ) as window,
-    ):
+            make_viewport=make_viewport,
+        )
+        stack.enter_context(window)
         window.run()
 
 

@@ -52,12 +52,18 @@ class PhotoPainter:
         self._is_double: Bools = np.isin(world.model.geom_bodyid, bodies)
         self._is_floor: Bools = world.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
 
-    def look(self, scene: mujoco.MjvScene, font: Font) -> PhotoView:
+    def look(
+        self,
+        scene: mujoco.MjvScene,
+        font: Font,
+        inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+    ) -> PhotoView:
         """Makes the camera of a scene that of the photos, and removes the floor.
 
         Args:
             scene: that `mjv_updateScene` has filled, before decor is added.
             font: of the host's labels.
+            inset: see `PictureView`.
         """
         self._plane.look(scene)
         for name in _FLAGS:
@@ -67,7 +73,8 @@ class PhotoPainter:
                 # MuJoCo draws any plane without an end; a point behind the camera is not seen.
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 1e-6)
                 geom.pos = scene.camera[0].pos - scene.camera[0].forward
-        return PhotoView.of_camera(self.camera, float(scene.camera[0].frustum_near), font)
+        near = float(scene.camera[0].frustum_near)
+        return PhotoView.of_camera(self.camera, near, font, inset)
 
     def over(self, photo: Pixels, scene: mujoco.MjvScene, draw: Draw) -> Pixels:
         """Returns a photo with the decor of a scene.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,6 +77,16 @@ class Viewport(SceneDecor):
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
         self._option = mujoco.MjvOption()
         self._typesetter: Typesetter | None = None
+
+    @property
+    def fixed(self) -> str:
+        """What to tell who wants to move the camera; empty where that can be moved."""
+        return ""
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """What it adds to the status line."""
+        return []
 
     def update(
         self,
@@ -195,6 +207,7 @@ class Window(LiveHost):
         stereo: `side-by-side` for a half of the picture for each eye, or `anaglyph` for red-cyan
             glasses.
         eye_distance: between the eyes, m.
+        make_viewport: makes another viewport of world, toggles and OpenGL context.
 
     Attributes:
         navigator: moves the camera.
@@ -219,6 +232,7 @@ class Window(LiveHost):
         folder: Path | None = None,
         stereo: Stereo | None = None,
         eye_distance: float = EYE_DISTANCE,
+        make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] | None = None,
     ) -> None:
         check_stereo(stereo, eye_distance)
         super().__init__(mirror)
@@ -229,7 +243,9 @@ class Window(LiveHost):
         self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
-        self.decor = Viewport(world, self.toggles, self.gl.context, stereo, eye_distance)
+        made = (world, self.toggles, self.gl.context)
+        make = make_viewport or partial(Viewport, stereo=stereo, eye_distance=eye_distance)
+        self.decor = make(*made)
         self._hud = Hud(self.gl)
         self._panel: PanelLayer | None = None  # until it is opened for the first time
         self._mouse = Mouse()
@@ -301,6 +317,7 @@ class Window(LiveHost):
         filled = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
+        pieces[1:1] = self.decor.pieces
         end = float(self.clock.end or 0.0)
         self._line = hud.time_line(width, end) if self._has_line else None
         drawn = time.monotonic()
@@ -434,6 +451,9 @@ class Window(LiveHost):
         begin = None if moved.pulls_from is None else self.decor.to_picture(*moved.pulls_from)
         if view is None or self.drag(moved, self._pointer(), begin):
             return
+        if self.decor.fixed:
+            self.say(self.decor.fixed)
+            return
         navigator.free(view.position, view.forward)
         right, down = moved.right / height, moved.down / height
         if moved.how == "zoom":
@@ -460,16 +480,19 @@ class Window(LiveHost):
 
     def choose_camera(self, number: int) -> str:
         """Selects a camera by number, 1 for the first, 0 for the initial view."""
-        return self.navigator.choose(number)
+        return self.decor.fixed or self.navigator.choose(number)
 
     def follow(self, frame: str | None) -> str:
         """Starts following a frame with the camera, or stops; returns a message for the user."""
-        return self.navigator.follow(self.data, frame)
+        return self.decor.fixed or self.navigator.follow(self.data, frame)
 
     def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""
         view = self.decor.view
         assert view is not None  # there is a picture of the point
+        if self.decor.fixed:
+            self.say(self.decor.fixed)
+            return
         self.navigator.free(view.position, view.forward)
         self.navigator.camera.lookat = point
 
