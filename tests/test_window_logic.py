@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ from sero_mj.show.interaction import (
     pages,
 )  # fmt: skip
 from sero_mj.show.live import LiveHost
+from sero_mj.show.moments import Moments
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
 from sero_mj.show.window.capture import due_frames, unused_name
@@ -140,17 +142,153 @@ def test_speeds_have_ends(simulated: Mirror) -> None:
     assert clock.speed == SPEEDS[0]
 
 
-def test_what_is_live_cannot_be_wound_back() -> None:
+def test_what_is_live_has_no_past_before_anything_came() -> None:
     mirror = Mirror(load_scene("lwr_udp"))  # never opened: no port is taken
     clock = Clock(mirror)
     assert clock.is_live
     assert clock.end is None
     assert "robot's" in clock.faster(1)
     clock.seek(5.0)
-    assert clock.time == 0.0
+    assert clock.time == 0.0 and not clock.is_past
     assert clock_text(clock) == ("live", "plain")  # whether all is well, the sources say
     clock.pause()
     assert clock_text(clock) == ("PAUSED", "bad")
+
+
+class Live:
+    """A live mirror of one robot whose first angle is the time, rad."""
+
+    is_live = has_states = True
+    routes: tuple[()] = ()
+
+    def __init__(self) -> None:
+        self.world = World(Scene(robots=[SerialRobot.from_model("lwr")]))
+        self.data = self.world.make_data()
+        self.sources = {"robot": SimpleNamespace(end=None, step=None)}
+        self.now = 0.0
+
+    def advance(self, now: float | None = None) -> bool:
+        # A source sets what it has anew; what nobody sets stays.
+        assert self.data.qpos[1] == pytest.approx(0.01 * self.data.time)
+        self.data.time = self.data.qpos[0] = self.now
+        self.data.qpos[1] = 0.01 * self.now
+        mujoco.mj_kinematics(self.world.model, self.data)
+        return True
+
+    def goes_on(self, clock: Clock, seconds: float, frames: int = 60) -> None:
+        for _ in range(frames):
+            self.now += seconds / frames
+            clock.advance(seconds / frames)
+
+
+def test_the_last_minute_of_what_is_live_is_seen_again_while_it_goes_on() -> None:
+    mirror = Live()
+    clock = Clock(mirror)  # type: ignore[arg-type]
+    mirror.goes_on(clock, 90.0, 9000)
+    assert (clock.begin, clock.end) == pytest.approx((30.0, 90.0), abs=0.05)
+    assert mirror.data.qpos[0] == clock.time == clock.end
+    clock.seek(50.0)
+    mirror.goes_on(clock, 1.0)  # from there on, as fast as it was
+    assert mirror.data.qpos[0] == pytest.approx(51.0, abs=0.04)
+    link = mirror.world.frame(mirror.data, "lwr/link1")[:3, :3]
+    assert link[1, 0] == pytest.approx(np.sin(mirror.data.qpos[0]), abs=1e-9)
+    assert clock_text(clock) == ("NOT LIVE  40.00 s ago  x1", "quiet")
+    assert clock.faster(1) == "speed 2"
+    mirror.goes_on(clock, 1.0)
+    assert clock.time == pytest.approx(53.0)
+    clock.pause()
+    mirror.goes_on(clock, 1.0)
+    assert clock_text(clock) == ("PAUSED  40.00 s ago", "bad")
+    clock.seek(10.0)
+    assert clock.time == pytest.approx(33.0, abs=0.05)  # what is older is gone
+    assert clock.go_live() == "live"
+    mirror.goes_on(clock, 0.1)
+    assert mirror.data.qpos[0] == clock.end == pytest.approx(93.1)
+    # What came meanwhile was not missed.
+    clock.seek(92.0)
+    mirror.goes_on(clock, 0.0, 1)
+    assert mirror.data.qpos[0] == pytest.approx(92.0, abs=0.04)
+    mirror.goes_on(clock, 0.5)
+    assert clock.is_past
+    clock.speed = 10.0
+    mirror.goes_on(clock, 0.5)  # catches up
+    assert not clock.is_past and clock_text(clock) == ("live", "plain")
+
+
+def test_what_is_live_stands_still_where_it_was_paused() -> None:
+    mirror = Live()
+    clock = Clock(mirror)  # type: ignore[arg-type]
+    mirror.goes_on(clock, 2.0, 333)
+    assert clock.pause() == "paused"
+    mirror.goes_on(clock, 3.0)
+    assert mirror.data.qpos[0] == clock.time == pytest.approx(2.0)
+    assert clock.step(-1) == "3.02 s ago"
+    mirror.goes_on(clock, 0.0, 1)
+    assert mirror.data.qpos[0] == pytest.approx(2.0 - 1 / 60, abs=0.04)
+    clock.seek(5.0)
+    assert clock.step() == "paused; shows the latest packet"
+    assert mirror.data.qpos[0] == pytest.approx(5.0)
+    mirror.goes_on(clock, 1.0)
+    assert mirror.data.qpos[0] == pytest.approx(5.0)
+    assert clock.pause() == "live"
+    mirror.goes_on(clock, 0.1)
+    assert mirror.data.qpos[0] == pytest.approx(6.1)
+
+
+# ---- moments
+
+
+def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
+    mirror = Live()
+    world, robot = mirror.world, mirror.world.scene.robots["lwr"]
+    slots = world.slots
+    mirror.world = SimpleNamespace(  # type: ignore[assignment]
+        **{name: getattr(world, name) for name in ("model", "joints", "owners", "state", "frame")},
+        slots={**slots, "sources.robot": slice(slots["lwr.torques"].start, None)},
+    )
+    mirror.sources.clear()
+    clock = Clock(mirror)  # type: ignore[arg-type]
+    clock.is_live = True
+    moments = Moments(mirror, clock)  # type: ignore[arg-type]
+    clock.on_moment = moments.watch
+    mirror.goes_on(clock, 1.0)
+    assert moments.all() == []
+    assert moments.go(1) == "nothing was found or marked after this"
+    world.set_input(mirror.data, "lwr.torques", [0, 1.1 * robot.torque_limits[1], 0, 0, 0, 0, 0])
+    mirror.goes_on(clock, 1.0)  # beyond its limit all along: found once
+    world.set_input(mirror.data, "lwr.torques", np.zeros(7))
+    error = 0.2 * robot.torque_limits[5]
+    world.set_input(mirror.data, "lwr.commanded_torques", [0, 0, 0, 0, 0, error, 0])
+    mirror.goes_on(clock, 0.9)  # until the first joint is beyond its limit, of 2.97 rad
+    limit = 1.1 * robot.torque_limits[1]
+    assert [moment.text for moment in moments.all()] == [
+        f"lwr/A2: torque {limit:.3g} Nm, above its limit", f"lwr/A5: torque error {error:.3g} Nm",
+    ]  # fmt: skip
+    assert [moment.time for moment in moments.all()] == pytest.approx([1.0, 2.0], abs=0.03)
+    mirror.goes_on(clock, 0.2)
+    assert moments.all()[-1].text == "lwr/A1: angle 2.97 beyond its limit"
+    assert moments.mark().startswith("marked 3.10 s")
+    assert [is_mark for _, is_mark in sorted(moments.ticks())] == [False, False, False, True]
+    assert moments.go(-1).startswith("2.97 s: lwr/A1: angle")
+    assert clock.is_past and clock.is_paused
+    assert moments.go(-1).endswith(f"lwr/A5: torque error {error:.3g} Nm")
+    assert clock.time == pytest.approx(2.0, abs=0.03)
+    mirror.goes_on(clock, 0.0, 1)
+    assert mirror.data.qpos[0] == pytest.approx(clock.time, abs=0.04)
+    moments.go(1)
+    assert moments.go(1) == "3.10 s: mark"
+
+
+def test_what_a_monitor_finds_is_gone_to() -> None:
+    with Mirror(load_scene("sensor_fault")) as mirror:
+        clock = Clock(mirror)
+        moments = Moments(mirror, clock)
+        (source,) = mirror.sources.values()
+        source.run.advance(source.run.steps)  # type: ignore[attr-defined]
+        findings = source.run.findings()  # type: ignore[attr-defined]
+        said = moments.go(1)
+        assert said.endswith(str(findings[0]).split("  ", 1)[1].replace("  ", " "))
+        assert clock.time == findings[0].time and clock.is_paused
 
 
 # ---- time line and status line
@@ -276,7 +414,9 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 def test_no_key_means_two_things_and_each_is_done() -> None:
     assert not set(KEYS) & {*HOST_KEYS, *MORE_KEYS}
     assert not set(HOST_KEYS) & set(MORE_KEYS)
-    assert {*MORE_KEYS.values()} - {"last_joint"} <= {name for name, _ in HOST_KEYS.values()}
+    assert {*MORE_KEYS.values()} - {"last_joint", "last_event"} <= {
+        name for name, _ in HOST_KEYS.values()
+    }
 
 
 class FakeClock:

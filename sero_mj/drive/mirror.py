@@ -63,6 +63,10 @@ class LiveWorld(Protocol):
         With `to_all` also with those that a newer one has replaced.
         """
 
+    @property
+    def has_states(self) -> bool:
+        """Whether a picture needs no more than MuJoCo's state, so that it can be made later."""
+
     def reset(self) -> None:
         """Goes back to the declared pose."""
 
@@ -143,6 +147,11 @@ class Mirror:
     def is_live(self) -> bool:
         """Whether a source follows the real time, so that what shows it must as well."""
         return any(source.is_live for source in self.sources.values())
+
+    @property
+    def has_states(self) -> bool:
+        """True, see `state`."""
+        return True
 
     def wait(self, timeout: float) -> list[str]:
         """Waits until every source has sent a good packet, up to `timeout` s in all.
@@ -356,6 +365,11 @@ class Watch:
     def is_live(self) -> bool:
         """True: its time is the user's."""
         return True
+
+    @property
+    def has_states(self) -> bool:
+        """False: what is shown of somebody's model may be any of its fields."""
+        return False
 
     def open(self) -> None:
         """Does nothing: there are no sources."""

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..drive.mirror import LiveWorld
+from .live_history import LiveHistory
 from .torque_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -25,18 +26,21 @@ _LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does n
 class Clock:
     """Says which moment a mirror shows, frame by frame.
 
-    Live sources have the real time: they can be held still, but neither slowed down nor wound back.
+    Live sources have the real time. They can be held still, and what they showed in the last minute
+    can be seen again while they go on; what comes in the meantime is not missed.
 
     Args:
         mirror: is driven; must be open.
 
     Attributes:
         is_live: whether a source follows the real time.
+        is_past: whether it is live, and shows what has passed.
         is_playing: whether there is a source, which has a speed; else the user sets all inputs.
         is_paused: whether it stands still.
         speed: shown s per real s.
         time: shown, s since the start.
-        end: of the time line, s; None where a source has no end.
+        begin: of the time line, s.
+        end: of the time line, s; None where a source has no end. Of what is live the newest moment.
         step_size: of a single step, s.
         on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
             on in steps that are as fine at a low frame rate, so that a plot misses little.
@@ -51,7 +55,10 @@ class Clock:
         self.speed = 1.0
         self.real_speed = 1.0
         self.on_moment: Callable[[], None] | None = None
-        self.time = 0.0
+        self.time = self.begin = 0.0
+        self.is_past = self._goes_on_from_there = False
+        has_history = self.is_live and mirror.has_states
+        self._history = LiveHistory(mirror) if has_history else None
         sources = mirror.sources.values()
         ends = [source.end for source in sources if source.end is not None]
         is_endless = self.is_live or len(ends) < len(sources)
@@ -65,7 +72,12 @@ class Clock:
     @property
     def is_at_end(self) -> bool:
         """Whether it has come to the end of the time line."""
-        return self.end is not None and self.time >= self.end
+        return not self.is_live and self.end is not None and self.time >= self.end
+
+    @property
+    def can_go_back(self) -> bool:
+        """Whether what has passed can be shown."""
+        return not self.is_live or self._history is not None
 
     def advance(self, passed: float) -> bool:
         """Goes on by so many real s and brings the mirror there.
@@ -74,7 +86,7 @@ class Clock:
             whether anything may look different.
         """
         if self.is_live:
-            return not self.is_paused and (self._mirror.advance() or True)
+            return self._follow(passed)
         if self.is_paused or self.is_at_end:
             self.real_speed = self.speed
             return self._show()
@@ -86,6 +98,44 @@ class Clock:
         passed = max(passed, 1e-6)
         self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
         return changed
+
+    def _follow(self, passed: float) -> bool:
+        """Brings a live mirror up to date, and shows it or what has passed."""
+        history = self._history
+        if history is None:
+            return not self.is_paused and (self._mirror.advance() or True)
+        if self.is_past:
+            history.put_back()
+        elif self.is_paused and self.end:
+            history.keep()  # what was shown last, where it stands still
+        self._mirror.advance()
+        if self.on_moment is not None:
+            self.on_moment()
+        history.add()
+        self.begin, self.end = history.begin, history.end
+        if self.is_past and not self.is_paused:
+            self.time += self.speed * min(passed, _LONGEST_FRAME)
+            self.is_past = self.time < self.end
+        elif self.is_paused and not self.is_past:
+            self.is_past = True  # at the moment that was shown last
+        if not self.is_past:
+            self.time, self.speed = self.end, 1.0
+            return True
+        self.time = max(self.time, self.begin)
+        history.show(self.time)
+        return True
+
+    def go_live(self) -> str:
+        """Shows what is live, or the end of the time line; returns what to tell the user."""
+        if not self.is_live:
+            if self.end is None:
+                return "no end"
+            self.seek(self.end)
+            return "at the end"
+        self.is_past = self.is_paused = self._goes_on_from_there = False
+        if self._history is not None:
+            self._history.put_back()
+        return "live"
 
     def _show(self) -> bool:
         if self.time == self._shown and self._mirror.sources:
@@ -131,20 +181,31 @@ class Clock:
             self.is_paused = False
             return "from the start"
         self.is_paused = not self.is_paused
+        if self.is_live and not self.is_paused and not self._goes_on_from_there:
+            return self.go_live()
         return "paused" if self.is_paused else "goes on"
 
     def step(self, count: int = 1) -> str:
         """Stands still, some steps further on (or back); returns what to tell the user."""
         self.is_paused = True
-        if self.is_live:
+        if self.is_live and self._history is None:
             self._mirror.advance()
             return "paused; shows the latest packet"
+        if self.is_live:
+            self.time = self.time + count * self.step_size
+            if count > 0 and self.time >= (self.end or 0.0):
+                self.go_live()
+                self._follow(0.0)
+                self.is_paused = True
+                return "paused; shows the latest packet"
+            self.seek(self.time)
+            return f"{time_text((self.end or 0.0) - self.time)} ago"
         self.seek(self.time + count * self.step_size)
         return f"at {self.time:.3f} s"
 
     def faster(self, times: int) -> str:
         """Changes the speed by so many places of `SPEEDS`; returns what to tell the user."""
-        if self.is_live:
+        if self.is_live and not self.is_past:
             return "live: the speed is the robot's"
         nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
         self.speed = self.real_speed = SPEEDS[min(max(nearest + times, 0), len(SPEEDS) - 1)]
@@ -153,6 +214,7 @@ class Clock:
     def reset(self) -> str:
         """Goes back to the start; returns what to tell the user."""
         if self.is_live:
+            self.go_live()
             self._mirror.reset()
             # At once, also where it stands still: the declared pose never came from the robot.
             self._mirror.advance()
@@ -161,10 +223,18 @@ class Clock:
         return "back to the start"
 
     def seek(self, time: float) -> None:
-        """Goes to a time, s, within the time line; without effect where all is live."""
-        if not self.is_live:
-            end = float("inf") if self.end is None else self.end
-            self.time = min(max(time, 0.0), end)
+        """Goes to a time, s, within the time line, from where it goes on.
+
+        Of what is live the newest moment is no past; without effect where nothing of it is kept.
+        """
+        if self.is_live and (self._history is None or self.end is None):
+            return
+        end = float("inf") if self.end is None else self.end
+        self.time = min(max(time, self.begin), end)
+        if self.is_live:
+            self.is_past = self._goes_on_from_there = self.time < end
+            if not self.is_past:
+                self.go_live()
 
 
 def time_text(time: float) -> str:

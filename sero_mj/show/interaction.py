@@ -263,6 +263,9 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "backspace": ("reset", "back to the start"),
     "left": ("back", "1 s back"),
     "right": ("on", "1 s on"),
+    "end": ("end", "to the end; what is live again"),
+    "m": ("mark", "mark this moment"),
+    "e": ("next_event", "next mark or fault, w the last one"),
     "0": ("camera", "0 initial view, 1 to 9 cameras"),
     "f": ("follow", "follow the item under the pointer"),
     "p": ("plot", "torques of the selected joint"),
@@ -284,6 +287,7 @@ MORE_KEYS: dict[str, str] = {
     "=": "faster",
     "_": "slower",
     "[": "last_joint",
+    "w": "last_event",
     "home": "reset",
     **{str(number): "camera" for number in range(1, 10)},
 }

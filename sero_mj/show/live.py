@@ -15,24 +15,37 @@ from ..drive.mirror import LiveWorld
 from ..errors import SeroError
 from ..frames import Array
 from ..receive.source import Packets
+from . import live_history
 from .clock import Clock
 from .headless.film import Pixels
 from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
 from .jogging import Jogging
+from .moments import Moments
 from .panels.jog_panel import JogPanel
 from .panels.robot_panel import RobotPanel
 from .panels.widgets import Widgets
 from .picking import Picked, Pixel
 from .pulling import Pulling
 from .scene_decor import SceneDecor
-from .torque_history import TorqueHistory, joint_name
+from .torque_history import SPAN, TorqueHistory, joint_name
 
 OnClick = Callable[[Picked | None, str], None]
 Action = Callable[[], str | None]  # returns a message for the user
 
 _OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
-_REPEATED = ("step", "step_back", "back", "on", "slower", "faster", "next_joint", "last_joint")
+_REPEATED = (
+    "step",
+    "step_back",
+    "back",
+    "on",
+    "slower",
+    "faster",
+    "next_joint",
+    "last_joint",
+    "next_event",
+    "last_event",
+)
 _JUMP = 1.0  # s
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
@@ -63,6 +76,7 @@ class LiveHost(ABC):
         toggles: what is shown.
         clock: pause, speed and time line.
         history: the torques of the last seconds.
+        moments: what was marked and found, on the time line.
         pulling: pulls links of simulated robots by the pointer.
         jogging: moves robots by hand that nothing else moves.
         folder: where what the user keeps goes; the current one when None.
@@ -84,10 +98,14 @@ class LiveHost(ABC):
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
         self.clock = clock = Clock(mirror)
+        if clock.is_live:
+            clock.on_moment = self._sample
         # What follows the real time has packets between frames, and else the clock has moments.
-        self.history = TorqueHistory(world, mirror.routes if mirror.is_live else ())
+        kept = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
+        self.history = TorqueHistory(world, mirror.routes if mirror.is_live else (), kept)
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
+        self.moments = Moments(mirror, clock)
         self.pulling = Pulling(mirror, clock, self.toggles)
         self.jogging = Jogging(mirror, self.toggles)
         self._drag: Jogging | Pulling | None = None  # what the drag that goes on moves
@@ -113,6 +131,10 @@ class LiveHost(ABC):
             "reset": clock.reset,
             "back": lambda: clock.seek(clock.time - _JUMP),
             "on": lambda: clock.seek(clock.time + _JUMP),
+            "end": clock.go_live,
+            "mark": self.moments.mark,
+            "next_event": lambda: self.moments.go(1),
+            "last_event": lambda: self.moments.go(-1),
             "next_joint": lambda: self._select(1),
             "last_joint": lambda: self._select(-1),
             "follow": self._follow_under_pointer,
@@ -217,8 +239,9 @@ class LiveHost(ABC):
         except SeroError as error:  # for example a deleted file; the display does not change
             self.clock.is_paused = True
             self.say(str(error), is_bad=True)
-        if not self.clock.is_paused:
+        if not (self.clock.is_live or self.clock.is_paused):
             self._sample()
+        self.history.until = self.clock.time if self.clock.is_past else None
 
     def _hear(self, source: str, packets: Packets) -> None:
         now = self.mirror.sources[source].now()
@@ -226,6 +249,8 @@ class LiveHost(ABC):
 
     def _sample(self) -> None:
         self.history.add(self.data)
+        if self.clock.is_live:
+            self.moments.watch()
 
     def press(self, key: str, *, is_repeat: bool = False) -> None:
         """Performs the action of a key, if it has one.

@@ -51,7 +51,13 @@ def _loss(found: dict[str, Any]) -> str:
 def clock_text(clock: Clock) -> Piece:
     """Returns the displayed time and its speed."""
     if clock.is_live:
-        return ("PAUSED", "bad") if clock.is_paused else ("live", "plain")
+        ago = (clock.end or 0.0) - clock.time
+        when = f"{time_text(ago)} ago" if clock.is_past else ""
+        if clock.is_paused:
+            return f"PAUSED  {when}".rstrip(), "bad"
+        return (
+            (f"NOT LIVE  {when}  x{clock.speed:g}", "quiet") if clock.is_past else ("live", "plain")
+        )
     if not clock.is_playing:
         text = time_text(clock.time)
         return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")

@@ -17,7 +17,7 @@ from ..receive.source import Packets
 SPAN = 8.0  # duration of the plots, s
 _GAP = 0.25  # minimum duration of a visible gap, s
 _BIN = 0.002  # duration for which the least and the greatest value are kept, s
-_BINS = round(SPAN / _BIN) + 1
+_SHOWN = round(SPAN / _BIN) + 1  # bins of the plots
 _MEASURED, _COMMANDED, _ERROR = range(3)
 _ROWS = {"torques": _MEASURED, "commanded_torques": _COMMANDED}
 
@@ -32,16 +32,22 @@ class TorqueHistory:
     Args:
         world: the compiled scene.
         routes: those whose packets are added by `add_packets`.
+        kept: s that are kept.
+
+    Attributes:
+        until: the time, s, up to which torques are returned; the newest when None.
     """
 
-    def __init__(self, world: WorldView, routes: Iterable[Route] = ()) -> None:
+    def __init__(self, world: WorldView, routes: Iterable[Route] = (), kept: float = SPAN) -> None:
         joints = len(world.joints.names)
+        self.until: float | None = None
+        self._count = count = round(kept / _BIN) + 1  # of bins
         self._world = world
         self._staleness = Staleness(world)
-        self._times = np.full(_BINS, np.nan)  # of the last sample of a bin
-        self._low = np.full((_BINS, 3, joints), np.nan)
-        self._high = np.full((_BINS, 3, joints), np.nan)
-        self._last: int | None = None  # newest bin; bin i is in row i % _BINS
+        self._times = np.full(count, np.nan)  # of the last sample of a bin
+        self._low = np.full((count, 3, joints), np.nan, np.float32)
+        self._high = np.full((count, 3, joints), np.nan, np.float32)
+        self._last: int | None = None  # newest bin; bin i is in row i % count
         self._newest = 0.0  # time, s
         # By source: where the torques of a packet go.
         self._routes: dict[str, list[tuple[Route, int, slice]]] = {}
@@ -106,21 +112,21 @@ class TorqueHistory:
             self._times[:] = np.nan
             self._low[:] = self._high[:] = np.nan
         elif newest > self._last:
-            new = np.arange(max(self._last, newest - _BINS) + 1, newest + 1) % _BINS
+            new = np.arange(max(self._last, newest - self._count) + 1, newest + 1) % self._count
             self._times[new] = np.nan
             self._low[new] = self._high[new] = np.nan
         self._last = newest if self._last is None else max(newest, self._last)
         self._newest = max(float(times[-1]), self._newest)
-        kept = bins > self._last - _BINS
+        kept = bins > self._last - self._count
         bins, times, values = bins[kept], times[kept], values[kept]
         bins, begins = np.unique(bins, return_index=True)
         ends = np.append(begins[1:], len(times)) - 1
-        rows = bins % _BINS
+        rows = bins % self._count
         self._times[rows] = np.fmax(self._times[rows], times[ends])
         self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
         self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
 
-    def of(self, joint: int, points: int = 2 * _BINS) -> tuple[Array, Array]:
+    def of(self, joint: int, points: int = 2 * _SHOWN) -> tuple[Array, Array]:
         """Returns the torques of a joint, oldest first.
 
         Args:
@@ -134,9 +140,14 @@ class TorqueHistory:
         """
         if self._last is None:
             return np.zeros(0), np.zeros((3, 0))
-        bins = np.arange(self._last - _BINS + 1, self._last + 1)
-        bins = bins[np.isfinite(self._times[bins % _BINS])]
-        rows = bins % _BINS
+        last = self._last
+        if self.until is not None:
+            last = min(last, int(np.floor(self.until / _BIN + 1e-6)))
+        bins = np.arange(max(last - _SHOWN, self._last - self._count) + 1, last + 1)
+        bins = bins[np.isfinite(self._times[bins % self._count])]
+        if not len(bins):
+            return np.zeros(0), np.zeros((3, 0))
+        rows = bins % self._count
         times = self._times[rows]
         low, high = self._low[rows, :, joint], self._high[rows, :, joint]
         if 2 * len(bins) > points:

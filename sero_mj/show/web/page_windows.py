@@ -124,10 +124,9 @@ class PageWindows(plugin.ViewerPlugin):
         clock = self._host.clock
         if imgui.MenuItem("Pause", "Space", clock.is_paused):
             clock.pause()
-        # What is live goes neither back nor at another speed.
         for key, (name, label) in _CLOCK_MENU.items():
             is_for_all = name in ("step", "reset")
-            if (is_for_all or not clock.is_live) and imgui.MenuItem(label, key, False):
+            if (is_for_all or clock.can_go_back) and imgui.MenuItem(label, key, False):
                 self._host.perform(name)
 
     def _handle(self) -> None:
@@ -214,7 +213,7 @@ class PageWindows(plugin.ViewerPlugin):
     def _time(self, size: imgui.Vec2) -> None:
         """Builds the time line, if there is one; Studio's tool bar has the other controls."""
         clock = self._host.clock
-        if clock.is_live or not self._host.mirror.sources:
+        if not (clock.can_go_back and self._host.mirror.sources):
             return
         height = imgui.GetFrameHeight() + 2 * 8.0
         begin, end = (docked + _MARGIN for docked in self._studio.docked)
@@ -239,7 +238,10 @@ class PageWindows(plugin.ViewerPlugin):
             imgui.SameLine()
             imgui.SetNextItemWidth(-1.0)
             text = f"{time_text(clock.time)} / {time_text(clock.end)}"
-            moved, wanted = imgui.SliderFloat("##time", clock.time, 0.0, clock.end, text)
+            if clock.is_live:
+                ago = f"{time_text(clock.end - clock.time)} ago"
+                text = f"{ago}; End is live" if clock.is_past else "live"
+            moved, wanted = imgui.SliderFloat("##time", clock.time, clock.begin, clock.end, text)
             if moved:
                 clock.seek(wanted)
         imgui.End()

@@ -27,6 +27,7 @@ _NAMED = {
     "?": imgui.Key.Slash,
     "backspace": imgui.Key.Backspace,
     "home": imgui.Key.Home,
+    "end": imgui.Key.End,
     "left": imgui.Key.LeftArrow,
     "right": imgui.Key.RightArrow,
     "f1": imgui.Key.F1,
@@ -220,10 +221,10 @@ class TimeControl(plugin.SimPlugin):
         passed, self._last = now - self._last, now
         clock = self._clock
         with self.handle.send_if_changes(self.snapshot):
-            if self._is_scrubbed and clock.is_live and not clock.is_paused:
-                self._is_scrubbed = False
-                clock.reset()  # the current state, not the one that the history has written
-            if self._is_scrubbed and not clock.is_live:
+            if self._is_scrubbed and clock.can_go_back:
                 self._is_scrubbed = False
                 clock.seek(event.data.time)
+            elif self._is_scrubbed and not clock.is_paused:
+                self._is_scrubbed = False
+                clock.reset()  # the current state, not the one that the history has written
             clock.advance(0.0 if self.is_held else passed)

@@ -27,6 +27,7 @@ _NAMED_KEYS = {
     glfw.KEY_LEFT: "left",
     glfw.KEY_RIGHT: "right",
     glfw.KEY_HOME: "home",
+    glfw.KEY_END: "end",
     glfw.KEY_ESCAPE: "escape",
     glfw.KEY_TAB: "tab",
     glfw.KEY_F1: "f1",

@@ -293,7 +293,8 @@ class Window(LiveHost):
             return True
         for event in self.gl.events():
             self._take(event, height)
-        self.clock.on_moment = self._sample if self.has_plot else None
+        if not self.clock.is_live:
+            self.clock.on_moment = self._sample if self.has_plot else None
         self._advance(lambda: self.clock.advance(passed))
         self.navigator.advance(self.data)
         message = self.camera.next_message()
@@ -318,8 +319,8 @@ class Window(LiveHost):
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         pieces[1:1] = self.decor.pieces
-        end = float(self.clock.end or 0.0)
-        self._line = hud.time_line(width, end) if self._has_line else None
+        ends = self.clock.begin, float(self.clock.end or 0.0)
+        self._line = hud.time_line(width, *ends) if self._has_line else None
         drawn = time.monotonic()
         self.work = drawn - begin
         view = self.decor.view
@@ -361,7 +362,7 @@ class Window(LiveHost):
         if self.camera.is_filming:
             hud.filming(f"filming {time_text(self.camera.seconds)}", picture.width, height)
         if self._line is not None:
-            hud.draw_time_line(self._line, self.clock.time, width)
+            hud.draw_time_line(self._line, self.clock.time, width, self.moments.ticks())
         if self.shows_status:
             hud.status(pieces, _HINT, width)
         if self.notice.is_shown:

@@ -20,6 +20,8 @@ BAD: Rgba = (0.45, 0.07, 0.06, 0.95)
 _TRACK: Rgba = (0.22, 0.26, 0.31, 1.0)
 _DONE: Rgba = (0.26, 0.56, 0.82, 1.0)
 _HANDLE: Rgba = (0.93, 0.95, 0.97, 1.0)
+_MARK: Rgba = (1.0, 0.72, 0.30, 1.0)
+_FAULT: Rgba = (0.92, 0.32, 0.26, 1.0)
 _RED: Rgba = (0.92, 0.22, 0.18, 1.0)
 TITLE: Rgb = (1.0, 0.72, 0.30)
 DIM = (0.60, 0.65, 0.71)
@@ -76,6 +78,7 @@ class TimeLine:
         width: of the whole bar.
         height: of the bar.
         end: the time at its right end, s.
+        begin: the time at its left end, s.
     """
 
     left: float
@@ -83,6 +86,7 @@ class TimeLine:
     width: float
     height: float
     end: float
+    begin: float = 0.0
 
     def hits(self, x: float, y: float) -> bool:
         """Whether a press at a pixel is on the bar, with a margin of its height."""
@@ -92,11 +96,12 @@ class TimeLine:
     def time_at(self, x: float) -> float:
         """Returns the time at a pixel, s, limited to the ends."""
         share = (x - self.left) / max(self.width, 1.0)
-        return min(max(share, 0.0), 1.0) * self.end
+        return self.begin + min(max(share, 0.0), 1.0) * (self.end - self.begin)
 
     def x_of(self, time: float) -> float:
         """Returns the pixel of a time, s."""
-        share = min(max(time / self.end, 0.0), 1.0) if self.end > 0 else 0.0
+        span = self.end - self.begin
+        share = min(max((time - self.begin) / span, 0.0), 1.0) if span > 0 else 0.0
         return self.left + share * self.width
 
 
@@ -167,18 +172,31 @@ class Hud:
             lines.append(Text(right, base, hint, DIM))
         self.panel((0, 0, width, self.bar_height), lines, BAR, is_round=False)
 
-    def time_line(self, width: int, end: float) -> TimeLine:
-        """Returns the geometry of the time line in a window of that width; `end` in s."""
+    def time_line(self, width: int, begin: float, end: float) -> TimeLine:
+        """Returns the geometry of the time line in a window of that width; its ends in s."""
         h = self.font.height
-        return TimeLine(h, self.bar_height + 0.5 * h, width - 2 * h, round(0.3 * h), end)
+        return TimeLine(h, self.bar_height + 0.5 * h, width - 2 * h, round(0.3 * h), end, begin)
 
-    def draw_time_line(self, line: TimeLine, time: float, width: int) -> None:
-        """Draws the time line and its handle at a time, s, in a window of that width."""
+    def draw_time_line(
+        self, line: TimeLine, time: float, width: int, ticks: Sequence[tuple[float, bool]] = ()
+    ) -> None:
+        """Draws the time line and its handle.
+
+        Args:
+            line: where it is.
+            time: of the handle, s.
+            width: of the window, pixels.
+            ticks: times, s, that are marked, and whether the user did; else they are faults.
+        """
         self.box(0, self.bar_height, width, self.line_height, BAR)
         x = line.x_of(time)
         self.box(line.left, line.bottom, line.width, line.height, _TRACK)
         self.box(line.left, line.bottom, x - line.left, line.height, _DONE)
-        half = 0.8 * line.height
+        half, wide = 0.8 * line.height, max(0.35 * line.height, 2.0)
+        for when, is_mark in ticks:
+            at = line.x_of(when) - wide / 2
+            self.box(at, line.bottom - half, wide, line.height + 2 * half,
+                     _MARK if is_mark else _FAULT)  # fmt: skip
         self.box(x - half, line.bottom - half, 2 * half, line.height + 2 * half, _HANDLE)
 
     def message(self, text: str, rect: mujoco.MjrRect, *, is_bad: bool = False) -> None:

@@ -1,0 +1,155 @@
+"""`Moments`: what happened when: moments that the user marked, faults that were found."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..decor.quantities import joint_values
+from ..drive.mirror import LiveWorld
+from ..errors import SeroError
+from ..frames import Array, Bools
+from ..receive.source import QUIET_AFTER
+from ..runs.monitor import Monitor
+from ..runs.run_recording import read_run
+from .clock import Clock, time_text
+from .torque_history import joint_name
+
+_MOST = 1000  # of each kind
+_APART = 0.5  # s between two of the same kind at a joint, below which they are one
+_SAME = 1e-3  # s
+_AGE = 2  # of `SOURCE_FIELDS`: the column of the last packet's age, s
+
+
+class Moment(NamedTuple):
+    """Something that happened.
+
+    Attributes:
+        time: on the clock, s.
+        text: what.
+        is_mark: whether the user marked it; else it was found.
+    """
+
+    time: float
+    text: str
+    is_mark: bool
+
+
+class Moments:
+    """Marks of the user, and faults: of simulations and recordings what a monitor finds in them.
+
+    What is live is watched as it comes: joints beyond their limits of torque or angle, torque
+    errors above the monitor's share of the limit, sources that fall silent.
+
+    Args:
+        mirror: what is shown.
+        clock: of it.
+    """
+
+    def __init__(self, mirror: LiveWorld, clock: Clock) -> None:
+        self._mirror, self._clock = mirror, clock
+        self._marks: list[float] = []
+        self._watched: deque[Moment] = deque(maxlen=_MOST)
+        self._of_recordings: list[Moment] | None = None
+        world = mirror.world
+        joints = world.joints
+        self._names = [joint_name(world, i) for i in range(len(joints.names))]
+        self._share = Monitor().torque_error
+        self._low, self._high = np.full((2, len(joints.names)), np.nan)
+        for owner in world.owners.values():
+            limits = owner.robot.position_limits
+            if limits is not None:
+                self._low[owner.joints], self._high[owner.joints] = limits.T
+        self._was: Bools = np.zeros((3, len(joints.names)), bool)
+        self._last: Array = np.full((3, len(joints.names)), -np.inf)  # when each was found, s
+        self._silent: set[str] = set()
+
+    def mark(self) -> str:
+        """Marks what is shown; returns what to tell the user."""
+        self._marks.append(self._clock.time)
+        return f"marked {time_text(self._clock.time)}: e and w go from mark to mark"
+
+    def watch(self) -> None:
+        """Looks for faults in the live state that the data has now."""
+        world, data = self._mirror.world, self._mirror.data
+        for name in self._mirror.sources:
+            last = data.userdata[world.slots[f"sources.{name}"]][_AGE]
+            if last > QUIET_AFTER and name not in self._silent:
+                self._silent.add(name)
+                self._found(f"{name} is silent", data.time - last)
+            elif 0 <= last <= QUIET_AFTER:
+                self._silent.discard(name)
+        values, limit = joint_values(world, data), world.joints.torque_limit
+        torque, error, angle = (values[k] for k in ("torques", "torque_error", "joint_angles"))
+        with np.errstate(invalid="ignore"):
+            bad = np.array([np.abs(torque) > limit, np.abs(error) > self._share * limit,
+                            (angle < self._low) | (angle > self._high)])  # fmt: skip
+        new = bad & ~self._was & (data.time > self._last + _APART)
+        self._was = bad
+        self._last[bad] = data.time
+        if not new.any():
+            return
+        kinds = ("torque {} Nm, above its limit", "torque error {} Nm",
+                 "angle {} beyond its limit")  # fmt: skip
+        for kind, joint in np.argwhere(new):
+            value = (torque, error, angle)[kind][joint]
+            self._found(f"{self._names[joint]}: {kinds[kind].format(f'{value:.3g}')}", data.time)
+
+    def _found(self, text: str, time: float) -> None:
+        self._watched.append(Moment(float(time), text, is_mark=False))
+
+    def all(self) -> list[Moment]:
+        """All on the time line, in their order."""
+        found = [Moment(time, "mark", is_mark=True) for time in self._marks]
+        found += self._watched
+        for source in self._mirror.sources.values():
+            findings = getattr(getattr(source, "run", None), "findings", None)
+            found += [] if findings is None else map(_moment_of, findings())
+        found += self._of_recordings or ()
+        return sorted(moment for moment in found if moment.time >= self._clock.begin)
+
+    def ticks(self) -> list[tuple[float, bool]]:
+        """Times, s, of what is known without a search, and whether each is a mark."""
+        found = [(time, True) for time in self._marks]
+        found += [(moment.time, False) for moment in (*self._watched, *(self._of_recordings or ()))]
+        return [each for each in found if each[0] >= self._clock.begin]
+
+    def go(self, places: int) -> str:
+        """Goes to the next moment, or with -1 to the one before; returns what to tell the user."""
+        clock = self._clock
+        if self._of_recordings is None:
+            self._of_recordings = self._search()
+        there = [moment for moment in self.all()
+                 if (moment.time - clock.time) * places > _SAME]  # fmt: skip
+        if not clock.can_go_back or not there:
+            return "nothing was found or marked " + ("after this" if places > 0 else "before this")
+        moment = there[0] if places > 0 else there[-1]
+        clock.is_paused = True
+        clock.seek(moment.time)
+        return f"{time_text(moment.time)}: {moment.text}"
+
+    def _search(self) -> list[Moment]:
+        """What a monitor finds in the recordings that are played; nothing in what is no run."""
+        found: list[Moment] = []
+        for source in self._mirror.sources.values():
+            file: Any = getattr(source, "file", None)
+            if not isinstance(file, Path) or source.end is None:
+                continue
+            try:
+                log = read_run(file, scene=self._mirror.world.scene)
+            except SeroError:
+                continue
+            start = float(getattr(source, "start", None) or 0.0)
+            speed = float(getattr(source, "speed", 1.0))
+            for finding in Monitor().find(log)[:_MOST]:
+                moment = _moment_of(finding)
+                found.append(moment._replace(time=(moment.time - start) / speed))
+        return found
+
+
+def _moment_of(finding: Any) -> Moment:
+    text = str(finding).partition("  ")[2].replace("  ", " ")
+    return Moment(finding.time, text, is_mark=False)
