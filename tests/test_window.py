@@ -302,6 +302,40 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
         sender.wait()
 
 
+def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
+    display: str, tmp_path: Path
+) -> None:
+    scene = tmp_path / "live.toml"
+    text = (ROOT / "scenes" / "lwr_udp.toml").read_text().replace("32000", "32756")
+    scene.write_text(text)
+    sender = subprocess.Popen(
+        [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32756"],
+        stdout=subprocess.DEVNULL,
+        cwd=ROOT,
+    )
+    try:
+        with Driven(display, tmp_path, str(scene)) as window:
+            window.until("w.clock.end and w.clock.end > 2.5")
+            window.key("m")
+            left, bottom, width, tall = window.until(
+                "[w._line.left, w._line.bottom, w._line.width, w.gl.size[1]]"
+            )
+            window.click(left + 0.3 * width, tall - bottom - 2)
+            assert window.ask("w.clock.is_past")
+            ago = window.ask("w.clock.end - w.clock.time")
+            assert ago > 1.5
+            assert window.ask("abs(w.data.time - w.clock.time)") < 0.3  # frames are slow here
+            window.until(f"w.clock.end > {window.ask('w.clock.end') + 0.5}")  # it goes on
+            window.key("e")
+            assert window.until("'mark' in w.notice.text and w.clock.is_paused")
+            window.key("End")
+            assert window.ask("[w.clock.is_past, w.clock.is_paused]") == [False, False]
+            window.until("w.data.time == w.clock.end")
+    finally:
+        sender.kill()
+        sender.wait()
+
+
 def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
