@@ -103,7 +103,9 @@ class Clock:
         """Brings a live mirror up to date, and shows it or what has passed."""
         history = self._history
         if history is None:
-            return not self.is_paused and (self._mirror.advance() or True)
+            if not self.is_paused:
+                self._mirror.advance()
+            return not self.is_paused
         if self.is_past:
             history.put_back()
         elif self.is_paused and self.end:
@@ -214,10 +216,12 @@ class Clock:
     def reset(self) -> str:
         """Goes back to the start; returns what to tell the user."""
         if self.is_live:
+            is_paused = self.is_paused
             self.go_live()
             self._mirror.reset()
             # At once, also where it stands still: the declared pose never came from the robot.
-            self._mirror.advance()
+            self._follow(0.0)
+            self.is_paused = is_paused
             return "reset to the declared pose, then the latest packets"
         self.seek(0.0)
         return "back to the start"
