@@ -16,7 +16,7 @@ from polling import until
 
 from sero_mj import Scene, SerialRobot, UdpReceiver
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import record_events, record_sources
+from sero_mj.drive.record_sources import record_events, record_last, record_sources
 from sero_mj.drive.trigger import Trigger
 from sero_mj.drive.wiring import wire
 from sero_mj.errors import RouteError
@@ -376,3 +376,29 @@ def test_wrong_options_are_told(
     status, _, err = run(["record", "lwr_udp", *options], capsys)
     assert status == 2 and message in err
     assert record_events is not None
+
+
+def test_what_came_last_is_recorded_when_asked_for_also_when_nothing_comes_any_more(
+    tmp_path: Path,
+) -> None:
+    of = scene()
+    source = UdpReceiver(structure=LAYOUT.text)
+    paths = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
+    with source, socket.socket(type=socket.SOCK_DGRAM) as sender, record_last(
+        {"udp": source}, lambda number, _: paths[number - 1], of, 30.0
+    ) as recorder:  # fmt: skip
+        for count, path in zip((20, 30), paths, strict=True):
+            for k in range(count):
+                rows = {name: values[k : k + 1] for name, values in EVENTS.items()}
+                packet = LAYOUT.encode({name: values[0] for name, values in rows.items()})
+                sender.sendto(packet, ("127.0.0.1", source.port))
+                assert until(lambda: source.counters.received > 0)
+            seen = 20 if path == paths[0] else 50
+            assert until(lambda seen=seen: recorder.statistics.packets == seen)
+            recorder.record_now("kept by hand")
+            assert until(lambda: not recorder.statistics.is_recording and recorder.events)
+            assert until(lambda path=path: recorder.events[-1].path == path)
+    for path, count in zip(paths, (20, 50), strict=True):
+        with Recording(path) as recording:
+            assert recording.about["event"] == "kept by hand"
+            assert len([*recording.packets("udp")]) == count

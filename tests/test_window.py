@@ -15,6 +15,7 @@ from PIL import Image
 from window_tools import MISSING, ROOT, SIZE, Driven, screen
 
 from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.runs.run_recording import read_run
 
 pytestmark = [
     pytest.mark.gl,
@@ -328,6 +329,15 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             window.until(f"w.clock.end > {window.ask('w.clock.end') + 0.5}")  # it goes on
             window.key("e")
             assert window.until("'mark' in w.notice.text and w.clock.is_paused")
+            window.key("k")
+            window.until("any(not film[0].poll() for film in w.keeping._films)")
+            film = window.ask("w.keeping._films[0][0].args")
+            window.ask("w.keeping._films[0][0].kill()")  # it takes its time without a GPU
+            window.until("w.notice.text.startswith('no film live_') and w.notice.is_bad")
+            kept = tmp_path / next(each for each in film if each.endswith(".mcap"))
+            run = read_run(kept)
+            assert run.times[-1] > 2.5 and len(run.times) > 100
+            assert film[3:6] == ["render", str(scene), "--replay"]
             window.key("End")
             assert window.ask("[w.clock.is_past, w.clock.is_paused]") == [False, False]
             window.until("w.data.time == w.clock.end")

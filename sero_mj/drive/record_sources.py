@@ -123,6 +123,45 @@ def record_events(
                 source.record_to(None)
 
 
+@contextmanager
+def record_last(
+    sources: Mapping[str, Source],
+    path_of: Callable[[int, float], Path],
+    scene: Scene,
+    seconds: float,
+    signals_rate: float = SIGNALS_RATE,
+) -> Iterator[TriggeredRecorder]:
+    """Keeps what came in the last seconds; `record_now` writes it.
+
+    Args:
+        sources: by name; opened or not.
+        path_of: see `TriggeredRecorder`.
+        scene: whose files are kept in every recording.
+        seconds: how much is kept.
+        signals_rate: see `TriggeredRecorder`.
+
+    Raises:
+        RecordingError: a file cannot be written; at the end, too.
+    """
+
+    def nothing(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
+        return np.zeros(len(rows), bool), str
+
+    about = {"sero-mj": __version__, "scene": scene.name}
+    with TriggeredRecorder(
+        path_of, nothing, about=about, before=seconds, after=0.0, signals_rate=signals_rate
+    ) as recorder:
+        routes = wire(scene).routes
+        try:
+            _attach_files(recorder, scene)
+            for name, source in sources.items():
+                _add(recorder, name, source, scene, routes)
+            yield recorder
+        finally:
+            for source in sources.values():
+                source.record_to(None)
+
+
 def _attach_files(recorder: Recorder | TriggeredRecorder, scene: Scene) -> None:
     for file in scene.files():
         name = f"{file.parent.name}/{file.name}"

@@ -232,10 +232,12 @@ class TriggeredRecorder:
         self._until = self._last = math.nan
         self._count = 0  # packets of the recording that goes on
         self._packets = 0
+        self._last_seen = math.nan  # arrival of the last packet
         self._held: dict[str, bool] = {}  # whether the last packet of a source fulfilled it
         self._not_seen: dict[str, int] = {}
         self._queue: deque[_Batch] = deque()
         self._queued = 0
+        self._asked: list[str] = []  # what is to be recorded whatever the condition
         self._closing = False
         self._changed = threading.Condition()
         self._started = time.monotonic()
@@ -267,6 +269,16 @@ class TriggeredRecorder:
             self._queued += batch.size
             self._changed.notify_all()
         return True
+
+    def record_now(self, what: str) -> None:
+        """Records this moment as an event, whatever the condition; returns at once.
+
+        Args:
+            what: it is, for the recording.
+        """
+        with self._changed:
+            self._asked.append(what)
+            self._changed.notify_all()
 
     @property
     def statistics(self) -> TriggerStatistics:
@@ -315,6 +327,10 @@ class TriggeredRecorder:
                     self._queued -= sum(batch.size for batch in batches)
                     self._packets += sum(len(batch.rows) for batch in batches)
                     self._changed.notify_all()
+                    asked, self._asked = self._asked, []
+                for what in asked:
+                    self._end()
+                    self._begin(self._last_seen if self._now is None else self._now(), what)
                 self._end_if_over()
             self._end()
         except Exception as error:  # whatever it is: close() raises it where it is seen
@@ -330,13 +346,13 @@ class TriggeredRecorder:
     def _next(self) -> list[_Batch] | None:
         """What has come, soon after the first packet of it; None when all is seen and it closes."""
         with self._changed:
-            if not self._queue and not self._closing:
+            if not (self._queue or self._asked or self._closing):
                 self._changed.wait(_POLL if self._writer is not None else None)
             if not self._closing:
                 self._changed.wait_for(lambda: self._closing, _GATHER)
             found = [*self._queue]
             self._queue.clear()
-            if not found and self._closing:
+            if not (found or self._asked) and self._closing:
                 return None
         return _joined(found)
 
@@ -355,7 +371,7 @@ class TriggeredRecorder:
                 # Up to what fulfils it; that itself is the first packet of what follows.
                 self._keep(batch.part(slice(row, int(rest[0]))))
                 row = int(rest[0])
-                self._begin(batch, row, describe(row))
+                self._begin(float(batch.arrivals[row]), describe(row))
             # As far as the recording reaches, which every hit within it prolongs.
             end = row
             for hit in [*rest.tolist(), len(batch.rows)]:
@@ -372,10 +388,11 @@ class TriggeredRecorder:
                 self._end()
 
     def _keep(self, batch: _Batch) -> None:
+        if len(batch.rows):
+            self._last_seen = float(batch.arrivals[-1])
         self._ring.add(batch.name, batch.rows, batch.lengths, batch.arrivals)
 
-    def _begin(self, batch: _Batch, row: int, what: str) -> None:
-        arrival = float(batch.arrivals[row])
+    def _begin(self, arrival: float, what: str) -> None:
         earlier = self._ring.since(arrival - self._before - _SAME)
         began = min([arrival, *(each[0] for each in earlier[:1])])
         number = len(self.events) + 1

@@ -270,7 +270,7 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "f": ("follow", "follow the item under the pointer"),
     "p": ("plot", "torques of the selected joint"),
     "]": ("next_joint", "select the next joint, [ the previous"),
-    "k": ("keep", "keep what was pushed: run, and scenario that repeats it"),
+    "k": ("keep", "keep the last minute of what is live, or what was pushed"),
     "t": ("status_line", "status line on or off"),
     "tab": ("panel", "panel with switches and sizes on or off"),
     "f2": ("screenshot", "screenshot of the scene"),

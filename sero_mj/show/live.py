@@ -21,6 +21,7 @@ from .headless.film import Pixels
 from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
 from .jogging import Jogging
+from .keeping import Keeping
 from .moments import Moments
 from .panels.jog_panel import JogPanel
 from .panels.robot_panel import RobotPanel
@@ -77,6 +78,7 @@ class LiveHost(ABC):
         clock: pause, speed and time line.
         history: the torques of the last seconds.
         moments: what was marked and found, on the time line.
+        keeping: keeps what live sources sent in the last minute.
         pulling: pulls links of simulated robots by the pointer.
         jogging: moves robots by hand that nothing else moves.
         folder: where what the user keeps goes; the current one when None.
@@ -106,6 +108,7 @@ class LiveHost(ABC):
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
         self.moments = Moments(mirror, clock)
+        self.keeping = Keeping(mirror)
         self.pulling = Pulling(mirror, clock, self.toggles)
         self.jogging = Jogging(mirror, self.toggles)
         self._drag: Jogging | Pulling | None = None  # what the drag that goes on moves
@@ -140,7 +143,7 @@ class LiveHost(ABC):
             "follow": self._follow_under_pointer,
             "plot": self.toggle_plot,
             "status_line": self.toggle_status,
-            "keep": self._keep_pushes,
+            "keep": self._keep,
         }
 
     @property
@@ -241,6 +244,9 @@ class LiveHost(ABC):
             self.say(str(error), is_bad=True)
         if not (self.clock.is_live or self.clock.is_paused):
             self._sample()
+        message = self.keeping.next_message()
+        if message is not None:
+            self.say(message[0], is_bad=message[1])
         self.history.until = self.clock.time if self.clock.is_past else None
 
     def _hear(self, source: str, packets: Packets) -> None:
@@ -357,9 +363,10 @@ class LiveHost(ABC):
             self._drag.end()
         self._drag, self._trouble, self._is_refused = None, "", False
 
-    def _keep_pushes(self) -> str:
+    def _keep(self) -> str:
+        folder = self.folder or Path()
         try:
-            return self.pulling.keep(self.folder or Path())
+            return self.keeping.keep(folder) if self.keeping.is_on else self.pulling.keep(folder)
         except SeroError as error:
             self.say(str(error), is_bad=True)
             return ""

@@ -229,6 +229,7 @@ class WebHost(LiveHost):
         if self._is_closed:
             return
         self._is_closed, WebHost._is_any_open = True, False
+        self.keeping.close()
         with contextlib.suppress(RuntimeError):  # already closed from the page
             self._handle.close()
         with suppress_output():

@@ -514,6 +514,7 @@ class Window(LiveHost):
 
     def close(self) -> None:
         """Closes the window after pictures and films are written."""
+        self.keeping.close()
         self.camera.close()
         if self._panel is not None:
             self._panel.close()
