@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,17 +20,23 @@ from ._arguments import (
     print_json,
     print_table,
     read_scene,
+    until_ended,
 )
 
 if TYPE_CHECKING:
     from ..show.calibration import Calibration, ClickedPoint
+    from ..show.photo_camera import PhotoCamera
 
 _EPILOG = """\
 examples:
-  sero-mj calibrate photo.png --robot lwr --names
+  sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 -o cell.toml
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 \\
       --points points.csv --camera-file intrinsics.yaml -o cell.toml
   sero-mj render lwr_udp -o now.png --over photo.png --camera-file cell.toml
+
+Without --points a window shows the photo beside a list of points and a sketch of the robot: click
+where the photo shows the one that is marked; from the fourth on it says how far off each is, and
+Enter writes the camera, and the points beside it.
 
 points.csv says which pixel (counted from 0 at the upper left) shows which point of the robot, a
 frame or a joint (the middle of its axis), perhaps with an offset in m along the frame's axes:
@@ -71,9 +78,18 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Finds the camera; returns 0."""
+    from ..show.headless.backend import has_display
+
+    if options.points is None and not options.names:
+        if not has_display():
+            raise UsageError(
+                "no display for a window in which points are clicked; --points POINTS.csv says "
+                "which pixel shows which point of the robot"
+            )
+        os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo takes its OpenGL from the window here
     from ..assemble.world import World
     from ..drive.place import Placer
-    from ..show.calibration import calibrate, point_names, point_of, read_points
+    from ..show.calibration import calibrate, point_names, point_of, read_points, write_points
     from ..show.camera_file import ENDINGS, read_intrinsics, write_camera
     from ..show.footage import read_photo
     from ..show.photo_camera import PhotoCamera
@@ -96,8 +112,6 @@ def run(options: argparse.Namespace) -> int:
     if options.names:
         print("\n".join(point_names(world)))
         return 0
-    if options.points is None:
-        raise UsageError("which pixel shows which point of the robot? expected --points POINTS.csv")
     pixels = read_photo(options.photo)
     size = (pixels.shape[1], pixels.shape[0])
     if options.camera_file is not None:
@@ -106,9 +120,12 @@ def run(options: argparse.Namespace) -> int:
         centre = [(size[0] - 1) / 2, (size[1] - 1) / 2]
         matrix = np.array([[1.0, 0, centre[0]], [0, 1.0, centre[1]], [0, 0, 1]])
         lens = PhotoCamera(*size, matrix, np.eye(4))
-    clicked = read_points(options.points, world, size)
     data = world.make_data()
     Placer(world).place(data)
+    if options.points is not None:
+        clicked = read_points(options.points, world, size)
+    else:
+        clicked = _click(options, world, data, pixels, lens)
     points = np.array([point_of(world, data, p.name, p.offset) for p in clicked]).reshape(-1, 3)
     found = calibrate(
         [point.name for point in clicked],
@@ -123,8 +140,36 @@ def run(options: argparse.Namespace) -> int:
             f"{options.photo.name}, which are {found.rms:.2f} pixels off (root mean square)."
         )
         write_camera(options.output, found.camera, note)
+        if options.points is None:
+            write_points(_points_beside(options.output), clicked)
     _report(options, clicked, found)
     return 0
+
+
+def _points_beside(output: Path) -> Path:
+    """The file of clicked points beside a camera file."""
+    return output.with_name(f"{output.stem}_points.csv")
+
+
+def _click(
+    options: argparse.Namespace, world: Any, data: Any, pixels: Any, lens: PhotoCamera
+) -> list[ClickedPoint]:
+    """Lets the user click points in a window."""
+    from ..show.calibration import ClickedPoint, point_of, points_apart
+    from ..show.point_board import PointBoard
+    from ..show.window.point_window import PointWindow
+
+    names = points_apart(world, data)
+    points = np.array([point_of(world, data, name, np.zeros(3)) for name in names])
+    board = PointBoard(pixels, names, points, lens, find_focal=options.camera_file is None)
+    title = f"{options.photo.name} - sero-mj calibrate"
+    with until_ended(), PointWindow(world, data, points, board, title) as window:
+        is_done = window.run()
+    if not is_done:
+        raise UsageError("nothing is written: the window was closed without Enter")
+    return [
+        ClickedPoint(names[k], pixel, np.zeros(3)) for k, pixel in sorted(board.clicked.items())
+    ]
 
 
 def _report(options: argparse.Namespace, clicked: list[ClickedPoint], found: Calibration) -> None:
@@ -156,6 +201,8 @@ def _report(options: argparse.Namespace, clicked: list[ClickedPoint], found: Cal
         )
     if options.output is not None:
         print(options.output)
+        if options.points is None:
+            print(_points_beside(options.output))
 
 
 def _plain(clicked: list[ClickedPoint], found: Calibration) -> dict[str, Any]:

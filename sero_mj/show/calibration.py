@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,8 @@ _AMBIGUOUS = 1.5  # times the least error; two cameras whose errors are nearer b
 _FEW_PIXELS = 3.0  # what a careful click is off at most
 _MOST_SUBSETS = 1000
 _FOCAL = (0.3, 6.0)  # of the picture's larger side
+_SAME_POINT = 2e-3  # m
+_LINK = re.compile(r"link\d+")
 _COLUMNS = ("point", "x", "y")
 _OFFSETS = ("dx", "dy", "dz")
 
@@ -87,6 +90,50 @@ def _joints(world: WorldView) -> dict[str, int]:
             joints = range(part.joints.start, part.joints.stop)
             found |= {f"{name}/{world.joints.names[k]}": k for k in joints}
     return found
+
+
+def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
+    """Names of points to click, robot by robot from its base to its flange.
+
+    Frames of links that are where a joint is are left out.
+
+    Args:
+        world: the compiled scene.
+        data: its state, with frames up to date.
+    """
+    ends = [name for name in world.frames.names if not _LINK.fullmatch(name.rpartition("/")[2])]
+    found: dict[str, Array] = {}
+    for name in [*ends, *_joints(world), *world.frames.names]:
+        point = point_of(world, data, name, np.zeros(3))
+        if all(np.linalg.norm(point - other) > _SAME_POINT for other in found.values()):
+            found[name] = point
+    joints, robots = _joints(world), list(world.owners)
+
+    def along(name: str) -> tuple[int, int]:
+        robot, _, point = name.partition("/")
+        return (
+            robots.index(robot) if robot in robots else len(robots),
+            1 if name in joints else 0 if point == "base" else 2,
+        )
+
+    return sorted(found, key=along)
+
+
+def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
+    """Writes points as a table that `read_points` reads.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    rows = [
+        f"{point.name},{point.pixel[0]:.2f},{point.pixel[1]:.2f},"
+        + ",".join(map(str, point.offset))
+        for point in points
+    ]
+    try:
+        path.write_text("\n".join([",".join((*_COLUMNS, *_OFFSETS)), *rows, ""]), "utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from error
 
 
 def full_name(world: WorldView, name: str) -> str:

@@ -220,7 +220,8 @@ def _background(size: tuple[int, int], rgba: Rgba, radius: float) -> Bytes:
 def _blend(out: Bytes, coverage: Bytes, left: int, top: int, rgb: Rgb) -> None:
     """Lays letters over a panel, in place; what is outside of it is cut off."""
     x, y = max(left, 0), max(top, 0)
-    letters = coverage[y - top :, x - left :][: out.shape[0] - y, : out.shape[1] - x]
+    letters = coverage[y - top :, x - left :]
+    letters = letters[: max(out.shape[0] - y, 0), : max(out.shape[1] - x, 0)]
     below = out[y : y + letters.shape[0], x : x + letters.shape[1]]
     cover = letters[..., None].astype(np.uint16)
     ink = np.array([*rgb, 1.0]) * 255
