@@ -251,6 +251,8 @@ def files(tmp_path: Path) -> Path:
          "pictures of that size (a part or another size of them has other intrinsics)"),
         ("-o o.mp4 --over p.png --camera-file c.toml",
          "-o o.mp4: a photo gives a picture, .png say; found a film"),
+        ("-o o.mp4 --over v.mp4 --camera-file c.toml --offset 3",
+         "--offset is for recordings and scenarios; the scene has no sources"),
         ("-o o.mp4 --over none.mp4 --camera-file c.toml", "none.mp4: is no video that can be read"),
         ("-o o.mp4 --over c.toml --camera-file c.toml", "c.toml: is no video that can be read"),
     ],

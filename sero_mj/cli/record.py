@@ -208,7 +208,12 @@ def _record_events(options: argparse.Namespace) -> int:
     many = f"{found.events} events" if found.events != 1 else "1 event"
     missed = sum(found.not_seen.values())
     print(
-        f"{many} in {found.packets} packets, of which {kept} were recorded"
+        f"{many} in {found.packets} packets"
+        + (
+            f"; {'their recordings have' if found.events > 1 else 'its recording has'} {kept}"
+            if found.events
+            else ""
+        )
         + (f"; {missed} packets came too fast to be looked at" if missed else "")
         + (f"; there was no room for {found.forgotten} before events" if found.forgotten else "")
     )

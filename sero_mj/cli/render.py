@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -206,6 +207,8 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
     if options.replay is not None:
         options.start = 0.0  # times are those of the recording
     scene = read_shown_scene(options)
+    if options.offset is not None and not scene.sources:
+        raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
     if options.offset in (None, "auto"):
         options.offset = _find_offset(options, scene)
     silent = film_with_progress(
@@ -224,17 +227,21 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
 
 def _find_offset(options: argparse.Namespace, scene: Scene) -> float:
     """Finds when in the recording the video begins, and says so; 0 where nothing moves it."""
+    from rich.console import Console
+
     from ..show.camera_file import read_camera
     from ..show.footage import Video
     from ..show.video_offset import find_offset
 
     if not scene.sources:
-        if options.offset is not None:
-            raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
         return 0.0
     with Video(options.over) as video:
         camera = read_camera(options.camera_file, video.size)
-    found = find_offset(scene, options.over, camera)
+    with ExitStack() as stack:
+        if not options.quiet:
+            console = Console(stderr=True)
+            stack.enter_context(console.status("comparing the motion in video and recording"))
+        found = find_offset(scene, options.over, camera)
     if not options.quiet:
         print(found)
     return found.offset

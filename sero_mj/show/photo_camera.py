@@ -31,7 +31,7 @@ COUNTS: dict[str, tuple[int, ...]] = {
 }
 Size = tuple[int, int]
 _WIDEST = float(np.tan(np.deg2rad(75.0)))  # from the axis; a plane picture of more is mostly edge
-_FINER = 1.5  # how much finer the picture without distortion is than the photo
+_FINER = 1.25  # how much finer the picture without distortion is than the photo
 _INVERTIBLE = 0.1  # pixels that a pixel may be off after there and back
 _BORDER = 64  # points along each edge
 
