@@ -47,6 +47,8 @@ def test_arrows_are_seen_in_both_colours_and_go_with_their_key(
 ) -> None:
     served.ask("w.toggles.arrows.fill(False)")
     without = page.still()
+    page.press("F2")
+    served.until("w.notice.text.startswith('screenshot saved: ')")
     page.press("a")
     served.until("w.toggles.arrows.all()")
     for colour in (orange, blue):

@@ -7,14 +7,17 @@ import socket
 import struct
 import urllib.request
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
+import av
 import mujoco
 import numpy as np
 import pytest
 from mujoco.studio import messages, sim_history, ux
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import state_payload, web_server
+from PIL import Image
 from polling import until
 from websockets.sync.client import connect
 
@@ -103,7 +106,7 @@ def test_keys_of_the_table_act_on_the_page(page: WebHost) -> None:
     assert page.notice.text == "follows nothing"
     page.press("-")
     assert page.clock.speed == 0.5
-    page.press("f2")  # a browser's own
+    page.press("f11")  # a browser's own
 
 
 def test_a_page_says_where_it_is_and_keeps_its_port(page: WebHost) -> None:
@@ -272,3 +275,27 @@ def test_a_drag_of_a_window_does_not_turn_the_view(
     monkeypatch.setattr(imgui, "IsMouseDown", lambda button: button == 0)
     viewer.prepare_next_frame()
     assert viewer.camera.azimuth == (before if is_over_window else before + 40.0)
+
+
+def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path) -> None:
+    with Mirror(load_scene("impedance_push")) as mirror, WebHost(mirror, folder=tmp_path) as page:
+        said: list[str] = []
+        page.say = lambda text, is_bad=False: said.append(text)  # type: ignore[method-assign]
+        page.frame()
+        page.press("f2")
+        page.press("f3")
+        assert said[-1].startswith("filming to ")
+        for _ in range(6):
+            page.frame()
+        page.press("f3")
+        assert said[-1] == "the film is complete"
+        assert until(lambda: page.frame() and sum("saved: " in each for each in said) == 2)
+        expected = page.picture()
+    (picture,), (film,) = tmp_path.glob("*.png"), tmp_path.glob("*.mp4")
+    assert f"screenshot saved: {picture}" in said
+    assert Image.open(picture).size == (1280, 800) == expected.shape[1::-1]
+    with av.open(str(film)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) >= 6
+    difference = np.abs(frames[0].astype(int) - np.asarray(Image.open(picture)))
+    assert difference.mean() < 3.0  # of one moment

@@ -64,8 +64,8 @@ def test_every_key_of_the_table_is_one_of_the_page() -> None:
 def test_the_help_of_the_page_is_about_the_page() -> None:
     rows = [row for column in help_columns(on_page=True) for row in column]
     assert ("t", "panel on or off") in rows
-    assert not {how for how, _ in rows} & {"F2", "F3", "F11", "Ctrl+Q"}
-    assert {"F2", "F3", "F11", "Ctrl+Q"} <= {how for column in help_columns() for how, _ in column}
+    assert not {how for how, _ in rows} & {"F11", "Ctrl+Q"}
+    assert {"F11", "Ctrl+Q"} <= {how for column in help_columns() for how, _ in column}
 
 
 def test_lines_are_as_wide_as_their_characters() -> None:
@@ -198,7 +198,7 @@ def test_an_address_of_others_is_refused(host: str) -> None:
 
 
 def options(**given: Any) -> argparse.Namespace:
-    nothing = dict.fromkeys(("port", "host", "size", "stereo"))
+    nothing = dict.fromkeys(("port", "host", "size", "stereo", "over"))
     switches = dict.fromkeys(("window", "web", "full_screen", "token"), False)
     return argparse.Namespace(**switches | nothing | given)
 

@@ -198,13 +198,13 @@ def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
 
     folder: Path = window.folder  # type: ignore[attr-defined]
     window.key("F3")
-    window.until("w.camera.seconds > 1.0")
+    window.until("w.capture.seconds > 1.0")
     window.key("F3")
     window.until("'film of' in w.notice.text and 'saved' in w.notice.text")
     (film,) = folder.glob("lwr_*.mp4")
     with av.open(str(film)) as container:
         frames = sum(1 for _ in container.decode(video=0))
-    assert frames / 30 == pytest.approx(window.ask("w.camera.seconds"), abs=0.3)
+    assert frames / 30 == pytest.approx(window.ask("w.capture.seconds"), abs=0.3)
 
 
 def test_the_window_takes_another_size(window: Driven) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from sero_mj import Mirror, Scene, SerialRobot, World
 from sero_mj.load import load_scene
+from sero_mj.show.capture import due_frames, unused_name
 from sero_mj.show.clock import SPEEDS, Clock, time_text
 from sero_mj.show.input import DOUBLE_CLICK_TIME, LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
 from sero_mj.show.interaction import (
@@ -28,7 +29,6 @@ from sero_mj.show.live import LiveHost
 from sero_mj.show.moments import Moments
 from sero_mj.show.status_line import clock_text, source_text, status_pieces
 from sero_mj.show.torque_history import TorqueHistory
-from sero_mj.show.window.capture import due_frames, unused_name
 from sero_mj.show.window.glfw_window import spread_times
 from sero_mj.show.window.host import Pace
 from sero_mj.show.window.hud import TimeLine, arrange

@@ -279,7 +279,7 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "h": ("help", "help, its next page"),
 }
 # Actions that a browser provides itself.
-OF_BROWSER = ("tab", "f2", "f3", "f11")
+OF_BROWSER = ("tab", "f11")
 # Alternative keys, which the help does not list.
 MORE_KEYS: dict[str, str] = {
     "?": "help",

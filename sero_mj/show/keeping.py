@@ -14,8 +14,8 @@ from ..drive.mirror import LiveWorld
 from ..drive.record_sources import record_last
 from ..errors import SeroError
 from ..record.triggered_recorder import RecordedEvent
+from .capture import unused_name
 from .live_history import SPAN
-from .window.capture import unused_name
 
 _SIGNALS_RATE = 100.0  # Hz of decoded values: of a minute they would take seconds at more
 

@@ -16,6 +16,7 @@ from ..errors import SeroError
 from ..frames import Array
 from ..receive.source import Packets
 from . import live_history
+from .capture import Capture
 from .clock import Clock
 from .headless.film import Pixels
 from .input import Clicked, Moved
@@ -69,6 +70,7 @@ class LiveHost(ABC):
 
     Args:
         mirror: must be open; is driven by the host's clock.
+        folder: where what the user keeps goes, and pictures and films; the current one when None.
 
     Attributes:
         mirror: the mirror.
@@ -81,7 +83,9 @@ class LiveHost(ABC):
         keeping: keeps what live sources sent in the last minute.
         pulling: pulls links of simulated robots by the pointer.
         jogging: moves robots by hand that nothing else moves.
-        folder: where what the user keeps goes; the current one when None.
+        folder: as given.
+        capture: writes screenshots and films.
+        wants_picture: whether the next frame is to be a screenshot.
         joint: the joint of the world whose torques are plotted.
         decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
@@ -95,7 +99,7 @@ class LiveHost(ABC):
 
     decor: SceneDecor
 
-    def __init__(self, mirror: LiveWorld) -> None:
+    def __init__(self, mirror: LiveWorld, folder: Path | None = None) -> None:
         world = mirror.world
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
@@ -116,7 +120,8 @@ class LiveHost(ABC):
         self._advanced = time.monotonic()
         self._robots = RobotPanel(world, self.toggles)
         self._jog_panel = JogPanel(world, self.jogging)
-        self.folder: Path | None = None
+        self.folder = folder
+        self.capture, self.wants_picture = Capture(world.scene.name, folder), False
         self._is_refused = False  # whether the drag that goes on cannot pull
         self.joint = 0
         self.notice = Message()
@@ -144,6 +149,8 @@ class LiveHost(ABC):
             "plot": self.toggle_plot,
             "status_line": self.toggle_status,
             "keep": self._keep,
+            "screenshot": self._take_screenshot,
+            "film": self._toggle_film,
         }
 
     @property
@@ -171,6 +178,11 @@ class LiveHost(ABC):
         Returns:
             whether it is still open.
         """
+
+    @property
+    @abstractmethod
+    def picture_size(self) -> tuple[int, int]:
+        """Width and height of screenshots and films, pixels."""
 
     @abstractmethod
     def picture(self) -> Pixels:
@@ -244,7 +256,7 @@ class LiveHost(ABC):
             self.say(str(error), is_bad=True)
         if not (self.clock.is_live or self.clock.is_paused):
             self._sample()
-        message = self.keeping.next_message()
+        message = self.keeping.next_message() or self.capture.next_message()
         if message is not None:
             self.say(message[0], is_bad=message[1])
         self.history.until = self.clock.time if self.clock.is_past else None
@@ -362,6 +374,28 @@ class LiveHost(ABC):
         if self._drag is not None:
             self._drag.end()
         self._drag, self._trouble, self._is_refused = None, "", False
+
+    def _take_screenshot(self) -> None:
+        self.wants_picture = True
+
+    def _toggle_film(self) -> str:
+        if self.capture.is_filming:
+            self.capture.stop()
+            return "the film is complete"
+        try:
+            return self.capture.start(self.picture_size, time.monotonic())
+        except SeroError as error:
+            self.say(str(error), is_bad=True)
+            return ""
+
+    def _take_pictures(self, now: float, draw: Callable[[], Pixels]) -> None:
+        """Hands on what is drawn, if a screenshot or the film wants it now, s."""
+        if self.wants_picture or self.capture.wants(now):
+            pixels = draw()
+            if self.wants_picture:
+                self.capture.picture(pixels)
+            self.capture.add(pixels, now)
+            self.wants_picture = False
 
     def _keep(self) -> str:
         folder = self.folder or Path()

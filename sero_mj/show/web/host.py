@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 from mujoco.studio import launch_thread, messages, sim_history, ux, viewer_handle
@@ -22,6 +24,9 @@ from .studio import LOOPBACK, RATE, StudioViewer, suppress_output
 from .studio_controls import StudioApp, TimeControl
 from .studio_decor import Greying, WebDecor
 
+if TYPE_CHECKING:
+    from ..headless.render import HeadlessRenderer
+
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 
 
@@ -38,6 +43,7 @@ class WebHost(LiveHost):
         token: whether the page's address contains a secret token; for other machines it always
             does.
         waits: whether recordings and simulations start when the first browser connects.
+        folder: see `LiveHost`.
 
     Raises:
         RenderError: the page cannot be served there, or this process already serves one.
@@ -56,10 +62,12 @@ class WebHost(LiveHost):
         port: int = 0,
         token: bool = False,
         waits: bool = False,
+        folder: Path | None = None,
     ) -> None:
         if WebHost._is_any_open:
             raise RenderError("no second page: Studio serves one at a time in a process")
-        super().__init__(mirror)
+        super().__init__(mirror, folder)
+        self._renderer: HeadlessRenderer | None = None  # of the film
         world = self.world
         self.clock.on_moment = self._sample
         self.decor = WebDecor(world, self.toggles)
@@ -168,6 +176,9 @@ class WebHost(LiveHost):
         self._greying.show(self.decor.pen.grey)
         viewer.sync()
         self.work = time.monotonic() - begin
+        self._take_pictures(time.monotonic(), self.picture)
+        if not self.capture.is_filming:
+            self._end_renderer()
         return self.is_open
 
     def point(self, at: Pixel | None) -> None:
@@ -216,13 +227,30 @@ class WebHost(LiveHost):
         self._app.reset_camera_index(ux.TRACKING_CAMERA_IDX)
         return f"follows {frame}"
 
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """See `LiveHost`: whatever the size of the page."""
+        from ..headless.render import DEFAULT_SIZE
+
+        return DEFAULT_SIZE
+
     def picture(self) -> Pixels:
         """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
         from ..headless.render import HeadlessRenderer
 
-        with HeadlessRenderer(self.world) as renderer:
-            renderer.camera, renderer.toggles = self.viewer.camera, self.toggles
-            return renderer.render(self.data)
+        if self._renderer is None:
+            self._renderer = HeadlessRenderer(self.world, *self.picture_size)
+        renderer = self._renderer
+        renderer.camera, renderer.toggles = self.viewer.camera, self.toggles
+        pixels = renderer.render(self.data).copy()
+        if not self.capture.is_filming:
+            self._end_renderer()
+        return pixels
+
+    def _end_renderer(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def close(self) -> None:
         """Closes the page and informs the browsers."""
@@ -230,6 +258,8 @@ class WebHost(LiveHost):
             return
         self._is_closed, WebHost._is_any_open = True, False
         self.keeping.close()
+        self.capture.close()
+        self._end_renderer()
         with contextlib.suppress(RuntimeError):  # already closed from the page
             self._handle.close()
         with suppress_output():

@@ -115,6 +115,10 @@ class PageWindows(plugin.ViewerPlugin):
                 host.toggle_status()
             if imgui.MenuItem("Torques", "P", host.shows_plot):
                 host.toggle_plot()
+            if imgui.MenuItem("Screenshot", "F2", False):
+                host.perform("screenshot")
+            if imgui.MenuItem("Film", "F3", host.capture.is_filming):
+                host.perform("film")
             if imgui.MenuItem("Mouse and keys", "H", host.shows_help):
                 host.shows_help = not host.shows_help
             imgui.EndMenu()

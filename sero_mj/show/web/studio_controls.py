@@ -31,6 +31,8 @@ _NAMED = {
     "left": imgui.Key.LeftArrow,
     "right": imgui.Key.RightArrow,
     "f1": imgui.Key.F1,
+    "f2": imgui.Key.F2,
+    "f3": imgui.Key.F3,
 }
 _LETTERS = {letter.lower(): getattr(imgui.Key, letter) for letter in string.ascii_uppercase}
 _DIGITS = {digit: getattr(imgui.Key, f"N{digit}") for digit in string.digits}

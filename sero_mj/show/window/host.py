@@ -17,7 +17,6 @@ from ...decor.pen import CAPACITY
 from ...decor.picture_view import PictureView
 from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
-from ...errors import SeroError
 from ...frames import Array
 from ..added_surroundings import added_surroundings
 from ..camera import Navigator, bounding_sphere
@@ -32,7 +31,6 @@ from ..scene_decor import SceneDecor
 from ..status_line import Piece, status_pieces
 from ..stereo import EYE_DISTANCE, Stereo, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
-from .capture import Capture
 from .glfw_window import GlWindow
 from .hud import Hud, TimeLine, arrange
 from .plots import Plot, TorquePlot
@@ -211,7 +209,6 @@ class Window(LiveHost):
 
     Attributes:
         navigator: moves the camera.
-        camera: records screenshots and films.
         is_quick: whether the last frame was drawn without multisampling and shadows, since the
             view moves and the machine is slow.
 
@@ -235,12 +232,10 @@ class Window(LiveHost):
         make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] | None = None,
     ) -> None:
         check_stereo(stereo, eye_distance)
-        super().__init__(mirror)
+        super().__init__(mirror, folder)
         world = self.world
         self.navigator = Navigator(world, camera)
-        self.camera, self.folder = Capture(world.scene.name, folder), folder
         self.help_page = 0
-        self.wants_picture = False
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
         made = (world, self.toggles, self.gl.context)
@@ -250,8 +245,6 @@ class Window(LiveHost):
         self._panel: PanelLayer | None = None  # until it is opened for the first time
         self._mouse = Mouse()
         self._actions |= {
-            "screenshot": self._take_screenshot,
-            "film": self._toggle_film,
             "full_screen": self.gl.toggle_full_screen,
             "help": self.next_help_page,
             "panel": self.toggle_panel,
@@ -297,9 +290,6 @@ class Window(LiveHost):
             self.clock.on_moment = self._sample if self.has_plot else None
         self._advance(lambda: self.clock.advance(passed))
         self.navigator.advance(self.data)
-        message = self.camera.next_message()
-        if message is not None:
-            self.say(message[0], is_bad=message[1])
         hud = self._hud
         bottom = hud.bar_height if self.shows_status else 0
         bottom += hud.line_height if self._has_line else 0
@@ -308,7 +298,7 @@ class Window(LiveHost):
         typesetter = self.gl.typesetter_of(rect.height)
         panel = self._panel if self.has_panel else None
         # Pictures and films are as without it.
-        is_kept = self.wants_picture or self.camera.is_filming
+        is_kept = self.wants_picture or self.capture.is_filming
         covered = 0.0 if panel is None or is_kept else panel.covered
         self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
         is_pointing = not (self._mouse.is_down or self.shows_help or self._is_over_panel)
@@ -353,14 +343,9 @@ class Window(LiveHost):
         self.decor.render(self.gl, quickly=self.is_quick)
         for rect, plot in plots:
             plot.draw(hud, rect, self.gl.context)
-        if self.wants_picture or self.camera.wants(now):
-            pixels = self.decor.pixels(self.gl.context)
-            if self.wants_picture:
-                self.camera.picture(pixels)
-            self.camera.add(pixels, now)
-            self.wants_picture = False
-        if self.camera.is_filming:
-            hud.filming(f"filming {time_text(self.camera.seconds)}", picture.width, height)
+        self._take_pictures(now, lambda: self.decor.pixels(self.gl.context))
+        if self.capture.is_filming:
+            hud.filming(f"filming {time_text(self.capture.seconds)}", picture.width, height)
         if self._line is not None:
             hud.draw_time_line(self._line, self.clock.time, width, self.moments.ticks())
         if self.shows_status:
@@ -374,6 +359,11 @@ class Window(LiveHost):
         if self.shows_help:
             found = self.help_pages(size)
             hud.help(found[min(self.help_page, len(found) - 1)], width, height)
+
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """See `LiveHost`: that of the picture in the window."""
+        return int(self.decor.rect.width), int(self.decor.rect.height)
 
     def picture(self) -> Pixels:
         """Renders the last frame again without status line and messages, (height, width, 3)."""
@@ -497,25 +487,10 @@ class Window(LiveHost):
         self.navigator.free(view.position, view.forward)
         self.navigator.camera.lookat = point
 
-    def _take_screenshot(self) -> None:
-        self.wants_picture = True
-
-    def _toggle_film(self) -> str:
-        if self.camera.is_filming:
-            self.camera.stop()
-            return "the film is complete"
-        try:
-            return self.camera.start(
-                (self.decor.rect.width, self.decor.rect.height), time.monotonic()
-            )
-        except SeroError as error:
-            self.say(str(error), is_bad=True)
-            return ""
-
     def close(self) -> None:
         """Closes the window after pictures and films are written."""
         self.keeping.close()
-        self.camera.close()
+        self.capture.close()
         if self._panel is not None:
             self._panel.close()
         self.gl.close()

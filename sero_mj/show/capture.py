@@ -1,4 +1,4 @@
-"""Screenshots and films of a window, written on a thread so that frames do not wait for it."""
+"""Screenshots and films of live hosts, written on a thread so that frames do not wait for it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
 
-from ...errors import SeroError
-from ..headless.film import FilmWriter, Pixels, save_picture
+from ..errors import SeroError
+from .headless.film import FilmWriter, Pixels, save_picture
 
 FPS = 30.0
 # Maximum number of queued frames; further ones are replaced by a longer following frame.
