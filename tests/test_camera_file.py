@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 from photos import LENSES, camera
 
-from sero_mj.errors import DeclarationError
+from sero_mj.errors import DeclarationError, UsageError
 from sero_mj.show.camera_file import read_camera, read_intrinsics, write_camera
+from sero_mj.show.photo_camera import PhotoCamera
 
 FRAME = "frame: {xyz: [1, 2, 0.5], quat: [0.5, -0.5, 0.5, -0.5]}\n"
 ROS = """\
@@ -87,6 +89,37 @@ def test_a_file_that_opencv_has_written_is_read(tmp_path: Path) -> None:
     assert np.array_equal(placed.matrix, MATRIX) and placed.T_world_camera[2, 3] == 1.0
 
 
+def test_coefficients_that_fold_the_corners_are_told_and_nothing_is_drawn_there(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    wide = np.array([-0.31, 0.1, 0.0005, 0.0003, -0.014])
+    matrix = np.array([[640.0, 0, 640], [0, 640, 360], [0, 0, 1]])
+    write_camera(tmp_path / "c.toml", PhotoCamera(1280, 720, matrix, np.eye(4), wide))
+    by = read_camera(tmp_path / "c.toml")
+    assert "the coefficients do not hold in 5.9 % of the picture, at its edges" in caplog.text
+    rays = by.undistort(np.array([[0.0, 0.0], [640, 360], [1279, 360], [640, 719]]))
+    assert np.isnan(rays[0]).all() and np.isfinite(rays[1:]).all()
+    # What is beyond the fold stays outside of what can be drawn.
+    away = by.distort(np.array([[x, 0.0] for x in np.linspace(0, 50, 300)]))[:, 0]
+    assert (np.diff(away) > 0).all() and away[-1] > 1280
+
+
+def test_without_opencv_and_yaml_a_lens_without_distortion_in_toml_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("cv2", "yaml"):
+        monkeypatch.setitem(sys.modules, name, None)
+    (tmp_path / "c.toml").write_text(TOML)
+    by = read_camera(tmp_path / "c.toml")
+    assert by.project(np.array([[1.0, 3.0, 0.5]]))[1].shape == (1,)
+    (tmp_path / "d.toml").write_text(TOML + "distortion_coefficients = [-0.2, 0.05, 0, 0]\n")
+    with pytest.raises(UsageError, match=r"needs OpenCV .*`pip install 'sero-mj\[camera\]'`"):
+        read_camera(tmp_path / "d.toml")
+    (tmp_path / "c.yaml").write_text(ROS + FRAME)
+    with pytest.raises(UsageError, match=r"reading YAML needs PyYAML .*, and a camera in TOML"):
+        read_camera(tmp_path / "c.yaml")
+
+
 @pytest.mark.parametrize("name", ["c.toml", "c.yaml"])
 @pytest.mark.parametrize("lens", LENSES)
 def test_what_is_written_is_read_back(lens: str, name: str, tmp_path: Path) -> None:
@@ -126,7 +159,7 @@ def test_what_is_written_is_read_back(lens: str, name: str, tmp_path: Path) -> N
          ["camera_matrix: found 8 numbers; expected 3 x 3"]),
         ("c.yaml", ROS.replace("[-0.2", "[.nan") + FRAME, ["distortion_coefficients: found "]),
         ("c.yaml", ROS.replace("-0.2, 0.05", "-0.9, 0.0") + FRAME,
-         ["distortion_coefficients: folds the picture's edges, which are off by "]),
+         ["distortion_coefficients: fold "]),
         ("c.yaml", ROS + FRAME.replace("quat: [0.5,", "quat: ["),
          ["frame: 'quat' has 3 numbers; expected 4"]),
         ("c.yaml", ROS + "frame: [[1, 0, 0, 0]]\n", ["frame: found 4 numbers; expected 4 x 4"]),
@@ -134,7 +167,7 @@ def test_what_is_written_is_read_back(lens: str, name: str, tmp_path: Path) -> N
         ("c.yaml", "just words", ["found no table; expected camera_matrix"]),
         ("c.toml", TOML.replace("camera_matrix", "camera_matrx"),
          ["camera_matrx: unknown key; did you mean 'camera_matrix'?"]),
-        ("c.toml", TOML.replace("640", "0"), ["image_width: found 0; expected pixels, 1 or more"]),
+        ("c.toml", TOML.replace("640", "0"), ["image_width: found 0; expected pixels, 1 to 16384"]),
         ("c.txt", TOML, ["expected a camera file that ends in .yaml, .yml, .toml"]),
     ],
 )  # fmt: skip

@@ -13,9 +13,10 @@ from PIL import Image
 
 from sero_mj import Double, Placer, Scene, World
 from sero_mj.cli import main
+from sero_mj.errors import RenderError
 from sero_mj.frames import Array, inverse
 from sero_mj.show.camera_file import write_camera
-from sero_mj.show.footage import Video
+from sero_mj.show.footage import Video, at_rate, upright
 from sero_mj.show.headless.film import FilmWriter
 from sero_mj.show.headless.over import PhotoRenderer
 from sero_mj.show.headless.render import make_renderer
@@ -272,3 +273,39 @@ def test_a_live_robot_does_not_go_with_a_video(
     monkeypatch.chdir(files)
     line = ["render", "lwr_udp", "-o", "o.mp4", "--over", "v.mp4", "--camera-file", "c.toml"]
     assert "v.mp4: live sources do not go with a video; expected a recording" in told(line, capsys)
+
+
+def test_a_video_that_is_cut_off_ends_where_it_does(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    noise = [rng.integers(0, 256, (40, 64, 3), dtype=np.uint8) for _ in range(30)]
+    whole = write_video(tmp_path / "v.webm", noise)
+    with Video(whole) as video:
+        count = len(list(video.frames()))
+    whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    with Video(whole) as video:
+        assert 5 < len(list(video.frames())) < count == 30
+    whole.write_bytes(whole.read_bytes()[:300])
+    with pytest.raises(RenderError, match=r"v\.webm: (is no video|not one frame)"):
+        Video(whole)
+
+
+def test_videos_of_phones_are_upright_and_have_the_rate_of_their_mean(tmp_path: Path) -> None:
+    class Frame:
+        rotation = 90
+
+        def to_ndarray(self, **_: str) -> Array:
+            return np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+
+    turned = upright(Frame())  # type: ignore[arg-type]
+    assert turned.shape == (4, 2, 3)
+    assert turned[-1, 0].tolist() == [0, 1, 2]  # turned counterclockwise: the left is below
+
+    class Varying:
+        def frames(self) -> list[tuple[float, int]]:
+            return [(0.0, 0), (0.11, 1), (0.19, 2), (0.62, 3), (0.7, 4)]
+
+    found = list(at_rate(Varying(), 10.0, None))  # type: ignore[arg-type]
+    # What is shown at 0, 0.1, ... with its own time.
+    assert [frame for _, frame in found] == [0, 1, 2, 2, 2, 2, 3, 4]
+    assert found[3][0] == 0.19
+    assert len(list(at_rate(Varying(), 10.0, 0.3))) == 3  # type: ignore[arg-type]

@@ -14,6 +14,7 @@ picture, y down, z forward, as in OpenCV and in ROS's optical frames.
 from __future__ import annotations
 
 import contextlib
+import logging
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,8 +29,12 @@ from ..paths import read_file
 from ..toml_file import read_toml
 from .photo_camera import COUNTS, MODELS, PhotoCamera
 
+log = logging.getLogger(__name__)
+
 ENDINGS = (".yaml", ".yml", ".toml")
 _MOST_BYTES = 1_000_000
+_MOST_SIDE = 16384  # pixels
+_LEAST_DRAWABLE = 0.75  # of the picture
 # By what the others call them; keys are compared in lower case.
 _KEYS = {
     "camera_matrix": ("camera_matrix", "k"),
@@ -79,12 +84,18 @@ def _checked(path: Path, camera: PhotoCamera, place: Array) -> PhotoCamera:
     made = PhotoCamera(
         camera.width, camera.height, camera.matrix, place, camera.distortion, camera.model
     )
-    if not made.is_invertible:
+    share = made.drawable
+    if share < _LEAST_DRAWABLE:
         message = (
-            f"folds the picture's edges, which are off by {made.misfit():.3g} pixels; expected "
+            f"fold {100 * (1 - share):.0f} % of the picture, towards its edges; expected "
             "coefficients found with points up to the edges, in OpenCV's order k1, k2, p1, p2, k3"
         )
         raise DeclarationError([Problem("distortion_coefficients", message, str(path))])
+    if share < 1.0:
+        log.warning(
+            "%s: the coefficients do not hold in %.1f %% of the picture, at its edges; nothing is "
+            "drawn there", path, 100 * (1 - share),
+        )  # fmt: skip
     return made
 
 
@@ -181,10 +192,10 @@ def _camera(
             found = size[axis]
         if found is None:
             problems.append(Problem(key, "is required: of the pictures, pixels"))
-        elif isinstance(found, bool) or not isinstance(found, int) or found < 1:
-            problems.append(Problem(key, f"found {found!r}; expected pixels, 1 or more"))
+        elif type(found) not in (int, float) or found % 1 or not 1 <= found <= _MOST_SIDE:
+            problems.append(Problem(key, f"found {found!r}; expected pixels, 1 to {_MOST_SIDE}"))
         else:
-            sides.append(found)
+            sides.append(int(found))
     if len(sides) == 2 and size is not None and tuple(sides) != size:
         message = (
             f"found {sides[0]}x{sides[1]}; the picture is {size[0]}x{size[1]}: expected a camera "

@@ -8,7 +8,7 @@ is the same camera as decor sees it, with pixels from the lower left corner.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
 
 import mujoco
@@ -32,8 +32,9 @@ COUNTS: dict[str, tuple[int, ...]] = {
 Size = tuple[int, int]
 _WIDEST = float(np.tan(np.deg2rad(75.0)))  # from the axis; a plane picture of more is mostly edge
 _FINER = 1.25  # how much finer the picture without distortion is than the photo
-_INVERTIBLE = 0.1  # pixels that a pixel may be off after there and back
-_BORDER = 64  # points along each edge
+_THERE_AND_BACK = 0.1  # pixels that a pixel may be off after it
+_FARTHEST = 20.0  # from the axis, at z = 1
+_GRID = 33  # pixels along each side that are looked at
 
 
 def opencv() -> Any:
@@ -115,11 +116,44 @@ class PhotoCamera:
         return np.asarray(self.matrix[:2, 2] + (pixels - self.matrix[:2, 2]) * beyond)
 
     def undistort(self, pixels: Array) -> Array:
-        """Returns the rays x/z, y/z (..., 2) of pixels (..., 2); NaN where there is none."""
+        """Returns the rays x/z, y/z (..., 2) of pixels (..., 2); NaN where there is none.
+
+        Towards the edges of a picture there may be none: polynomials fold it beyond the points that
+        they were found from.
+        """
         if not self.is_distorted:
             K = self.matrix
             return np.asarray((pixels - K[:2, 2]) / (K[0, 0], K[1, 1]))
-        return self._undistort(np.reshape(pixels, (-1, 2)).astype(float)).reshape(pixels.shape)
+        return self._found_rays(pixels, self._fold)
+
+    def _found_rays(self, pixels: Array, fold: float) -> Array:
+        flat = np.reshape(pixels, (-1, 2)).astype(float)
+        if not len(flat):
+            return np.zeros(pixels.shape)
+        rays = self._undistort(flat)
+        rays[~(np.abs(rays) < _FARTHEST).all(axis=1)] = np.nan  # also OpenCV's mark of no ray
+        there = self._distort(np.nan_to_num(rays))
+        is_found = np.abs(there - flat).max(axis=1) < _THERE_AND_BACK
+        is_found &= np.linalg.norm(rays, axis=1) < fold
+        rays[~is_found] = np.nan
+        return rays.reshape(pixels.shape)
+
+    @property
+    def _fold(self) -> float:
+        """The least distance from the axis, at z = 1, from where on pixels come back."""
+        return self._limits[0]
+
+    @property
+    def _largest_radius(self) -> float:
+        """Beyond which pixels are continued in a straight line."""
+        return self._limits[1]
+
+    @cached_property
+    def _limits(self) -> tuple[float, float]:
+        # The same lens is at many places while a camera is looked for.
+        arrays = (np.ascontiguousarray(each, float) for each in (self.matrix, self.distortion))
+        key = *(each.tobytes() for each in arrays), self.model
+        return _limits_of(self.width, self.height, *key)
 
     def _to_pixels(self, rays: Array) -> Array:
         K = self.matrix
@@ -141,57 +175,55 @@ class PhotoCamera:
     def _undistort(self, pixels: Array) -> Array:
         cv2 = opencv()
         until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-        undistort = cv2.fisheye.undistortPoints
+        undistort = cv2.undistortPoints
         if self.model == "equidistant":
-            rays = undistort(pixels[:, None], self.matrix, self.distortion, criteria=until)
-            rays = np.where(np.abs(rays) > 1e3, np.nan, rays)  # OpenCV's mark of those without one
-        else:
-            rays = cv2.undistortPoints(
-                pixels[:, None], self.matrix, self.distortion, criteria=until
-            )
-        return np.asarray(rays.reshape(-1, 2), np.float64)
+            undistort = cv2.fisheye.undistortPoints
+        rays = undistort(pixels[:, None], self.matrix, self.distortion, criteria=until)
+        return np.array(rays.reshape(-1, 2), np.float64)
 
     @cached_property
-    def _border(self) -> Array:
-        """Pixels along the picture's edges, (k, 2)."""
-        x, y = (np.linspace(-0.5, n - 0.5, _BORDER) for n in (self.width, self.height))
-        sides = [np.stack([x, np.full_like(x, v)], axis=1) for v in (y[0], y[-1])]
-        sides += [np.stack([np.full_like(y, u), y], axis=1) for u in (x[0], x[-1])]
-        return np.concatenate(sides)
-
-    @cached_property
-    def border_rays(self) -> Array:
-        """Rays x/z, y/z (k, 2) along the picture's edges that a plane picture can have."""
-        rays = self.undistort(self._border)
-        rays = rays[np.isfinite(rays).all(axis=1)]
-        norm = np.linalg.norm(rays, axis=1, keepdims=True)
-        return np.asarray(rays * np.minimum(_WIDEST / np.maximum(norm, 1e-9), 1.0))
-
-    @cached_property
-    def _largest_radius(self) -> float:
-        if not len(self.border_rays):
-            return _WIDEST
-        return 1.02 * float(np.linalg.norm(self.border_rays, axis=1).max())
-
-    def misfit(self) -> float:
-        """Returns how far off, pixels, the picture's edges are after there and back.
-
-        More than a few tenths means coefficients that are not of this lens: beyond some radius
-        they fold the picture.
-        """
-        if not self.is_distorted:
-            return 0.0
-        rays = self.undistort(self._border)
-        known = np.isfinite(rays).all(axis=1) & (np.linalg.norm(rays, axis=1) < _WIDEST)
-        if not known.any():
-            return float("inf") if self.model != "equidistant" else 0.0
-        there = self._distort(rays[known])
-        return float(np.abs(there - self._border[known]).max())
+    def _some_rays(self) -> Array:
+        """Rays (k, k, 2) of pixels all over the picture; NaN where there is none."""
+        return self.undistort(self._some_pixels)
 
     @property
-    def is_invertible(self) -> bool:
-        """Whether every pixel of the picture has a ray."""
-        return self.misfit() < _INVERTIBLE
+    def _some_pixels(self) -> Array:
+        u, v = (np.linspace(-0.5, n - 0.5, _GRID) for n in (self.width, self.height))
+        return np.stack(np.meshgrid(u, v), axis=-1)
+
+    @property
+    def drawable(self) -> float:
+        """Which share of the picture has rays."""
+        return float(np.isfinite(self._some_rays).all(axis=-1).mean())
+
+    @cached_property
+    def extent(self) -> tuple[Array, Array]:
+        """Least and greatest x/z and y/z (2,) of what a plane picture can have of its rays."""
+        rays = self._some_rays.reshape(-1, 2)
+        rays = rays[np.isfinite(rays).all(axis=1)]
+        norm = np.linalg.norm(rays, axis=1, keepdims=True)
+        rays = rays * np.minimum(_WIDEST / np.maximum(norm, 1e-9), 1.0)
+        return rays.min(axis=0), rays.max(axis=0)
+
+
+@lru_cache(maxsize=16)
+def _limits_of(
+    width: int, height: int, matrix: bytes, distortion: bytes, model: DistortionModel
+) -> tuple[float, float]:
+    """Where pixels come back, and the largest distance that the picture has, at z = 1."""
+    K, coefficients = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
+    lens = PhotoCamera(width, height, K, np.eye(4), coefficients, model)
+    radii = np.linspace(0.0, _FARTHEST, 4001)
+    fold = _FARTHEST
+    for turn in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False).tolist():
+        rays = radii[:, None] * np.array([np.cos(turn), np.sin(turn)])
+        away = np.linalg.norm(lens._distort(rays) - K[:2, 2], axis=1)
+        back = np.flatnonzero(~(np.diff(away) > 0.0))
+        fold = min(fold, float(radii[back[0]]) if len(back) else _FARTHEST)
+    distances = np.linalg.norm(lens._found_rays(lens._some_pixels, fold), axis=-1)
+    distances = distances[np.isfinite(distances)]
+    largest = min(float(distances.max(initial=0.0)), _WIDEST) or _WIDEST
+    return fold, min(1.02 * largest, fold)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +271,10 @@ class PhotoView(PictureView):
     def at(self, pixels: Array, depth: Depth) -> Array:
         """See `PictureView`."""
         flipped = np.stack([pixels[..., 0] - 0.5, self._top - pixels[..., 1]], axis=-1)
-        rays = np.nan_to_num(self.camera.undistort(flipped))
+        rays = self.camera.undistort(flipped)
+        K = self.camera.matrix
+        plain = (flipped - K[:2, 2]) / (K[0, 0], K[1, 1])
+        rays = np.where(np.isfinite(rays), rays, plain)
         ahead = self.forward + rays[..., :1] * self.right - rays[..., 1:] * self.up
         return np.asarray(self.position + depth * ahead)
 
@@ -276,8 +311,7 @@ class PlanePicture:
             for corner in ((-0.5, -0.5), (camera.width - 0.5, camera.height - 0.5))
         )
         if camera.is_distorted:
-            rays = camera.border_rays
-            (left, top), (right, bottom) = rays.min(axis=0), rays.max(axis=0)
+            (left, top), (right, bottom) = camera.extent
             self._look_up((left, top), (right, bottom), largest)
         self._edges = left, right, -bottom, -top
 
