@@ -10,10 +10,13 @@ import pytest
 from photos import LENSES, POSE, camera, lwr
 from PIL import Image
 
-from sero_mj import Placer, Scene, World
+from sero_mj import Placer, Scene, World, load_scene
 from sero_mj.cli import main
+from sero_mj.drive.record_sources import record_sources
+from sero_mj.drive.wiring import wire
 from sero_mj.errors import DeclarationError, UsageError
 from sero_mj.frames import Array, rotation_angle
+from sero_mj.receive.intake import pad_packets
 from sero_mj.show.calibration import calibrate, full_name, point_names, point_of, read_points
 from sero_mj.show.camera_file import read_camera, write_camera
 from sero_mj.show.photo_camera import PhotoCamera
@@ -139,7 +142,18 @@ def test_what_cannot_be_found_is_told(points: Array) -> None:
         near = by.project(flat)[0] + np.random.default_rng(0).normal(0, 1.0, (12, 2))
         calibrate(["p"] * 12, flat, near, bare(by), find_focal=False)
     assert "lie in a plane, which does not say" in message([*range(9)], find_focal=True, of=flat)
-    assert len(pixels) == len(points)
+    rng = np.random.default_rng(0)
+    mixed = pixels[rng.permutation(len(pixels))]
+    random = rng.uniform(0, [1280, 800], pixels.shape)
+    for wrong, said in (
+        (mixed, "no camera sees the points so; expected the pose"),
+        (np.tile(pixels[:1], (len(pixels), 1)), "no camera sees the points so"),
+        (random, "no camera sees the points so"),
+        (random[:4], "base would be behind the camera"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            count = len(wrong)
+            calibrate(NAMES[:count], points[:count], wrong, bare(by), find_focal=False)
 
 
 def test_points_are_read_from_tables_and_toml_and_what_is_wrong_is_told(
@@ -220,3 +234,37 @@ def test_the_command_prints_every_point_and_writes_the_camera(
     status, _, err = run(["calibrate", "p.png", "--robot", "justin", "--joint-angles", "1",
                           "--points", "p.csv"], capsys)  # fmt: skip
     assert status == 2 and "--joint-angles is for one robot; 'justin' has justin_torso" in err
+
+
+def test_the_pose_can_be_that_of_a_recording(
+    tmp_path: Path,
+    points: Array,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    by = camera("none", (640, 400))
+    write_camera(Path("lens.toml"), bare(by))
+    Image.fromarray(np.zeros((400, 640, 3), np.uint8)).save("p.png")
+    rows = [
+        f"{name},{x},{y},{','.join(map(str, offset))}"
+        for name, (x, y), offset in zip(NAMES, by.project(points)[0], OFFSETS, strict=True)
+    ]
+    Path("p.csv").write_text("\n".join(["point,x,y,dx,dy,dz", *rows]))
+    scene = load_scene("lwr_udp")
+    source = wire(scene).sources["udp"]
+    packed = [
+        source.layout.encode({"values0": np.array(pose), "values1": np.zeros(7)})
+        for pose in (np.zeros(7), POSE)
+    ]
+    with record_sources({"udp": source}, tmp_path / "run.mcap", scene=scene) as recorder:
+        begin = recorder.clock.monotonic_ns / 1e9
+        source._tap(*pad_packets(packed, source.size), begin + np.array([0.0, 1.0]))  # type: ignore[misc]
+    line = ["calibrate", "p.png", "--robot", "lwr_udp", "--points", "p.csv", "--json",
+            "--camera-file", "lens.toml"]  # fmt: skip
+    status, out, _ = run([*line, "--replay", "run.mcap", "--start", "1"], capsys)
+    assert status == 0 and json.loads(out)["rms"] < 1e-2
+    status, _, err = run([*line, "--replay", "run.mcap"], capsys)
+    assert status == 2 and "no camera sees the points so" in err
+    status, _, err = run([*line, "--start", "1"], capsys)
+    assert status == 2 and "--start is for recordings; give --replay REC.mcap as well" in err

@@ -16,17 +16,22 @@ from ._arguments import (
     add_package_option,
     add_set_option,
     check_ending,
+    not_negative,
     numbers,
     print_json,
     print_table,
     read_scene,
+    replay_instead,
     until_ended,
 )
 
 if TYPE_CHECKING:
+    from ..assemble.scene import Scene
+    from ..assemble.world import World
     from ..show.calibration import Calibration, ClickedPoint
     from ..show.photo_camera import PhotoCamera
 
+_CAREFUL = 6.0  # pixels that clicks are off at most
 _EPILOG = """\
 examples:
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 -o cell.toml
@@ -61,6 +66,10 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--joint-angles", metavar="Q", help="of the robot in the photo, with commas, rad or m"
     )
+    parser.add_argument("--replay", type=Path, metavar="REC", help="take the pose from a recording")
+    parser.add_argument(
+        "--start", type=not_negative, metavar="S", help="when in the recording (default: first)"
+    )
     parser.add_argument(
         "--points", type=Path, metavar="FILE", help="which pixel shows which point; .csv or .toml"
     )
@@ -87,41 +96,19 @@ def run(options: argparse.Namespace) -> int:
                 "which pixel shows which point of the robot"
             )
         os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo takes its OpenGL from the window here
-    from ..assemble.world import World
-    from ..drive.place import Placer
     from ..show.calibration import calibrate, point_names, point_of, read_points, write_points
-    from ..show.camera_file import ENDINGS, read_intrinsics, write_camera
+    from ..show.camera_file import ENDINGS, write_camera
     from ..show.footage import read_photo
-    from ..show.photo_camera import PhotoCamera
 
     if options.output is not None:
         check_ending(f"-o {options.output}", options.output, ENDINGS)
-    settings = [*options.settings]
-    scene = read_scene(options.robot, settings)
-    if options.joint_angles is not None:
-        if len(scene.robots) != 1:
-            names = ", ".join(scene.robots)
-            raise UsageError(
-                f"--joint-angles is for one robot; '{options.robot}' has {names}: use "
-                "--set ROBOT.joint_angles=..."
-            )
-        (name,) = scene.robots
-        angles = numbers(options.joint_angles, "--joint-angles")
-        scene = read_scene(options.robot, [*settings, f"{name}.joint_angles={angles.tolist()}"])
-    world = World(scene)
+    world, data = _pose(_scene_of_photo(options), is_replayed=options.replay is not None)
     if options.names:
         print("\n".join(point_names(world)))
         return 0
     pixels = read_photo(options.photo)
     size = (pixels.shape[1], pixels.shape[0])
-    if options.camera_file is not None:
-        lens = read_intrinsics(options.camera_file, size)
-    else:
-        centre = [(size[0] - 1) / 2, (size[1] - 1) / 2]
-        matrix = np.array([[1.0, 0, centre[0]], [0, 1.0, centre[1]], [0, 0, 1]])
-        lens = PhotoCamera(*size, matrix, np.eye(4))
-    data = world.make_data()
-    Placer(world).place(data)
+    lens = _lens(options.camera_file, size)
     if options.points is not None:
         clicked = read_points(options.points, world, size)
     else:
@@ -144,6 +131,53 @@ def run(options: argparse.Namespace) -> int:
             write_points(_points_beside(options.output), clicked)
     _report(options, clicked, found)
     return 0
+
+
+def _scene_of_photo(options: argparse.Namespace) -> Scene:
+    """The scene with the joint angles, or the recording, that options say."""
+    scene = read_scene(options.robot, options.settings)
+    if options.joint_angles is not None:
+        if len(scene.robots) != 1:
+            names = ", ".join(scene.robots)
+            raise UsageError(
+                f"--joint-angles is for one robot; '{options.robot}' has {names}: use "
+                "--set ROBOT.joint_angles=..."
+            )
+        (name,) = scene.robots
+        angles = numbers(options.joint_angles, "--joint-angles").tolist()
+        scene = read_scene(options.robot, [*options.settings, f"{name}.joint_angles={angles}"])
+    if options.replay is not None:
+        replay_instead(scene, options.replay, options.start)
+    elif options.start is not None:
+        raise UsageError("--start is for recordings; give --replay REC.mcap as well")
+    return scene
+
+
+def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
+    """The lens that a file says; else one of which the focal length is still to be found."""
+    from ..show.camera_file import read_intrinsics
+    from ..show.photo_camera import PhotoCamera
+
+    if camera_file is not None:
+        return read_intrinsics(camera_file, size)
+    matrix = np.array([[1.0, 0, (size[0] - 1) / 2], [0, 1.0, (size[1] - 1) / 2], [0, 0, 1]])
+    return PhotoCamera(*size, matrix, np.eye(4))
+
+
+def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
+    """The world and its state, as declared or as the recordings say."""
+    from ..assemble.world import World
+    from ..drive.mirror import Mirror
+    from ..drive.place import Placer
+
+    if is_replayed:
+        with Mirror(scene) as mirror:
+            mirror.advance(0.0)
+            return mirror.world, mirror.data
+    world = World(scene)
+    data = world.make_data()
+    Placer(world).place(data)
+    return world, data
 
 
 def _points_beside(output: Path) -> Path:
@@ -190,6 +224,8 @@ def _report(options: argparse.Namespace, clicked: list[ClickedPoint], found: Cal
         table.add_row(point.name, *at, f"{distance:.2f} pixels", note)
     print_table(table)
     print(f"{found.rms:.2f} pixels root mean square, of {int(found.used.sum())} points")
+    if found.rms > _CAREFUL:
+        print("that is more than clicks are off: another pose, mixed up names, or another lens?")
     errors = ", ".join(f"{value:.1f}" for value in 1e3 * found.position_error)
     place = ", ".join(f"{value:.4f}" for value in T[:3, 3])
     print(f"camera at {place} m, standard errors {errors} mm")

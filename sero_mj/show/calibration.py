@@ -29,6 +29,11 @@ _FLAT = 1e-3  # of their extent; points nearer to a plane or line than this lie 
 _AMBIGUOUS = 1.5  # times the least error; two cameras whose errors are nearer both fit
 _FEW_PIXELS = 3.0  # what a careful click is off at most
 _MOST_SUBSETS = 1000
+_POOR = 0.05  # of the picture's width that points are off, on average, where nothing fits
+_NO_CAMERA = (
+    "no camera sees the points so; expected the pose that the photo shows, and names that are not "
+    "mixed up"
+)
 _FOCAL = (0.3, 6.0)  # of the picture's larger side
 _SAME_POINT = 2e-3  # m
 _LINK = re.compile(r"link\d+")
@@ -303,6 +308,8 @@ def calibrate(
     found = solver.solve(points[used], pixels[used])
     if is_flat:
         _check_ambiguity(found, points[used], pixels[used])
+    if not _rms(found.project(points[used])[0] - pixels[used]) < _POOR * found.width:
+        raise UsageError(_NO_CAMERA)
     projected, depth = found.project(points)
     for name, ahead in zip(names, depth, strict=True):
         if ahead <= 0:
@@ -385,12 +392,18 @@ class _Solver:
         K = camera.matrix
         plain = camera.undistort(pixels) * (K[0, 0], K[1, 1])
         diagonal = np.diag([K[0, 0], K[1, 1], 1.0])
-        done, turn, shift = cv2.solvePnP(
-            points, plain[:, None], diagonal, None, flags=cv2.SOLVEPNP_SQPNP
-        )
-        if not done or not np.isfinite(turn).all():
-            raise UsageError("no camera sees the points so; expected names that are not mixed up")
-        turn, shift = cv2.solvePnPRefineLM(points, plain[:, None], diagonal, None, turn, shift)
+        try:
+            done, turn, shift = cv2.solvePnP(
+                points, plain[:, None], diagonal, None, flags=cv2.SOLVEPNP_SQPNP
+            )
+            if done:
+                turn, shift = cv2.solvePnPRefineLM(
+                    points, plain[:, None], diagonal, None, turn, shift
+                )
+        except cv2.error:  # pixels that are all the same, say
+            done = False
+        if not done or not np.isfinite([turn, shift]).all():
+            raise UsageError(_NO_CAMERA)
         return _placed(camera, turn, shift)
 
     def without_outliers(self, points: Array, pixels: Array, least: int) -> Bools:
