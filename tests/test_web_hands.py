@@ -55,3 +55,30 @@ def test_sliders_links_and_the_clipboard(browser: Any, tmp_path: Path) -> None:
         served.until("not w.jogging.is_on")
         assert served.ask(camera) == seen
         visitor.close()
+
+
+def test_a_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path: Path) -> None:
+    with Served(tmp_path, "lwr", settings=(POSE,), control="joint") as served:
+        served.ask("setattr(w, 'shows_status', False)")  # it would cover the robot
+        visitor = Visitor(browser, served)
+        visitor.hears("First remote draw frame applied")
+        served.until("w.toggles.handles is not None and w.clock.time > 0.2")
+        served.settle()
+        camera = "[w.viewer.camera.azimuth, w.viewer.camera.elevation]"
+        seen = served.ask(camera)
+        served.ask("globals().update(start=w.toggles.handles.pose.copy())")
+        x, y, height = served.ask(
+            "[*w.decor.view.project(start[:3, 3])[0].tolist(), w.decor.view.height]"
+        )
+        y = height - y
+        visitor.move(x, y)  # the cube
+        served.until("w.toggles.handles.lit == 6")
+        visitor.hold()
+        visitor.page.mouse.move(x + 30, y - 20, steps=4)
+        goal = "w.steering.goals['lwr'].flange(np.eye(4))"
+        served.until(f"np.abs({goal} - start)[:3, 3].max() > 0.03")
+        visitor.release()
+        served.until("not w.steering.is_on")
+        served.until(f"np.abs(w.world.frame(w.data, 'lwr/flange') - {goal}).max() < 5e-3")
+        assert served.ask(camera) == seen
+        visitor.close()

@@ -433,7 +433,7 @@ class Host(LiveHost):
     """Notes what it says and is asked for, and shows nothing."""
 
     is_open = is_due = True
-    frame = picture = centre = close = None  # type: ignore[assignment]
+    frame = picture = centre = close = request_close = picture_size = None  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
         data = world.make_data()

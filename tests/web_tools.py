@@ -99,8 +99,11 @@ def looked(build):
     return built
 imgui.BeginMainMenuBar = looked(imgui.BeginMainMenuBar)
 
-scene, settings, replay, options = json.loads(sys.argv[1])
+scene, settings, replay, options, control = json.loads(sys.argv[1])
 scene = read_scene(scene, settings, by_hand=not replay)
+if control:
+    from sero_mj.simulate.endless_run import endless_scene
+    scene = endless_scene(scene, control)
 if replay:
     replay_instead(scene, Path(replay), None)
 clicks = []
@@ -129,6 +132,7 @@ class Served(Driver):
         *,
         settings: tuple[str, ...] = (),
         replay: str = "",
+        control: str = "",
         **options: Any,
     ) -> None:
         environment = {
@@ -136,7 +140,9 @@ class Served(Driver):
             "HOME": str(folder),  # Studio keeps its settings there
             "MUJOCO_GL": "egl",
         }
-        super().__init__(_PROGRAM, [scene, list(settings), replay, options], folder, environment)
+        super().__init__(
+            _PROGRAM, [scene, list(settings), replay, options, control], folder, environment
+        )
         self.url: str = self.ask("w.url")
 
     def joint(self, index: int) -> tuple[float, float]:

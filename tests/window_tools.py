@@ -23,8 +23,11 @@ from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.window.host import Window
 from pathlib import Path
-scene, settings, size, options, replay = json.loads(sys.argv[1])
+scene, settings, size, options, replay, control = json.loads(sys.argv[1])
 scene = read_scene(scene, settings, by_hand=not replay)
+if control:
+    from sero_mj.simulate.endless_run import endless_scene
+    scene = endless_scene(scene, control)
 if replay:
     replay_instead(scene, Path(replay), None)
 places = {}  # of the panel's widgets by label: left, top, right, bottom
@@ -90,11 +93,12 @@ class Driven(Driver):
         *,
         settings: tuple[str, ...] = (),
         replay: str = "",
+        control: str = "",
         **options: Any,
     ) -> None:
         self._environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
         self._environment.pop("WAYLAND_DISPLAY", None)
-        arguments = [scene, list(settings), list(SIZE), options, replay]
+        arguments = [scene, list(settings), list(SIZE), options, replay, control]
         super().__init__(_DRIVER, arguments, folder, self._environment)
 
     def tool(self, *arguments: object) -> None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import os
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
+from typing import TYPE_CHECKING, Literal, get_args
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
+from ..frames import Array
 from ._arguments import (
     Commands,
     add_command,
@@ -25,6 +29,11 @@ from ._arguments import (
     until_ended,
 )
 
+if TYPE_CHECKING:
+    from ..show.live import LiveHost
+
+Control = Literal["gravity", "joint", "cartesian"]
+CONTROLS: tuple[Control, ...] = get_args(Control)
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
 _EPILOG = """\
@@ -35,6 +44,7 @@ examples:
   sero-mj view lwr_udp --web                          on a page for browsers on this machine
   sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
   sero-mj view lwr_udp --over 0 --camera-file cell.yaml   over what a camera sees of the robot
+  sero-mj view lwr --simulate --control joint         a robot to play with, without an end
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
 the page. Browsers on other machines reach it through `ssh -L 8080:localhost:8080 MACHINE`, or with
@@ -65,11 +75,22 @@ def add_to(commands: Commands) -> None:
         action="store_true",
         help="the page's address has a token on this machine, too (its other users do not know it)",
     )
+    parser.add_argument(
+        "--simulate",
+        action="store_true",
+        help="simulate the robots without an end, to be pulled and steered by their targets",
+    )
+    parser.add_argument(
+        "--control",
+        choices=CONTROLS,
+        help="with --simulate: gravity compensation, joint or Cartesian impedance; default joint",
+    )
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
     add_stereo_options(parser)
     add_over_options(parser, is_live=True)
     add_scene_options(parser)
+    parser.set_defaults(last=None)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -82,12 +103,41 @@ def run(options: argparse.Namespace) -> int:
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
         os.environ["MUJOCO_GL"] = "glfw"
-    scene = read_shown_scene(options, by_hand=True)
+    if options.control is not None and not options.simulate:
+        raise UsageError(f"--control {options.control} is for --simulate, which is not given")
+    if options.simulate and options.replay is not None:
+        raise UsageError("--simulate and --replay: a recording is played, and not simulated")
+    scene = read_shown_scene(options, by_hand=not options.simulate)
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
+    shown: Scene | None = scene
+    if options.simulate:
+        shown = _simulated(scene, options.control or "joint")
+    show = _serve if on_page else _open_window
     with until_ended():  # as good as closing it
-        _serve(scene, options) if on_page else _open_window(scene, options)
+        while shown is not None:
+            shown = show(shown, scene, options)
     return 0
+
+
+def _simulated(scene: Scene, control: Control, angles: Mapping[str, Array] | None = None) -> Scene:
+    from ..simulate.endless_run import endless_scene
+
+    return endless_scene(scene, control, angles)
+
+
+def _offer(host: LiveHost, plain: Scene, control: Control) -> None:
+    """Offers to simulate the robots that are shown, or to show them without."""
+    if host.steering.robots:
+        host.offers["end the simulation"] = lambda: plain
+    elif not host.pulling.can_pull and host.world.robots:
+
+        def simulate() -> Scene:
+            parts, data = host.world.robots, host.data
+            angles = {name: data.qpos[part.qpos].copy() for name, part in parts.items()}
+            return _simulated(plain, control, angles)
+
+        host.offers["simulate"] = simulate
 
 
 def wants_page(options: argparse.Namespace) -> bool:
@@ -121,7 +171,7 @@ def _of_page(options: argparse.Namespace) -> list[str]:
     return given + ["token"] * options.token
 
 
-def _open_window(scene: Scene, options: argparse.Namespace) -> None:
+def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | None:
     from ..drive.mirror import Mirror
     from ..show.window.host import Window
 
@@ -144,10 +194,17 @@ def _open_window(scene: Scene, options: argparse.Namespace) -> None:
             make_viewport=make_viewport,
         )
         stack.enter_context(window)
+        _offer(window, plain, options.control or "joint")
+        if options.last is not None:  # as it was seen before
+            window.navigator.camera, has_panel = options.last
+            if has_panel:
+                window.toggle_panel()
         window.run()
+        options.last = copy.copy(window.navigator.camera), window.has_panel
+        return window.next_scene
 
 
-def _serve(scene: Scene, options: argparse.Namespace) -> None:
+def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | None:
     from ..drive.mirror import Mirror
     from ..show.viewer import open_page
 
@@ -163,7 +220,10 @@ def _serve(scene: Scene, options: argparse.Namespace) -> None:
             waits=True,
         ) as page,
     ):
-        print(f"{scene.name} is at {' and '.join(page.urls)}  (Ctrl+C ends it)", flush=True)
+        _offer(page, plain, options.control or "joint")
+        if options.last is None:
+            print(f"{scene.name} is at {' and '.join(page.urls)}  (Ctrl+C ends it)", flush=True)
+        options.port, options.last = page.port, ()
         if not page.is_private:
             print(
                 f"warning: served at {host}: whoever has this address sees the page and can take "
@@ -172,3 +232,4 @@ def _serve(scene: Scene, options: argparse.Namespace) -> None:
                 flush=True,
             )
         page.run()
+        return page.next_scene

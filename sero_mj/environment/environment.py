@@ -119,6 +119,11 @@ class _DrivenRun:
         return self._environment.simulation.rows
 
     @property
+    def times(self) -> Array:
+        """Of the rows, (T,), s."""
+        return self._environment.simulation.times
+
+    @property
     def step(self) -> int:
         """The last row that is there."""
         return self._environment.simulation.step

@@ -293,6 +293,16 @@ class Source(Declaration):
         return None
 
     @property
+    def begin(self) -> float:
+        """From when on there are packets, s on the clock of `advance_to`."""
+        return 0.0
+
+    @property
+    def newest(self) -> float | None:
+        """Until when there are packets already, s, where nothing ends and the past can be seen."""
+        return None
+
+    @property
     def step(self) -> float | None:
         """Time step of a simulation, whose `advance_to` takes long, s; None for all others."""
         return None

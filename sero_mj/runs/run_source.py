@@ -29,6 +29,11 @@ class FinishedRun:
     structure: Structure
     rows: Array
 
+    @cached_property
+    def times(self) -> Array:
+        """Times of the rows, (T,), s."""
+        return np.ascontiguousarray(self.rows[:, 0])
+
     @property
     def step(self) -> int:
         """The last row."""
@@ -81,20 +86,25 @@ class RunSource(Source):
         return self._error
 
     @property
-    def end(self) -> float:
+    def end(self) -> float | None:
         """Time of the last row, s."""
         return float(self.run.rows[-1, 0])
 
     @property
     def step(self) -> float | None:
         """Median time between two rows, s."""
-        times = self.run.rows[:, 0]
+        times = self.run.times
         return float(np.median(np.diff(times))) if len(times) > 1 else None
 
     @property
     def hand(self) -> Any:
         """What pulls the robots by hand while they are simulated; None where nothing does."""
         return getattr(self.run, "hand", None)
+
+    @property
+    def live(self) -> Any:
+        """What changes targets and controllers while they run; None where nothing does."""
+        return getattr(self.run, "live", None)
 
     @property
     def about(self) -> str:
@@ -123,10 +133,14 @@ class RunSource(Source):
         """Whether there are packets at all; nothing is to be waited for."""
         return True
 
+    def _before(self, row: int) -> int:
+        """Returns the row behind which packets are handed on anew, when the clock went back."""
+        return -1
+
     def advance_to(self, time: float) -> None:
         """Hands on all rows until then, s; computes those that are not there yet."""
         run = self.run
-        times = run.rows[:, 0]
+        times = run.times
         row = int(np.searchsorted(times, time + 1e-9, side="right")) - 1
         if row > run.step and self._error is None:
             try:
@@ -137,7 +151,7 @@ class RunSource(Source):
         row = min(row, run.step)
         if row < self._shown:  # the clock went back: it is a new film, say
             self.reset()
-            self._shown = -1
+            self._shown = self._before(row)
         if row > self._shown:
             rows = np.ascontiguousarray(run.rows[self._shown + 1 : row + 1])
             packets = rows.view(np.uint8).reshape(len(rows), -1)

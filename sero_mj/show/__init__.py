@@ -4,5 +4,6 @@ In: a mirror, or the user's own model and data. Out: pictures and films (`headle
 (`window/`), a web page (`web/`); panels of both (`panels/`), and what else they share beside.
 Open first: `viewer.py` (a live viewer in Python, drawn by the process of `viewer_main.py`),
 `live.py` (what window and page share), `interaction.py` (actions of clicks and keys),
-`picking.py` (finds the item at a pixel).
+`picking.py` (finds the item at a pixel); `jogging.py`, `pulling.py` and `steering.py` are what the
+pointer drags: robots without data, simulated ones, and their targets.
 """

@@ -40,7 +40,8 @@ class Clock:
         speed: shown s per real s.
         time: shown, s since the start.
         begin: of the time line, s.
-        end: of the time line, s; None where a source has no end. Of what is live the newest moment.
+        end: of the time line, s; None where a source has no end. Of what is live, or simulated
+            without an end, the newest moment.
         step_size: of a single step, s.
         on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
             on in steps that are as fine at a low frame rate, so that a plot misses little.
@@ -63,6 +64,9 @@ class Clock:
         ends = [source.end for source in sources if source.end is not None]
         is_endless = self.is_live or len(ends) < len(sources)
         self.end = None if is_endless else max(ends, default=None)
+        # Where a simulation has no end, its time line moves.
+        self._growing = [] if self.is_live else [s for s in sources if s.newest is not None]
+        self._move_line()
         steps = [source.step for source in sources if source.step is not None]
         self.step_size = min(steps, default=_STEP)
         self._shown: float | None = None  # what the mirror stands at
@@ -72,7 +76,18 @@ class Clock:
     @property
     def is_at_end(self) -> bool:
         """Whether it has come to the end of the time line."""
-        return not self.is_live and self.end is not None and self.time >= self.end
+        return self._has_end and self.end is not None and self.time >= self.end
+
+    @property
+    def _has_end(self) -> bool:
+        """Whether time stops there."""
+        return not (self.is_live or self._growing)
+
+    def _move_line(self) -> None:
+        """Brings the ends of a time line that moves up to date."""
+        if self._growing:
+            self.begin = max(source.begin for source in self._growing)
+            self.end = max(source.newest or 0.0 for source in self._growing)
 
     @property
     def can_go_back(self) -> bool:
@@ -92,9 +107,10 @@ class Clock:
             return self._show()
         before = self.time
         self.time += self.speed * min(passed, _LONGEST_FRAME)
-        if self.end is not None and self.time >= self.end:
+        if self._has_end and self.end is not None and self.time >= self.end:
             self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
         changed = self._show()
+        self._move_line()
         passed = max(passed, 1e-6)
         self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
         return changed
@@ -133,7 +149,10 @@ class Clock:
             if self.end is None:
                 return "no end"
             self.seek(self.end)
-            return "at the end"
+            if self._has_end:
+                return "at the end"
+            self.is_paused = False
+            return "goes on from now"
         self.is_past = self.is_paused = self._goes_on_from_there = False
         if self._history is not None:
             self._history.put_back()
@@ -239,6 +258,12 @@ class Clock:
             self.is_past = self._goes_on_from_there = self.time < end
             if not self.is_past:
                 self.go_live()
+
+    def go_to_start(self) -> None:
+        """Goes on at the start of what has begun anew."""
+        self.time = self._simulated = 0.0
+        self._shown, self.is_paused = None, False
+        self._move_line()
 
 
 def time_text(time: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 LEFT, RIGHT, MIDDLE = 0, 1, 2
@@ -49,12 +49,14 @@ class Moved:
         down: pixels; wheel steps for `zoom`.
         pulls_from: pixel at which the left button was pressed with Control, for which a link there
             is pulled and the camera stays; None otherwise.
+        pressed: pixel at which the left button was pressed; None for other buttons.
     """
 
     how: Literal["orbit", "pan", "zoom"]
     right: float
     down: float
     pulls_from: tuple[float, float] | None = None
+    pressed: tuple[float, float] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,8 @@ class Mouse:
             return Moved("pan", right, down)
         is_pan = press.button == RIGHT or press.shift
         pulls_from = (press.x, press.y) if press.control and press.button == LEFT else None
-        return Moved("pan" if is_pan else "orbit", right, down, pulls_from)
+        pressed = (press.x, press.y) if press.button == LEFT else None
+        return Moved("pan" if is_pan else "orbit", right, down, pulls_from, pressed)
 
     def _release(self, event: Event) -> Clicked | None:
         press = self._pressed

@@ -294,8 +294,9 @@ MORE_KEYS: dict[str, str] = {
 # Effect of the mouse on the camera of a live host.
 HOST_MOUSE: dict[str, str] = {
     "drag": "rotates the view",
+    "drag of a handle": "moves or turns the target of a robot",
     "right drag": "pans, also with Shift",
-    "Ctrl+drag": "pulls a simulated link, moves one without data",
+    "Ctrl+drag": "pulls a simulated link, moves others and targets",
     "wheel": "zooms; how strongly it pulls",
     "right double click": "centres the view there",
 }

@@ -10,6 +10,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from ..assemble.scene import Scene
 from ..decor.toggles import Toggles
 from ..drive.mirror import LiveWorld
 from ..errors import SeroError
@@ -26,10 +27,12 @@ from .keeping import Keeping
 from .moments import Moments
 from .panels.jog_panel import JogPanel
 from .panels.robot_panel import RobotPanel
+from .panels.steering_panel import SteeringPanel
 from .panels.widgets import Widgets
 from .picking import Picked, Pixel
 from .pulling import Pulling
 from .scene_decor import SceneDecor
+from .steering import Steering
 from .torque_history import SPAN, TorqueHistory, joint_name
 
 OnClick = Callable[[Picked | None, str], None]
@@ -81,8 +84,11 @@ class LiveHost(ABC):
         history: the torques of the last seconds.
         moments: what was marked and found, on the time line.
         keeping: keeps what live sources sent in the last minute.
+        offers: other scenes that may be shown instead of this one, by the label of a button.
+        next_scene: that which its user has chosen, and this host has ended for.
         pulling: pulls links of simulated robots by the pointer.
         jogging: moves robots by hand that nothing else moves.
+        steering: moves the targets of robots that are simulated without an end.
         folder: as given.
         capture: writes screenshots and films.
         wants_picture: whether the next frame is to be a screenshot.
@@ -115,11 +121,17 @@ class LiveHost(ABC):
         self.keeping = Keeping(mirror)
         self.pulling = Pulling(mirror, clock, self.toggles)
         self.jogging = Jogging(mirror, self.toggles)
-        self._drag: Jogging | Pulling | None = None  # what the drag that goes on moves
+        self._drag: Jogging | Pulling | Steering | None = None  # what the drag that goes on moves
         self._trouble = ""  # what was said of it last
+        self._tried: Pixel | None = None  # where handles were looked for
+        # A scene to show instead of this one, which its user has asked for; and what offers that.
+        self.next_scene: Scene | None = None
+        self.offers: dict[str, Callable[[], Scene]] = {}
         self._advanced = time.monotonic()
         self._robots = RobotPanel(world, self.toggles)
         self._jog_panel = JogPanel(world, self.jogging)
+        self.steering = Steering(mirror, clock, self.toggles)
+        self._steering_panel = SteeringPanel(self.steering, self.say)
         self.folder = folder
         self.capture, self.wants_picture = Capture(world.scene.name, folder), False
         self._is_refused = False  # whether the drag that goes on cannot pull
@@ -201,6 +213,10 @@ class LiveHost(ABC):
         """Makes a point (3,), m, the camera's look-at point."""
 
     @abstractmethod
+    def request_close(self) -> None:
+        """Lets the next frame be the last."""
+
+    @abstractmethod
     def close(self) -> None:
         """Closes the host."""
 
@@ -229,8 +245,21 @@ class LiveHost(ABC):
 
     def build_panel(self, ui: Widgets) -> None:
         """Builds what the panels of all hosts have in common."""
+        for label, make in self.offers.items():
+            if ui.button(label):
+                self._go_on_with(make)
+        self._steering_panel.build(ui)
         self._jog_panel.build(ui)
         self._robots.build(ui)
+
+    def _go_on_with(self, make: Callable[[], Scene]) -> None:
+        """Ends, so that another scene is shown; or says why it cannot be."""
+        try:
+            self.next_scene = make()
+        except SeroError as error:
+            self.say(str(error), is_bad=True)
+        else:
+            self.request_close()
 
     @property
     def has_plot(self) -> bool:
@@ -249,6 +278,7 @@ class LiveHost(ABC):
                 self.notice = Message()  # it is over
             self._trouble = trouble
         self.jogging.advance(passed)
+        self.steering.advance()
         try:
             advance()
         except SeroError as error:  # for example a deleted file; the display does not change
@@ -332,13 +362,20 @@ class LiveHost(ABC):
         if self.on_click is not None:
             self.on_click(picked, gesture)
 
-    def drag(self, moved: Moved, at: Pixel | None, begin: Pixel | None) -> bool:
+    def hover_handle(self, at: Pixel | None) -> bool:
+        """Lights the handle of a target at a pixel; returns whether there is one."""
+        return self.steering.hover(self.decor, at)
+
+    def drag(
+        self, moved: Moved, at: Pixel | None, begin: Pixel | None, pressed: Pixel | None
+    ) -> bool:
         """Pulls or moves a link, if a drag or a turn of the wheel does.
 
         Args:
             moved: the drag, or turn.
             at: the pointer's pixel in the picture; None outside of it.
             begin: that at which the button was pressed with Control; None for another drag.
+            pressed: that at which the left button was pressed, with Control or without.
 
         Returns:
             whether it does not move the camera.
@@ -346,10 +383,14 @@ class LiveHost(ABC):
         if self.pulling.is_on and moved.how == "zoom":
             self.say(self.pulling.stronger(moved.down))
             return True
-        if moved.pulls_from is None:
+        if self._drag is None and pressed is not None and self._tried != moved.pressed:
+            self._tried = moved.pressed  # the drag began there, and only there is a handle grabbed
+            if self.steering.begin_handle(self.decor, pressed) is not None:
+                self._drag = self.steering
+        if moved.pulls_from is None and self._drag is None:
             return False
         if self._drag is None and not self._is_refused and begin is not None:
-            for each in (self.jogging, self.pulling):
+            for each in (self.steering, self.jogging, self.pulling):
                 found = each.begin(self.decor, begin)
                 if found is not None:
                     self._is_refused = found[1]
@@ -362,7 +403,7 @@ class LiveHost(ABC):
 
     def hold(self, at: Pixel) -> bool:
         """Says what a finger that is held at a pixel would drag; returns whether anything."""
-        for each in (self.jogging, self.pulling):
+        for each in (self.steering, self.jogging, self.pulling):
             found = each.announce(self.decor, at)
             if found is not None:
                 self.say(found[0], is_bad=found[1])
@@ -373,7 +414,7 @@ class LiveHost(ABC):
         """Ends a drag."""
         if self._drag is not None:
             self._drag.end()
-        self._drag, self._trouble, self._is_refused = None, "", False
+        self._drag, self._trouble, self._is_refused, self._tried = None, "", False, None
 
     def _take_screenshot(self) -> None:
         self.wants_picture = True

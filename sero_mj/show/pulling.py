@@ -39,6 +39,11 @@ class Pulling:
         self._card: int | None = None  # of the arrow, shown only while it is pulled
         self.is_on = False
 
+    @property
+    def can_pull(self) -> bool:
+        """Whether anything here is simulated."""
+        return self._hand is not None
+
     def begin(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
         """Grabs the link at a pixel of the picture.
 

@@ -16,7 +16,7 @@ from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
 from ..frames import Array
 from .interaction import Gesture, click, hover
-from .picking import Picked, Pixel, link_at, pick, point_at
+from .picking import Picked, Pixel, handle_at, link_at, pick, point_at
 
 log = logging.getLogger(__name__)
 
@@ -123,6 +123,12 @@ class SceneDecor:
         if self.view is None:
             return None
         return link_at(self.world, data, self.pen, self.view, pixel)
+
+    def handle_at(self, pixel: Pixel, tolerance: float = 0.0) -> int | None:
+        """Returns the handle at a pixel of the last frame, see `picking.handle_at`."""
+        if self.view is None:
+            return None
+        return handle_at(self.pen, self.view, pixel, tolerance)
 
     def click(
         self,

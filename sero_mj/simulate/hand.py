@@ -144,6 +144,23 @@ class Hand:
         self._columns, self._rows = (force, frame), rows
         rows[:, frame] = np.eye(4).ravel()
 
+    def drop_oldest(self, dropped: int, kept: int) -> None:
+        """Forgets what was pulled in rows that the log has forgotten.
+
+        Args:
+            dropped: how many rows.
+            kept: how many are left; those behind them have nothing yet.
+        """
+        for pull in self.pulls:
+            pull.first -= dropped
+            if pull.first < 0:
+                del pull.forces[: -pull.first]
+                pull.first = 0
+        acting = self.pulls[-1] if self._push is not None else None
+        self.pulls = [pull for pull in self.pulls if pull.forces or pull is acting]
+        force, frame = self._columns
+        self._rows[kept:, force], self._rows[kept:, frame] = 0.0, np.eye(4).ravel()
+
     def before(self, k: int) -> None:
         """Grabs and lets go what was asked for, before the step that leads on from row k."""
         if self._wanted is not self._push:

@@ -22,13 +22,17 @@ SOURCE = "simulation"
 _SHOWN = ("joint_angles", "torques", "commanded_torques", "base_frame")
 
 
-def simulated_scene(simulation: Simulation) -> Scene:
+def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> Scene:
     """Returns the scene of a simulation, which is simulated while it is shown.
 
     Rows of doubles stand along the targets' paths where `[run]` asks for them.
+
+    Args:
+        simulation: that is shown.
+        source: that hands in its rows; one to its end when None.
     """
     scenario, layout = simulation.scenario, simulation.layout
-    scene = with_routes(scenario, layout, RunSource(run=simulation))
+    scene = with_routes(scenario, layout, source or RunSource(run=simulation))
     if scenario.run.show_paths:
         _add_paths(scene, scenario, layout, simulation.rows)
     if simulation.hand is not None:

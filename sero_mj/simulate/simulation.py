@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import product
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..assemble.mounts import base_frames, unmounted
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
+from ..control.cartesian_control import CartesianImpedance
 from ..control.compiler import Compiler
 from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.joint_control import GravityCompensation
-from ..control.make_controller import make_controller
+from ..control.make_controller import LimitedController, make_controller
 from ..control.observer import MomentumObserver
 from ..control.plan import Plan, make_plan
 from ..control.robot_model import RobotModel
@@ -31,6 +33,7 @@ from .event_schedule import EventSchedule
 from .expect import Outcome
 from .external_loads import Contacts
 from .hand import Hand
+from .live_control import LiveControl, LiveRobot
 from .plant import Plant
 from .scenario import Scenario
 
@@ -53,6 +56,7 @@ class Simulation:
         seed: of the noise; the scenario's when None.
         compiler: that remembers what it has compiled, for those who run many; a new one when None.
         by_hand: whether robots can be pulled by hand while it runs.
+        is_live: whether targets and controllers are changed while it runs, see `LiveControl`.
 
     Attributes:
         scenario: as given.
@@ -61,9 +65,11 @@ class Simulation:
         plant: the simulated robots.
         layout: of the log's rows.
         rows: (steps + 1, width), the log; rows behind `step` hold targets only.
+        times: (steps + 1,), of the rows, s.
         step: how many steps have been made.
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
+        live: changes targets and controllers; None without.
 
     Raises:
         DeclarationError: what only shows when robots are compiled and targets computed: unstable
@@ -77,6 +83,7 @@ class Simulation:
         compiler: Compiler | None = None,
         *,
         by_hand: bool = False,
+        is_live: bool = False,
     ) -> None:
         run, scene = scenario.run, scenario.scene
         self.compiler = compiler or Compiler()
@@ -110,6 +117,7 @@ class Simulation:
                 self.drives = Drives(self.plant, self.robots, run)
         self._limit_speeds()
         self.hand = Hand(self.plant, scenario) if by_hand else None
+        self.live = LiveControl() if is_live else None
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
@@ -122,10 +130,12 @@ class Simulation:
         self._begin(start)
         self._check_gains(start)
 
-    def __reduce__(self) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int, bool]]:
+    def __reduce__(
+        self,
+    ) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int, bool, bool]]:
         """Pickles what is run, so that it runs anew, to the same log, where it is unpickled."""
         seed, by_hand = self.plant.sensors.seed, self.hand is not None
-        return _begun_again, (self.scenario, self._start, seed, by_hand)
+        return _begun_again, (self.scenario, self._start, seed, by_hand, self.live is not None)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
         """Begins anew with other joint angles and noise; what was changed about the plant stays.
@@ -206,13 +216,16 @@ class Simulation:
         def plan(name: str) -> Plan:
             controller = self.scenario.controllers.get(name, GravityCompensation())
             robot, law = standing[name], targets.get(name)
+            if self.live is not None:  # what is planned is replaced, but has its place in the log
+                any_target = CartesianImpedance()
+                return make_plan(robot, None, any_target, times[:1], self.compiler, angles[name])
             return make_plan(robot, law, controller, times, self.compiler, angles[name])
 
         plans = self._of_robots("targets", plan)
         self._schedule = EventSchedule(self.scenario, self.plant, run.steps)
         self.layout = self._make_layout(plans)
         self.rows: Array = np.zeros((len(times), self.layout.width))
-        self.rows[:, 0] = times
+        self.times = self.rows[:, 0] = times
         self._fill_targets(plans)
         self._schedule.fill(self.layout.columns, self.rows)
         if self.hand is not None:
@@ -234,6 +247,23 @@ class Simulation:
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, 0] = self.plant.actual[2]  # what holds it at rest
         self._write_free(0)
+        if self.live is not None:
+            self.live.begin({robot.robot.name: self._live_robot(robot) for robot in self._robots})
+
+    def _live_robot(self, controlled: ControlledRobot) -> LiveRobot:
+        """What targets and controllers of a robot are changed by."""
+        robot, columns = controlled.robot, self.layout.columns
+        keys = (*TARGETS, "target_pose")
+        return LiveRobot(
+            robot=robot,
+            model=self.robot_model(robot),
+            timestep=self.scenario.run.timestep,
+            target=controlled.target,
+            measured=self.plant.measured[0, controlled.joints],
+            speeds=self.plant.measured[1, controlled.joints],
+            written=[self.rows[:, columns[event_of(robot.name, key)]] for key in keys],
+            use=partial(self.use_controller, robot.name),
+        )
 
     def _of_robots(self, section: str, make: Callable[[str], T]) -> dict[str, T]:
         """What is made for every robot, by name; tells all that is wrong in a section at once."""
@@ -282,7 +312,7 @@ class Simulation:
                 self.rows[:, columns[event_of(name, "target_angles")]] = plan.joints.angles
                 self.rows[:, columns[event_of(name, "target_velocities")]] = plan.joints.velocities
             if plan.flange is not None:
-                poses = plan.flange.poses.reshape(len(self.rows), 16)
+                poses = plan.flange.poses.reshape(-1, 16)
                 self.rows[:, columns[event_of(name, "target_pose")]] = poses
 
     @property
@@ -339,7 +369,10 @@ class Simulation:
                 run away, and the log ends there.
         """
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
-        whole_body, free, hand = self.whole_body, self._free, self.hand
+        whole_body, free = self.whole_body, self._free
+        acting = [each for each in (schedule, self.hand) if each is not None]
+        before = [each.before for each in (*acting, self.live) if each is not None]
+        after = [each.after for each in acting]
         measured, actual, driven = self._measured, self._actual, self._driven
         (commanded, _), every = self._drive, self._observed_every
         slow, motor_speeds = self._surely_slow, self._motor_speeds
@@ -348,9 +381,8 @@ class Simulation:
         times = self.rows[first - 1 : stop - 1, 0].tolist()
         try:
             for k, time in zip(range(first, stop), times, strict=True):
-                schedule.before(k - 1)
-                if hand is not None:
-                    hand.before(k - 1)
+                for act in before:
+                    act(k - 1)
                 if whole_body is not None:
                     whole_body.update(measured[k - 1, 0], plant.data)
                 for robot in self._robots:
@@ -361,9 +393,8 @@ class Simulation:
                     self._write_free(k)
                 if contacts is not None and plant.data.ncon:
                     self._write_contacts(k, contacts.update())
-                schedule.after(k)
-                if hand is not None:
-                    hand.after(k)
+                for act in after:
+                    act(k)
                 if k % every == 0:
                     if whole_body is not None:
                         whole_body.update(measured[k, 0], plant.data)
@@ -379,6 +410,52 @@ class Simulation:
         finally:
             written = driven[first : self.step + 1]
             written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
+
+    def drop_oldest(self, keep: int) -> int:
+        """Forgets all rows of the log but the last ones, so that as many can be simulated anew.
+
+        Args:
+            keep: how many rows, at least; a few more are kept.
+
+        Returns:
+            how many were forgotten.
+        """
+        dropped = max(self.step + 1 - keep, 0) // self._observed_every * self._observed_every
+        if not dropped:
+            return 0
+        kept, timestep = self.step + 1 - dropped, self.scenario.run.timestep
+        self.rows[:kept] = self.rows[dropped : self.step + 1]
+        self.rows[kept:] = self.rows[kept - 1]
+        self.times = self.times + dropped * timestep
+        self.rows[:, 0] = self.times
+        self.step -= dropped
+        if self.hand is not None:
+            self.hand.drop_oldest(dropped, kept)
+        return dropped
+
+    def use_controller(self, robot: str, controller: ControllerDeclaration) -> None:
+        """Changes the controller of a robot from the next step on.
+
+        Args:
+            robot: its name.
+            controller: the new one.
+
+        Raises:
+            DeclarationError: gains that do not fit the robot, or that the step cannot hold where it
+                is; the controller is what it was then.
+        """
+        controlled = self._robots[list(self.robots).index(robot)]
+        angles = self._actual[self.step, 0, controlled.joints]
+        before = controlled.in_use
+        try:
+            controlled.use(controller, self)
+            controlled.controller.check(angles)
+            if self.drives is not None and self.drives.loop is not None:
+                linearised = controlled.linearised(self.robot_model, angles)
+                self.drives.check(robot, *linearised, has_springs=controlled.has_springs)
+        except DeclarationError:
+            controlled.in_use = before
+            raise
 
     def _write_free(self, k: int) -> None:
         """Writes where free bases and objects are into row k."""
@@ -411,8 +488,10 @@ class Simulation:
         ]
 
 
-def _begun_again(scenario: Scenario, start: Array, seed: int, by_hand: bool) -> Simulation:
-    simulation = Simulation(scenario, seed, by_hand=by_hand)
+def _begun_again(
+    scenario: Scenario, start: Array, seed: int, by_hand: bool, is_live: bool
+) -> Simulation:
+    simulation = Simulation(scenario, seed, by_hand=by_hand, is_live=is_live)
     if not np.array_equal(start, simulation._start):
         simulation.restart(start, seed)
     return simulation
@@ -432,7 +511,7 @@ class ControlledRobot:
     Attributes:
         robot: as given.
         joints: which joints of the plant are its own.
-        controller: behind its torque limits.
+        in_use: its controller as declared, and as made; and where the links of elastic joints rest.
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.
@@ -449,13 +528,9 @@ class ControlledRobot:
         name, scenario, plant = robot.name, simulation.scenario, simulation.plant
         timestep = scenario.run.timestep
         self.joints = joints = plant.world.robots[name].joints
-        self._declared = scenario.controllers.get(name, GravityCompensation())
         self._timestep = timestep
         self.robot = robot
-        self.controller = make_controller(
-            self._declared, simulation.robot_model(robot), timestep, robot.torque_limits
-        )
-        self._commanded, self.controller.asked = drive[:, joints]
+        self._commanded, self._asked = drive[:, joints]
         # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
         motor_state = np.zeros(2 * robot.n) if robot.elastic_joints else None
         # What is measured of the only robot is used in place.
@@ -470,14 +545,11 @@ class ControlledRobot:
                 (sensed.motor_angles, plant.motor_angles[joints]),
                 (sensed.motor_velocities, plant.motor_velocities[joints]),
             ]
-        self._hanging = None
         self._joint_stiffness: Array | None = None
         if robot.elastic_joints and simulation.drives is not None and simulation.drives.loop:
-            self._joint_stiffness = stiffness = simulation.drives.gains[name].stiffness
-            hold_links = getattr(self.controller.controller, "hold_links", None)
-            at_rest = hold_links(stiffness) if hold_links is not None else None
-            model = simulation.robot_model(robot)
-            self._hanging = HangingLinks(stiffness, at_rest, model, robot.home)
+            self._joint_stiffness = simulation.drives.gains[name].stiffness
+        self.in_use: tuple[Any, LimitedController, HangingLinks | None]
+        self.use(scenario.controllers.get(name, GravityCompensation()), simulation)
         self._target = Target(robot.n)
         self._target.posture[:] = robot.home
         self._target.has_torques = False  # no target motion has any
@@ -492,17 +564,49 @@ class ControlledRobot:
         self._sense()
         self._observer.update(self._sensed)
 
+    def use(self, declared: Any, simulation: Simulation) -> None:
+        """Controls the robot by another controller from now on.
+
+        Args:
+            declared: see `Scenario.controllers`.
+            simulation: that the robot is in.
+
+        Raises:
+            DeclarationError: gains or limits do not fit the robot.
+        """
+        robot = self.robot
+        model = simulation.robot_model(robot)
+        controller = make_controller(declared, model, self._timestep, robot.torque_limits)
+        controller.asked = self._asked
+        hanging, stiffness = None, self._joint_stiffness
+        if stiffness is not None:
+            hold_links = getattr(controller.controller, "hold_links", None)
+            at_rest = hold_links(stiffness) if hold_links is not None else None
+            hanging = HangingLinks(stiffness, at_rest, simulation.robot_model(robot), robot.home)
+        self.in_use = declared, controller, hanging
+
+    @property
+    def controller(self) -> LimitedController:
+        """The controller, behind its torque limits."""
+        return self.in_use[1]
+
+    @property
+    def target(self) -> Target:
+        """What it is asked for, to be written into."""
+        return self._target
+
     def _sense(self) -> None:
         """Lets the controller see what was measured."""
         for sensed, measured in self._copies:
             sensed[...] = measured
-        if self._hanging is not None:
-            self._sensed.motor_angles[...] = self._hanging.link_angles(self._sensed.motor_angles)
+        hanging = self.in_use[2]
+        if hanging is not None:
+            self._sensed.motor_angles[...] = hanging.link_angles(self._sensed.motor_angles)
 
     @property
     def has_springs(self) -> bool:
         """Whether a stiffness is declared, for which its damping is designed."""
-        return hasattr(self._declared, "stiffness")
+        return hasattr(self.in_use[0], "stiffness")
 
     def linearised(
         self, make_model: Callable[[SerialRobot], RobotModel], angles: Array
@@ -524,8 +628,9 @@ class ControlledRobot:
         slopes: Array = np.zeros((2, n, n))
         model.update(angles, np.zeros(n))
         mass = model.mass() - np.diag(model.motor_inertia)
-        if isinstance(self._declared, ControllerDeclaration):
-            controller = self._declared.make(make_model(self.robot), self._timestep)
+        declared = self.in_use[0]
+        if isinstance(declared, ControllerDeclaration):
+            controller = declared.make(make_model(self.robot), self._timestep)
             sensed, target, torques = Sensed(n), Target(n), np.zeros((2, n))
             target.angles[:] = target.posture[:] = angles
             target.pose[:] = model.flange()
@@ -563,7 +668,7 @@ class ControlledRobot:
         self._sensed.time = time
         if self._moves:
             self._planned[...] = self._planned_rows[k]
-        self.controller.torques(self._sensed, self._target, self._commanded)
+        self.in_use[1].torques(self._sensed, self._target, self._commanded)
 
     def observe(self, measured: Array) -> Array:
         """Estimates the external torques after further steps, (n,), Nm or N.

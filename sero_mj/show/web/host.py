@@ -252,6 +252,10 @@ class WebHost(LiveHost):
             self._renderer.close()
             self._renderer = None
 
+    def request_close(self) -> None:
+        """Lets the next frame be the last."""
+        self._app.close()
+
     def close(self) -> None:
         """Closes the page and informs the browsers."""
         if self._is_closed:

@@ -68,6 +68,7 @@ class StudioApp(studio_app.App):
         )
         self._host = host
         self._mouse = Mouse()
+        self._is_on_handle = False  # whether the pointer is
         self._pulls = False  # whether the drag that goes on pulls, and the camera stays
         self.take_hold: Callable[[], bool] = lambda: False
         self.press_time: Callable[[int], float] = lambda button: time.monotonic()
@@ -106,8 +107,11 @@ class StudioApp(studio_app.App):
         """Distinguishes clicks from drags, with which the browser moves its camera."""
         io = imgui.GetIO()
         height = io.DisplaySize.y
-        over_scene = (self._pulls or not io.WantCaptureMouse) and imgui.IsMousePosValid()
         at = (io.MousePos.x, height - io.MousePos.y)
+        # A handle holds the browser's camera, as a window does, before it is pressed.
+        is_free = not imgui.IsWindowHovered(int(imgui.HoveredFlags.AnyWindow))
+        is_own = self._pulls or (self._is_on_handle and is_free)
+        over_scene = (is_own or not io.WantCaptureMouse) and imgui.IsMousePosValid()
 
         def event(kind: str, button: int = LEFT, when: float = 0.0) -> Event:
             shift, control = io.KeyShift or io.KeyCtrl, io.KeyCtrl
@@ -127,13 +131,16 @@ class StudioApp(studio_app.App):
             if isinstance(each, Clicked):
                 self._host.click(each)
             elif isinstance(each, Moved):
-                self._pulls |= self._host.drag(each, at, each.pulls_from)
+                self._pulls |= self._host.drag(each, at, each.pulls_from, each.pressed)
         if self._pulls and io.MouseWheel:
-            self._host.drag(Moved("zoom", 0.0, io.MouseWheel), at, None)
+            self._host.drag(Moved("zoom", 0.0, io.MouseWheel), at, None, None)
         if not self._mouse.is_down:
             self._pulls = False
             self._host.let_go()
-        if self._pulls:  # the browser leaves its camera alone, as over a window
+        self._is_on_handle = over_scene and self._host.hover_handle(at)
+        if (
+            self._pulls or self._is_on_handle
+        ):  # the browser leaves its camera alone, as over a window
             imgui.SetNextFrameWantCaptureMouse(True)
         self._host.point(at if over_scene and not self._mouse.is_down else None)
 

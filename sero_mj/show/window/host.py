@@ -303,6 +303,7 @@ class Window(LiveHost):
         self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
         is_pointing = not (self._mouse.is_down or self.shows_help or self._is_over_panel)
         self.point(self._pointer() if is_pointing else None)
+        self.hover_handle(self._pointer() if is_pointing else None)
         if panel is not None:
             panel.build(bottom, self.build_panel)
         filled = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
@@ -439,8 +440,9 @@ class Window(LiveHost):
 
     def _move(self, moved: Moved, height: int) -> None:
         view, navigator = self.decor.view, self.navigator
-        begin = None if moved.pulls_from is None else self.decor.to_picture(*moved.pulls_from)
-        if view is None or self.drag(moved, self._pointer(), begin):
+        places = (moved.pulls_from, moved.pressed)
+        begin, pressed = (None if at is None else self.decor.to_picture(*at) for at in places)
+        if view is None or self.drag(moved, self._pointer(), begin, pressed):
             return
         if self.decor.fixed:
             self.say(self.decor.fixed)
@@ -486,6 +488,10 @@ class Window(LiveHost):
             return
         self.navigator.free(view.position, view.forward)
         self.navigator.camera.lookat = point
+
+    def request_close(self) -> None:
+        """Lets the next frame be the last."""
+        self.gl.request_close()
 
     def close(self) -> None:
         """Closes the window after pictures and films are written."""

@@ -1,0 +1,100 @@
+"""`endless_scene`: robots simulated without an end, pulled, steered and tuned while they run."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+
+from ..assemble.scene import Scene
+from ..frames import Array
+from ..runs.run_source import RunSource
+from .live_control import Control
+from .scenario import Scenario
+from .simulated_scene import simulated_scene
+from .simulation import Simulation
+
+KEPT = 60.0  # s of the past that can be seen again, at least
+_LONGEST = 90.0  # s of the log, before its oldest rows are forgotten
+
+
+class EndlessRun(RunSource):
+    """A simulation that goes on when its log is full: the oldest third is forgotten then.
+
+    So it takes no more memory than its log of 90 s, and at least the last 60 s can be seen again.
+    """
+
+    @property
+    def end(self) -> float | None:
+        """None: it has no end."""
+        return None
+
+    @property
+    def begin(self) -> float:
+        """Time of the oldest row, s."""
+        return float(self.run.times[0])
+
+    @property
+    def newest(self) -> float:
+        """Time of the newest row, s."""
+        return float(self.run.time)
+
+    @property
+    def about(self) -> str:
+        """What it is, for people."""
+        return str(self.run.about)
+
+    def start_again(self) -> None:
+        """Begins anew with the declared pose and the controllers of now; errors are forgotten."""
+        simulation = self.run
+        simulation.restart(simulation._start, simulation.plant.sensors.seed)
+        self._error = None
+        self.open()
+
+    def _before(self, row: int) -> int:
+        """Only the row itself: a minute of packets would take longer than a frame."""
+        return row - 1
+
+    def advance_to(self, time: float) -> None:
+        """Hands on the rows until then, s; simulates those that are not there yet."""
+        run = self.run
+        while time > run.times[-1] and self._error is None:
+            super().advance_to(float(run.times[-1]))
+            if self._error is None:
+                rows = round(KEPT / run.scenario.run.timestep)
+                self._shown = max(self._shown - run.drop_oldest(rows), -1)
+        super().advance_to(max(time, float(run.times[0])))
+
+
+def endless_scene(
+    scene: Scene, control: Control = "joint", angles: Mapping[str, Array] | None = None
+) -> Scene:
+    """Returns a scene whose robots are simulated without an end while it is shown.
+
+    Physics and controllers run at 1 kHz; where all robots declare a torque loop, joint torque
+    control between them at 3 kHz. Sources and routes of the scene have no part in it.
+
+    Args:
+        scene: with robots.
+        control: of all of them, at first.
+        angles: where they begin, (n,), rad or m; others at the declared pose.
+
+    Raises:
+        DeclarationError: what only shows when robots are simulated: starts beyond limits, no
+            masses.
+    """
+    shown = copy.copy(scene)
+    shown.sources, shown.routes = {}, {}
+    starts = angles or {}
+    shown.robots = {
+        name: robot.model_copy(
+            update={"joint_angles": starts.get(name, robot.home), "torques": None}
+        )
+        for name, robot in scene.robots.items()
+    }
+    has_loops = all("torque_control" in robot.model_fields_set for robot in shown.robots.values())
+    scenario = Scenario(shown, name=scene.name, duration=_LONGEST, torque_control=has_loops)
+    simulation = Simulation(scenario, by_hand=True, is_live=True)
+    assert simulation.live is not None
+    for robot in simulation.live.robots.values():
+        robot.choose(control)
+    return simulated_scene(simulation, EndlessRun(run=simulation))

@@ -1,0 +1,396 @@
+"""Robots simulated without an end: controllers, gains and targets that change while they run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from decor_tools import view_at
+from scripted_widgets import ScriptedWidgets
+
+import sero_mj
+from sero_mj.cli import main
+from sero_mj.decor.handles import CUBE, HANDLE_NAMES
+from sero_mj.decor.toggles import Toggles
+from sero_mj.drive.mirror import Mirror
+from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.frames import frame, rotation_angle, rotation_from_rpy
+from sero_mj.show.clock import Clock
+from sero_mj.show.handle_drag import dragged
+from sero_mj.show.panels.steering_panel import SteeringPanel
+from sero_mj.show.pulling import Pulling
+from sero_mj.show.scene_decor import SceneDecor
+from sero_mj.show.steering import Steering
+from sero_mj.simulate import endless_run
+from sero_mj.simulate.endless_run import endless_scene
+
+BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
+
+
+def lwr_scene(**fields: Any) -> sero_mj.Scene:
+    robot = sero_mj.SerialRobot.from_model("lwr", joint_angles=BENT, **fields)
+    return sero_mj.Scene(robots=[robot], name="lwr")
+
+
+class Played:
+    """A scene that is simulated without an end, with what a host has of it."""
+
+    def __init__(self, control: str = "joint", scene: sero_mj.Scene | None = None) -> None:
+        self.mirror = Mirror(endless_scene(scene or lwr_scene(), control))  # type: ignore[arg-type]
+        self.mirror.open()
+        self.world, self.data = self.mirror.world, self.mirror.data
+        self.clock, self.toggles = Clock(self.mirror), Toggles(self.world)
+        self.steering = Steering(self.mirror, self.clock, self.toggles)
+        self.source: Any = self.mirror.sources["simulation"]
+        self.run: Any = self.source.run
+        self.decor = SceneDecor(self.world, self.toggles)
+        self.go(0.02)
+
+    def go(self, seconds: float) -> None:
+        for _ in range(max(round(seconds / 0.02), 1)):
+            self.steering.advance()
+            self.clock.advance(0.02)
+
+    @property
+    def lwr(self) -> Any:
+        return self.steering.robots["lwr"]
+
+    def signal(self, name: str) -> np.ndarray:
+        return self.run.log.of("lwr", name)
+
+
+@pytest.mark.parametrize("control", ["joint", "cartesian"])
+def test_the_robot_follows_its_target_smoothly(control: str) -> None:
+    played = Played(control)
+    wanted = BENT + np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2, 0.5])
+    played.steering.goals["lwr"].set_all(wanted)
+    played.go(3.0)
+    assert played.source.error is None
+    assert played.lwr.measured == pytest.approx(wanted, abs=2e-3)
+    target = played.signal("target_angles")
+    assert target[-1] == pytest.approx(wanted)
+    steps = np.abs(np.diff(target, axis=0)).max(axis=0)
+    limits = played.lwr.robot.velocity_limits
+    assert (steps <= 0.7 * limits * 1e-3 + 1e-12).all()  # it never jumps
+    shown = played.data.userdata[played.world.slots["lwr_target.joint_angles"]]
+    assert shown == pytest.approx(wanted)
+    rows = played.run.rows[: played.run.step + 1]
+    pose = rows[-1, played.run.layout.columns["lwr_target_pose"]].reshape(4, 4)
+    robot = played.lwr.robot
+    assert pose == pytest.approx(robot.base_frame @ robot.fwd_kin_base_to_flange(wanted), abs=1e-9)
+
+
+def test_controllers_change_without_a_jump() -> None:
+    played = Played("gravity")
+    played.go(0.2)
+    before = played.signal("commanded_torques")[-1].copy()
+    # Moved while it is free: no controller knows of the way.
+    held = played.run.plant.push("lwr/flange", force=[0.0, 25.0, 10.0])
+    played.go(0.2)
+    played.run.plant.release(held)
+    played.go(1.0)
+    moved = played.lwr.measured.copy()
+    assert np.abs(moved - BENT).max() > 0.05
+    assert played.signal("target_angles")[-1] == pytest.approx(moved, abs=3e-3)
+
+    def jump(control: str) -> float:
+        """The change of the torques when the controller is changed, Nm."""
+        row = played.run.step
+        assert played.steering.choose("lwr", control).startswith("lwr: ")
+        played.go(0.02)
+        torques = played.signal("commanded_torques")
+        return float(np.abs(torques[row + 1] - torques[row]).max())
+
+    assert np.abs(played.signal("joint_velocities")[-1]).max() > 0.1
+    assert jump("joint") < 1.0  # while it moves: so does the target
+    played.go(1.5)
+    moved = played.lwr.measured.copy()
+    for control in ("cartesian", "gravity", "joint"):
+        assert jump(control) < 0.1
+        played.go(0.3)
+    played.go(1.0)
+    assert played.lwr.measured == pytest.approx(moved, abs=0.03)
+    assert np.abs(before).max() > 20
+
+
+def test_under_a_force_the_compliance_is_that_of_the_stiffness() -> None:
+    played = Played("joint")
+    stiffness = np.array([900.0, 900, 500, 500, 500, 200, 200])
+    assert played.lwr.change({"stiffness": stiffness}, str) == ""
+    force = np.array([0.0, 30.0, -40.0])
+    played.run.plant.push("lwr/flange", force=force)
+    played.go(3.0)
+    robot = played.lwr.robot
+    found = played.lwr.measured
+    J = robot.kinematics.jacobian(found, robot.base_frame, robot.T_n_flange, robot.flange_link)
+    expected = J[:3].T @ force / stiffness
+    assert found - BENT == pytest.approx(expected, rel=0.05, abs=2e-3)
+    assert np.abs(expected).max() > 0.02
+
+
+def test_gains_that_the_step_cannot_hold_are_refused_with_the_largest() -> None:
+    finger = sero_mj.SerialRobot.from_model("hit_finger")
+    finger = finger.model_copy(update={"torque_limits": None})
+    played = Played("joint", sero_mj.Scene(robots=[finger], name="finger"))
+    (robot,) = played.steering.robots.values()
+    before = robot.gains["joint"].stiffness.copy()
+    texts = []
+
+    def text(values: Any) -> str:
+        texts.append(float(values["stiffness"].max()))
+        return f"{texts[-1]:.4g} Nm/rad"
+
+    why = robot.change({"stiffness": np.full(finger.n, 5000.0)}, text)
+    assert why.startswith("refused: joint ") and "with a time step of 1 ms" in why
+    assert why.endswith(f"At most {texts[-1]:.4g} Nm/rad holds here")
+    assert robot.gains["joint"].stiffness.tolist() == before.tolist()
+    share = (texts[-1] - before.max()) / (5000.0 - before.max())
+    most = before + share * (5000.0 - before)
+    assert robot.change({"stiffness": most}, text) == ""
+    assert robot.change({"stiffness": before + 1.05 * share * (5000.0 - before)}, text) != ""
+    assert robot.change({"damping": np.array([9.0])}, lambda v: "x").startswith("refused: found 9;")
+    played.go(0.2)
+    assert played.source.error is None
+
+
+def test_gains_act_at_once() -> None:
+    played = Played("cartesian")
+    push = played.run.plant.push("lwr/flange", force=[0.0, 0.0, -40.0])
+    ways = []
+    for stiffness in (2000.0, 500.0):
+        gains = np.diag([stiffness] * 3 + [100.0] * 3)
+        assert played.lwr.change({"stiffness": gains}, str) == ""
+        played.go(2.5)
+        there = played.run.plant.flange("lwr")[2, 3]
+        goal = played.steering.goals["lwr"].flange(played.steering.base("lwr"))[2, 3]
+        ways.append(goal - there)
+    played.run.plant.release(push)
+    assert ways == pytest.approx([40 / 2000, 40 / 500], rel=0.05)
+
+
+def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endless_run, "KEPT", 0.6)
+    monkeypatch.setattr(endless_run, "_LONGEST", 0.9)
+    played = Played("joint")
+    size = played.run.rows.nbytes
+    assert played.source.end is None and played.source.about == "simulation of lwr"
+    held = played.run.plant.push("lwr/flange", force=[0.0, 25.0, 0.0])
+    played.go(2.0)
+    played.run.plant.release(held)
+    now = played.clock.time
+    assert now == pytest.approx(2.0, abs=0.05)
+    begin, newest = played.clock.begin, played.clock.end
+    assert newest == pytest.approx(now, abs=1e-9)
+    assert 0.6 <= newest - begin <= 0.9
+    assert played.run.rows.nbytes == size
+    rows = played.run.rows[: played.run.step + 1]
+    assert np.diff(rows[:, 0]) == pytest.approx(1e-3)
+    speeds = np.diff(played.signal("joint_angles"), axis=0) / 1e-3
+    assert speeds == pytest.approx(played.signal("joint_velocities")[1:], abs=0.02)  # no seam
+    # The past can be seen, and not before what is kept; then it goes on from now.
+    then = begin + 0.2
+    played.clock.seek(then)
+    played.clock.is_paused = True
+    played.go(0.02)
+    row = round(0.2 / 1e-3)
+    assert played.data.qpos == pytest.approx(
+        rows[row, played.run.layout.columns["lwr_joint_angles"]]
+    )
+    assert played.steering.is_past
+    played.clock.seek(0.0)
+    assert played.clock.time == pytest.approx(begin)
+    assert played.clock.go_live() == "goes on from now"
+    played.go(0.1)
+    assert played.clock.time > newest and not played.steering.is_past
+
+
+def test_pushes_are_kept_where_the_log_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endless_run, "KEPT", 0.6)
+    monkeypatch.setattr(endless_run, "_LONGEST", 0.9)
+    played = Played("joint")
+    hand = played.run.hand
+    pulling = Pulling(played.mirror, played.clock, played.toggles)
+    assert pulling.can_pull
+    hand.grab("lwr/link5", np.zeros(3))
+    hand.target = hand.place + 0.1 * np.eye(3)[1]
+    played.go(2.0)
+    (pull,) = hand.pulls
+    rows = played.run.rows[: played.run.step + 1]
+    logged = rows[:, played.run.layout.columns["by_hand_force"]]
+    assert pull.first + len(pull.forces) == len(rows) - 1
+    assert np.array(pull.forces) == pytest.approx(logged[pull.first : -1])
+    assert np.linalg.norm(logged[-1]) > 1
+
+
+def test_after_an_error_it_starts_again() -> None:
+    played = Played("joint")
+    played.lwr.change({"damping": np.array([0.5])}, str)
+    played.source._error = SimulationError(0.1, "lwr/A2", "it runs away")
+    said: list[str] = []
+    panel = SteeringPanel(played.steering, said.append)
+    ui = ScriptedWidgets()
+    panel.build(ui)
+    assert any(t.startswith("stopped: ") and "it runs away" in t for t in ui.texts())
+    panel.build(ScriptedWidgets({"start again": True}))
+    assert said == ["from the declared pose"]
+    played.go(0.5)
+    assert played.source.error is None and played.clock.time == pytest.approx(0.5, abs=0.05)
+    assert played.lwr.control == "joint" and played.lwr.gains["joint"].damping.tolist() == [0.5]
+    assert played.lwr.measured == pytest.approx(BENT, abs=1e-3)
+
+
+def test_what_cannot_be_simulated_says_why() -> None:
+    scene = lwr_scene(position_limits=[[-0.1, 0.1]] * 7)
+    with pytest.raises(DeclarationError, match=r"joint A1 begins at 11.46 deg; expected -5.73"):
+        endless_scene(scene)
+
+
+def test_two_robots_have_targets_of_their_own() -> None:
+    robots = [
+        sero_mj.SerialRobot.from_model(
+            "lwr", name=n, base_frame={"xyz": [0, y, 0]}, joint_angles=BENT
+        )
+        for n, y in (("left", 0.0), ("right", 1.0))
+    ]
+    played = Played("joint", sero_mj.Scene(robots=robots, name="two"))
+    played.steering.choose("right", "gravity")
+    played.steering.goals["left"].set_joint(0, 0.5)
+    played.go(2.0)
+    left, right = (played.steering.robots[name].measured for name in ("left", "right"))
+    assert left[0] == pytest.approx(0.5, abs=2e-3)
+    assert right == pytest.approx(BENT, abs=1e-3)
+
+
+def test_the_panel_changes_controllers_and_gains_and_tells() -> None:
+    played = Played("joint")
+    said: list[str] = []
+    panel = SteeringPanel(played.steering, said.append)
+    first = played.lwr.gains["joint"].stiffness.copy()
+    panel.build(ScriptedWidgets({"stiffness": 50.0, "damping": 1.0}))
+    gains = played.lwr.gains["joint"]
+    assert gains.stiffness == pytest.approx(0.5 * first) and gains.damping.tolist() == [1.0]
+    panel.build(ScriptedWidgets({"A2": 700.0}))
+    assert played.lwr.gains["joint"].stiffness[1] == 700.0
+    panel.build(ScriptedWidgets({"A2": 9000.0}))
+    ui = ScriptedWidgets()
+    panel.build(ui)
+    (text,) = [each for each in ui.texts() if each.startswith("refused: ")]
+    assert text.startswith("refused: found 9000; expected 0 to 5000 Nm/rad")
+    assert "holds here" in text
+    panel.build(ScriptedWidgets({"##control": "Cartesian impedance"}))
+    assert said == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian"
+    for label, value in (("stiffness", 800.0), ("of turning", 40.0), ("null space", 25.0)):
+        panel.build(ScriptedWidgets({label: value}))
+    gains = played.lwr.gains["cartesian"]
+    assert np.diagonal(gains.stiffness).tolist() == [800.0] * 3 + [40.0] * 3
+    assert gains.nullspace_stiffness.tolist() == [25.0]
+    panel.build(ScriptedWidgets({"##A1": 30.0}))
+    assert played.steering.goals["lwr"].angles[0] == pytest.approx(np.deg2rad(30))
+    panel.build(ScriptedWidgets({"target to robot": True}))
+    assert played.steering.goals["lwr"].angles == pytest.approx(played.lwr.measured)
+    panel.build(ScriptedWidgets({"##control": "gravity compensation"}))
+    panel.build(ScriptedWidgets({"damping": 3.0}))
+    assert played.lwr.gains["gravity"].damping.tolist() == [3.0]
+
+
+POSE = frame(rotation_from_rpy(np.array([-1.5, -0.7, 0.0])), np.array([0.1, 0.05, 0.7]))
+
+
+@pytest.mark.parametrize("handle", range(7))
+def test_handles_move_what_the_pointer_moves(handle: int) -> None:
+    view = view_at()
+    name = HANDLE_NAMES[handle]
+    if handle == CUBE:
+        moved = POSE.copy()
+        moved[:3, 3] += 0.08 * view.right - 0.05 * view.up
+        point, after = POSE[:3, 3], moved[:3, 3]
+    elif handle < 3:
+        moved = POSE.copy()
+        moved[:3, 3] += 0.07 * POSE[:3, handle]
+        point, after = POSE[:3, 3] + 0.1 * POSE[:3, handle], moved[:3, 3] + 0.1 * POSE[:3, handle]
+    else:
+        k = handle - 3
+        turn = rotation_from_rpy(0.4 * np.eye(3)[k])
+        moved = POSE @ frame(turn)
+        arm = 0.1 * np.eye(3)[(k + 1) % 3]
+        point, after = POSE[:3, :3] @ arm + POSE[:3, 3], moved[:3, :3] @ arm + POSE[:3, 3]
+    begin, now = (tuple(view.project(each)[0].tolist()) for each in (point, after))
+    found = dragged(POSE, handle, view, begin, now)
+    assert found == pytest.approx(moved, abs=1e-9), name
+
+
+def test_a_ring_seen_from_the_side_turns_along_its_edge() -> None:
+    view = view_at(azimuth=0.0)
+    pose = frame(np.eye(3), np.array([0.0, 0.0, 0.6]))
+    x, y = view.project(pose[:3, 3])[0].tolist()
+    found = dragged(pose, 5, view, (x, y), (x + 40, y))  # about z, level
+    assert rotation_angle(found[:3, :3]) > 0.2
+    assert found[1, 0] > 0  # what is nearer goes to the right: a turn by the right hand about z
+    back = dragged(pose, 5, view, (x, y), (x - 40, y))
+    assert back[1, 0] == pytest.approx(-found[1, 0])
+
+
+def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
+    played = Played("cartesian")
+    view = view_at()
+    played.steering.advance()
+    played.decor.lay_out(played.data, view)
+    handles = played.toggles.handles
+    assert handles is not None and handles.pose is not None
+    start = handles.pose.copy()
+    rows = played.decor.pen.rows[: played.decor.pen.count]
+    kinds = played.decor.pen.kinds[: played.decor.pen.count]
+    items = played.decor.pen.items[: played.decor.pen.count]
+    (arrow,) = np.flatnonzero((kinds == 8) & (items == 0))
+    tip = rows["pos"][arrow] + 0.08 * rows["mat"][arrow][:, 2]
+    at = tuple(view.project(tip.astype(float))[0].tolist())
+    assert played.steering.hover(played.decor, at)
+    assert played.steering.begin_handle(played.decor, at) == ("", False)
+    wanted = tip + 0.05 * rows["mat"][arrow][:, 2]
+    played.steering.move(tuple(view.project(wanted.astype(float))[0].tolist()))
+    for _ in range(4):
+        assert played.steering.update(played.decor) == ""
+    goal = played.steering.goals["lwr"]
+    pose = goal.flange(played.steering.base("lwr"))
+    assert pose[:3, 3] - start[:3, 3] == pytest.approx(0.05 * start[:3, 0], abs=2e-3)
+    assert pose[:3, :3] == pytest.approx(start[:3, :3], abs=3e-3)
+    # Far away: it stops, says why, and shows where it was wanted.
+    far = tip + 3.0 * rows["mat"][arrow][:, 2]
+    played.steering.move(tuple(view.project(far.astype(float))[0].tolist()))
+    for _ in range(40):
+        trouble = played.steering.update(played.decor)
+    assert trouble.startswith("not reached, ")
+    played.steering.advance()
+    assert played.toggles.handles.mark is not None
+    low, high = goal.robot.position_limits.T
+    assert (goal.angles >= low).all() and (goal.angles <= high).all()
+    played.steering.end()
+    played.go(2.0)
+    assert played.source.error is None
+    assert played.toggles.handles.mark is None
+    # The double's links are dragged with Ctrl; under gravity compensation there is nothing to drag.
+    played.decor.lay_out(played.data, view)
+    double = played.world.doubles["lwr_target"]
+    point = played.data.xpos[double.bodies[0][7]]
+    found = played.steering.begin(played.decor, tuple(view.project(point)[0].tolist()))
+    assert found is None or found[0].startswith("moves lwr_target/")
+    played.steering.end()
+    played.steering.choose("lwr", "gravity")
+    played.steering.advance()
+    assert played.toggles.handles is None
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--control", "joint"], "--control joint is for --simulate, which is not given"),
+        (["--simulate", "--replay", "x.mcap"], "--simulate and --replay: a recording is played"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(
+    options: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["view", "lwr", "--web", *options])
+    assert why in capsys.readouterr().err
