@@ -32,6 +32,9 @@ COUNTS: dict[str, tuple[int, ...]] = {
 Size = tuple[int, int]
 _WIDEST = float(np.tan(np.deg2rad(75.0)))  # from the axis; a plane picture of more is mostly edge
 _FINER = 1.25  # how much finer the picture without distortion is than the photo
+_MOST_PIXELS = 12e6  # of it; larger photos have less than that in it
+_LOOKED_UP = 320  # pixels of a row that are looked up in it; those between are interpolated
+_OUTSIDE = -10.0  # a pixel that it does not have
 _THERE_AND_BACK = 0.1  # pixels that a pixel may be off after it
 _FARTHEST = 20.0  # from the axis, at z = 1
 _GRID = 33  # pixels along each side that are looked at
@@ -316,25 +319,34 @@ class PlanePicture:
         self._edges = left, right, -bottom, -top
 
     def _look_up(self, low: Any, high: Any, largest: Size) -> None:
-        camera = self.camera
-        v, u = np.mgrid[: camera.height, : camera.width]
-        rays = camera.undistort(np.stack([u, v], axis=-1).astype(float))
+        camera, cv2 = self.camera, opencv()
+        # Rays of some pixels, and between these: lenses bend little from pixel to pixel.
+        apart = max(camera.width // _LOOKED_UP, 1)
+        rows, columns = camera.height // apart + 2, camera.width // apart + 2
+        v, u = np.mgrid[:rows, :columns].astype(float) * apart
+        rays = camera.undistort(np.stack([u, v], axis=-1))
         extent = np.array(high) - low
         # As fine as the photo is where it shows least of the world in a pixel.
-        with np.errstate(invalid="ignore"):
-            steps = np.linalg.norm(np.diff(rays, axis=1), axis=2)
-        finest = float(np.nanpercentile(steps[steps > 0], 1.0)) if (steps > 0).any() else 1e-3
+        steps = np.linalg.norm(np.diff(rays, axis=1), axis=2) / apart
+        steps = steps[np.isfinite(steps) & (steps > 0)]
+        finest = float(np.percentile(steps, 1.0)) if len(steps) else 1e-3
         size = extent * max(_FINER, self._scale) / finest
-        size *= min(1.0, *(np.array(largest) / size))
+        size *= min(1.0, *(np.array(largest) / size), np.sqrt(_MOST_PIXELS / size.prod()))
         width, height = (max(round(float(side)), 1) for side in size)
         self.size = (width, height)
         pixels = (rays - low) / extent * (width, height) - 0.5
-        pixels = np.nan_to_num(pixels, nan=-10.0, posinf=-10.0, neginf=-10.0).astype(np.float32)
-        outside = np.linalg.norm(rays, axis=2) > _WIDEST
-        pixels[outside] = -10.0
-        cv2 = opencv()
+        pixels[~(np.linalg.norm(rays, axis=2) < _WIDEST)] = np.nan
+        at = np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32)
+        everywhere = np.meshgrid(at[0] / apart, at[1] / apart)
+        each = [
+            cv2.remap(pixels[..., k].astype(np.float32), *everywhere, cv2.INTER_LINEAR)
+            for k in (0, 1)
+        ]
+        is_drawn = np.isfinite(each[0]) & np.isfinite(each[1])
         # To a 32nd of a pixel, in a third of the time.
-        self._maps = cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
+        self._maps = cv2.convertMaps(
+            *(np.where(is_drawn, of, _OUTSIDE).astype(np.float32) for of in each), cv2.CV_16SC2
+        )
 
     def look(self, scene: mujoco.MjvScene) -> None:
         """Makes the camera of a scene, that `mjv_updateScene` has filled, this one."""
