@@ -90,6 +90,22 @@ def add_to(commands: Commands) -> None:
         "double, hover or touch (as with a finger); may be repeated",
     )
     parser.add_argument(
+        "--show",
+        action="append",
+        default=[],
+        type=_switch,
+        dest="shown",
+        metavar="NAME=0|1",
+        help="switch arrows, billboards, axes, legend, ... on or off: a digit for all of them, or "
+        "one for each joint, frame, ...; may be repeated",
+    )
+    parser.add_argument(
+        "--select", metavar="ROBOT/JOINT", help="light a joint, as one that was clicked on is"
+    )
+    parser.add_argument(
+        "--at", type=not_negative, metavar="S", help="time of a simulation's or recording's picture"
+    )
+    parser.add_argument(
         "--wait",
         type=not_negative,
         default=2.0,
@@ -113,6 +129,13 @@ def _click(text: str) -> tuple[float, float, str, bool]:
     )
 
 
+def _switch(text: str) -> tuple[str, str]:
+    name, equals, digits = text.partition("=")
+    if equals and digits.isdecimal():
+        return name, digits
+    raise argparse.ArgumentTypeError(f"found '{text}'; expected NAME=0 or NAME=1, arrows=1 say")
+
+
 def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
     from ..show.headless.film import FILMS
@@ -121,6 +144,8 @@ def run(options: argparse.Namespace) -> int:
     is_film = check_picture_or_film("-o", output)
     if not is_film and (options.duration or options.fps):
         raise UsageError(f"-o {output}: --duration and --fps are for films ({', '.join(FILMS)})")
+    if is_film and options.at is not None:
+        raise UsageError(f"-o {output}: --at is for pictures; a film begins at the start")
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
     check_stereo_options(options)
@@ -139,6 +164,8 @@ def run(options: argparse.Namespace) -> int:
             camera=options.camera,
             wait=options.wait,
             clicks=options.clicks,
+            shown=dict(options.shown),
+            selected=options.select,
             quality=options.quality,
             stereo=options.stereo,
             eye_distance=options.eye_distance,
@@ -153,6 +180,9 @@ def run(options: argparse.Namespace) -> int:
             camera=options.camera,
             wait=options.wait,
             clicks=options.clicks,
+            shown=dict(options.shown),
+            selected=options.select,
+            at=options.at or 0.0,
             quality=options.quality,
             stereo=options.stereo,
             eye_distance=options.eye_distance,
@@ -185,6 +215,7 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
         raise UsageError(f"-o {options.output}: a video gives a film, .mp4 say; found a picture")
     for name, given in (
         ("camera", options.camera), ("stereo", options.stereo), ("click", options.clicks or None),
+        ("show", options.shown or None), ("select", options.select), ("at", options.at),
         ("size", options.size if options.size != DEFAULT_SIZE else None),
         ("fps", options.fps),
     ):  # fmt: skip

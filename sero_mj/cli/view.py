@@ -199,6 +199,7 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
             window.navigator.camera, has_panel = options.last
             if has_panel:
                 window.toggle_panel()
+        window.command = command_of(options)
         window.run()
         options.last = copy.copy(window.navigator.camera), window.has_panel
         return window.next_scene
@@ -231,5 +232,17 @@ def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | N
                 file=sys.stderr,
                 flush=True,
             )
+        page.command = command_of(options)
         page.run()
         return page.next_scene
+
+
+def command_of(options: argparse.Namespace) -> list[str]:
+    """The scene of a command with `add_scene_options`, and what changes it, for another command."""
+    words = [str(options.scene)]
+    for setting in options.settings:
+        words += ["--set", setting]
+    for name in ("look", "replay", "start"):
+        value = getattr(options, name)
+        words += [] if value is None else [f"--{name}", str(value)]
+    return words

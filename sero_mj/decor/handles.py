@@ -6,8 +6,12 @@ moves it in the plane of the picture. All are as large in the picture however ne
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..frames import Array
 from .axes import AXIS_RGB, ONTO_AXIS
@@ -27,7 +31,7 @@ _RING_RADIUS = 4.6
 _ARROW_RADIUS = 0.22
 _RING_HALF_WIDTH = 0.11
 _CUBE_HALF = 0.30
-_SEGMENTS = 28  # boxes of a ring
+SEGMENTS = 28  # boxes of a ring
 _LIT_RGB = (1.00, 0.86, 0.25)
 _CUBE_RGB = (0.92, 0.93, 0.95)
 _MARK_RGBA = (0.90, 0.12, 0.10, 0.95)
@@ -86,29 +90,45 @@ def draw_handles(pen: Pen, pose: Array, lit: int, view: PictureView) -> None:
         rows["size"][:, 2] = _ARROW_LENGTH * unit * ARROW_SIZE_OF_LENGTH
         rows["rgba"] = [[*each, 1.0] for each in rgb[:3]]
         rows["emission"] = 0.6
-    items = np.repeat(np.arange(3, 6), _SEGMENTS)
-    rows = pen.take(3 * _SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, items)
+    items = np.repeat(np.arange(3, 6), SEGMENTS)
+    rows = pen.take(3 * SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, items)
     if len(rows):
-        radius = _RING_RADIUS * unit
-        phase = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
-        cos, sin = np.cos(phase)[:, None], np.sin(phase)[:, None]
         for grid, axes, colour in zip(rows.reshape(3, -1), onto, rgb[3:6], strict=True):
-            x, y, z = axes.T
-            outwards = cos * x + sin * y
-            grid["pos"] = origin + radius * outwards
-            along = np.broadcast_to(z, outwards.shape)
-            grid["mat"] = np.stack([outwards, np.cross(along, outwards), along], axis=2)
-            grid["size"] = [
-                _RING_HALF_WIDTH * unit,
-                1.02 * radius * np.pi / _SEGMENTS,
-                _RING_HALF_WIDTH * unit,
-            ]
-            grid["rgba"] = [*colour, 0.95]
+            look = (*colour.tolist(), 0.95)
+            fill_ring(grid, origin, axes, _RING_RADIUS * unit, _RING_HALF_WIDTH * unit, look)
         rows["emission"] = 0.6
     rows = pen.take(1, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, CUBE)
     if len(rows):
         rows["pos"], rows["mat"], rows["size"] = origin, rotation, _CUBE_HALF * unit
         rows["rgba"] = [*rgb[CUBE], 1.0]
+
+
+def fill_ring(
+    rows: NDArray[Any],
+    centre: Array,
+    axes: Array,
+    radius: float,
+    half_width: float,
+    rgba: Sequence[float],
+) -> None:
+    """Makes boxes a ring.
+
+    Args:
+        rows: of `SEGMENTS` boxes, changed in place.
+        centre: (3,), m.
+        axes: (3, 3), of which the third column is the ring's axis.
+        radius: m.
+        half_width: of the ring, m.
+        rgba: its colour.
+    """
+    phase = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    x, y, z = axes.T
+    outwards = np.cos(phase)[:, None] * x + np.sin(phase)[:, None] * y
+    rows["pos"] = centre + radius * outwards
+    along = np.broadcast_to(z, outwards.shape)
+    rows["mat"] = np.stack([outwards, np.cross(along, outwards), along], axis=2)
+    rows["size"] = [half_width, 1.02 * radius * np.pi / SEGMENTS, half_width]
+    rows["rgba"] = rgba
 
 
 def _draw_mark(pen: Pen, mark: Array, view: PictureView) -> None:

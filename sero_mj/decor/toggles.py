@@ -73,6 +73,7 @@ class Toggles:
         status: whether faults of the sources are shown.
         flange_checks: whether received flange frames are compared with the robots' own.
         hover: text beside the pointer, and the pointer's position (pixels); None for no text.
+        selected: the joint that a user has selected, which is lit; None for none.
         handles: that are shown to drag a frame by; None for none.
         modelled: joints whose torque is that of gravity by the model, (N,) bool; no toggle, so
             `reset` leaves it.
@@ -82,6 +83,7 @@ class Toggles:
         self._world = world
         self.hover: tuple[str, tuple[float, float]] | None = None
         self.handles: Handles | None = None
+        self.selected: int | None = None
         self.modelled = np.zeros(len(world.joints.names), bool)
         self._last = np.full(0, np.nan)
         doubles = list(world.doubles)

@@ -27,12 +27,12 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
 
     Args:
         world: the compiled scene.
-        wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m); or None
-            for the scene's `view`.
+        wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m), and if it does
+            not look at the middle `,x,y,z` (m) of what it looks at; or None for the scene's `view`.
 
     Raises:
         UnknownName: no camera of that name.
-        UsageError: not a text, not three numbers, or the distance is not positive.
+        UsageError: not a text, neither three nor six numbers, or the distance is not positive.
     """
     if wanted is not None and not isinstance(wanted, str):
         raise UsageError(
@@ -55,7 +55,10 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
     camera.distance = view.distance or _MARGIN * radius / np.sin(half_fovy)
     camera.lookat = centre if view.look_at is None else view.look_at
     if wanted is not None:
-        camera.azimuth, camera.elevation, camera.distance = _three_numbers(wanted)
+        numbers = _numbers(wanted)
+        camera.azimuth, camera.elevation, camera.distance = numbers[:3]
+        if len(numbers) == 6:
+            camera.lookat = numbers[3:]
     return camera
 
 
@@ -83,17 +86,17 @@ def list_cameras(world: WorldView) -> list[str]:
     return [world.model.camera(i).name for i in range(world.model.ncam)]
 
 
-def _three_numbers(text: str) -> tuple[float, float, float]:
+def _numbers(text: str) -> list[float]:
     try:
-        azimuth, elevation, distance = (float(part) for part in text.split(","))
+        numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        azimuth = elevation = distance = np.nan
-    if not np.isfinite([azimuth, elevation, distance]).all() or distance <= 0:
+        numbers = []
+    if len(numbers) not in (3, 6) or not np.isfinite(numbers).all() or numbers[2] <= 0:
         raise UsageError(
             f"camera '{text}': expected a name or azimuth,elevation,distance "
-            "(degrees, degrees, m above 0), e.g. 150,-15,2.2"
+            "(degrees, degrees, m above 0), e.g. 150,-15,2.2; with ,x,y,z of what it looks at (m)"
         )
-    return azimuth, elevation, distance
+    return numbers
 
 
 class Navigator:

@@ -273,6 +273,8 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "k": ("keep", "keep the last minute of what is live, or what was pushed"),
     "t": ("status_line", "status line on or off"),
     "tab": ("panel", "panel with switches and sizes on or off"),
+    "ctrl+z": ("undo", "undo: switches, camera, selection; Ctrl+Y redo"),
+    "ctrl+c": ("copy", "copy the command that renders this picture"),
     "f2": ("screenshot", "screenshot of the scene"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
@@ -288,6 +290,7 @@ MORE_KEYS: dict[str, str] = {
     "_": "slower",
     "[": "last_joint",
     "w": "last_event",
+    "ctrl+y": "redo",
     "home": "reset",
     **{str(number): "camera" for number in range(1, 10)},
 }
@@ -347,6 +350,8 @@ _KEY_NAMES = {
     "0": "0 - 9",
     "]": "[ ]",
     "left": "left arrow",
+    "ctrl+z": "Ctrl+Z",
+    "ctrl+c": "Ctrl+C",
     "right": "right arrow",
     **{f"f{number}": f"F{number}" for number in range(1, 13)},
 }

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, Self
 
+import mujoco
 import numpy as np
 
 from ..assemble.scene import Scene
@@ -30,10 +33,20 @@ from .panels.robot_panel import RobotPanel
 from .panels.steering_panel import SteeringPanel
 from .panels.widgets import Widgets
 from .picking import Picked, Pixel
+from .pose_text import scene_argument, setting
 from .pulling import Pulling
 from .scene_decor import SceneDecor
 from .steering import Steering
 from .torque_history import SPAN, TorqueHistory, joint_name
+from .undo import Undo
+from .view_state import (
+    Seen,
+    ViewState,
+    apply_state,
+    camera_text,
+    rounded_camera,
+    switches_text,
+)
 
 OnClick = Callable[[Picked | None, str], None]
 Action = Callable[[], str | None]  # returns a message for the user
@@ -93,6 +106,8 @@ class LiveHost(ABC):
         capture: writes screenshots and films.
         wants_picture: whether the next frame is to be a screenshot.
         joint: the joint of the world whose torques are plotted.
+        command: how a command shows this scene: its name or file, and options; from the scene when
+            None.
         decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
         shows_status: whether status line or panel are shown.
@@ -129,6 +144,7 @@ class LiveHost(ABC):
         self.offers: dict[str, Callable[[], Scene]] = {}
         self._advanced = time.monotonic()
         self._robots = RobotPanel(world, self.toggles)
+        self._robots.on_select = self.select
         self._jog_panel = JogPanel(world, self.jogging)
         self.steering = Steering(mirror, clock, self.toggles)
         self._steering_panel = SteeringPanel(self.steering, self.say)
@@ -136,6 +152,7 @@ class LiveHost(ABC):
         self.capture, self.wants_picture = Capture(world.scene.name, folder), False
         self._is_refused = False  # whether the drag that goes on cannot pull
         self.joint = 0
+        self.command: Sequence[str] | None = None
         self.notice = Message()
         self.shows_status, self.shows_plot, self.shows_help = True, False, False
         self.work = 0.0
@@ -161,6 +178,9 @@ class LiveHost(ABC):
             "plot": self.toggle_plot,
             "status_line": self.toggle_status,
             "keep": self._keep,
+            "undo": self._take_back,
+            "redo": self._do_again,
+            "copy": self._copy_command,
             "screenshot": self._take_screenshot,
             "film": self._toggle_film,
         }
@@ -279,6 +299,7 @@ class LiveHost(ABC):
             self._trouble = trouble
         self.jogging.advance(passed)
         self.steering.advance()
+        self._undo.watch()
         try:
             advance()
         except SeroError as error:  # for example a deleted file; the display does not change
@@ -327,8 +348,86 @@ class LiveHost(ABC):
         names = self.world.joints.names
         if not names:
             return "no joint"
-        self.joint = (self.joint + places) % len(names)
+        self.select((self.joint + places) % len(names))
         return f"selected: {joint_name(self.world, self.joint)}"
+
+    def _take_back(self) -> str:
+        return self._undo.undo()
+
+    def _do_again(self) -> str:
+        return self._undo.redo()
+
+    @cached_property
+    def _undo(self) -> Undo[Seen]:
+        return Undo(self._seen, self._show)
+
+    def select(self, joint: int) -> None:
+        """Selects a joint: it is lit, and its torques are plotted."""
+        self.joint = self.toggles.selected = joint
+
+    def _seen(self) -> Seen:
+        """What the user can take back."""
+        return Seen.of(self.view_camera, self.toggles, follows=self.is_following)
+
+    def _show(self, seen: Seen) -> None:
+        seen.show(self.view_camera, self.toggles)
+        if self.toggles.selected is not None:
+            self.joint = self.toggles.selected
+
+    def view_state(self) -> ViewState:
+        """What the user has set of the view, as text; of a free camera to 0.1 mm and 1e-4 deg."""
+        camera, selected = self.view_camera, self.toggles.selected
+        rounded_camera(camera)
+        return ViewState(
+            camera_text(self.world, camera),
+            switches_text(self.world, self.toggles),
+            "" if selected is None else joint_name(self.world, selected),
+            None if self.clock.is_live else round(self.clock.time, 6),
+        )
+
+    def show_state(self, state: ViewState) -> None:
+        """Shows a view as it was, as far as it fits the scene; says what does not."""
+        camera, joint, wrong = apply_state(self.world, self.toggles, state)
+        if camera is not None:
+            Seen.of(camera, self.toggles, follows=False).show(self.view_camera, self.toggles)
+        if joint is not None:
+            self.select(joint)
+        if state.time is not None and self.mirror.sources and not self.clock.is_live:
+            self.clock.seek(state.time)
+            self.clock.is_paused = True
+        if wrong:
+            self.say(f"of the view before: {wrong[0]}", is_bad=True)
+
+    def _copy_command(self) -> str:
+        state, clock = self.view_state(), self.clock
+        words = ["sero-mj", "render", *(self.command or [scene_argument(self.world.scene)])]
+        for name, goal in self.jogging.goals.items():
+            if not np.array_equal(goal.angles, goal.robot.home):
+                words += ["--set", setting(name, goal.angles)]
+        words += ["--camera", state.camera]
+        for name, digits in state.switches.items():
+            words += ["--show", f"{name}={digits}"]
+        words += ["--select", state.joint] * bool(state.joint)
+        words += [] if state.time is None else ["--at", f"{state.time:g}"]
+        width, height = self.picture_size
+        words += ["--size", f"{width}x{height}", "-o", "picture.png"]
+        self.to_clipboard(shlex.join(words))
+        live = "; what is live will have gone on" if clock.is_live else ""
+        return f"copied: the command that renders this picture{live}"
+
+    @property
+    @abstractmethod
+    def view_camera(self) -> mujoco.MjvCamera:
+        """The camera of the view; can be changed."""
+
+    @property
+    @abstractmethod
+    def is_following(self) -> bool:
+        """Whether the camera goes along with a frame."""
+
+    @abstractmethod
+    def to_clipboard(self, text: str) -> None:
+        """Puts a text onto the user's clipboard."""
 
     def _follow_under_pointer(self) -> str:
         picked = self.pick_under_pointer()
@@ -356,7 +455,9 @@ class LiveHost(ABC):
         picked = self.decor.pick(self.data, at)
         gesture = self._clicks.press(picked, at, clicked.time, shift=clicked.shift)
         if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
-            self.joint = picked.index
+            self.select(picked.index)
+        elif picked is None:
+            self.toggles.selected = None
         if picked is not None and picked.kind == "object" and gesture == "double":
             self._centre(at)
         if self.on_click is not None:

@@ -25,8 +25,13 @@ def as_python(robot: str, angles: Array) -> str:
 
 def as_command(scene: Scene, robot: str, angles: Array) -> str:
     """Returns the command that shows the scene with a robot like that."""
-    setting = f"{robot}.joint_angles={_listed(angles, ',')}"
-    return f"sero-mj view {shlex.quote(scene_argument(scene))} --set {setting}\n"
+    given = setting(robot, angles)
+    return f"sero-mj view {shlex.quote(scene_argument(scene))} --set {given}\n"
+
+
+def setting(robot: str, angles: Array) -> str:
+    """Returns what `--set` takes for a robot's joint angles, rad or m."""
+    return f"{robot}.joint_angles={_listed(angles, ',')}"
 
 
 def scene_argument(scene: Scene) -> str:

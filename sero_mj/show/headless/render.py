@@ -11,7 +11,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -36,6 +36,7 @@ from ..picking import TOUCH_TOLERANCE, Picked, Pixel
 from ..scene_decor import SceneDecor
 from ..stereo import EYE_DISTANCE, Stereo, anaglyph, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter, compose
+from ..view_state import apply_switches
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 
@@ -319,6 +320,8 @@ def render_picture(
     camera: str | None = None,
     wait: float = 2.0,
     clicks: Sequence[Click] = (),
+    shown: Mapping[str, str] | None = None,
+    selected: str | None = None,
     at: float = 0.0,
     quality: Quality = "normal",
     stereo: Stereo | None = None,
@@ -333,6 +336,8 @@ def render_picture(
         camera: see `find_camera`.
         wait: maximum time to wait for the first packet of every source, s.
         clicks: clicks to perform before rendering.
+        shown: what is switched on or off, see `apply_switches`.
+        selected: the joint that is lit, `lwr/A2`.
         at: time of recordings and simulations, s after their start.
         quality: see `HeadlessRenderer`; a fine picture says that it has 300 dots per inch.
         stereo: see `HeadlessRenderer`.
@@ -351,6 +356,7 @@ def render_picture(
         ) as renderer:
             silent = mirror.wait(wait)
             mirror.wait_fresh(min(wait, NEXT_WITHIN), at)
+            apply_switches(mirror.world, renderer.toggles, shown or {}, selected)
             _click(renderer, mirror.data, clicks)
             dpi = PRINT_DPI if quality == "fine" else None
             save_picture(Path(path), renderer.render(mirror.data), dpi)
@@ -367,6 +373,8 @@ def render_film(
     camera: str | None = None,
     wait: float = 2.0,
     clicks: Sequence[Click] = (),
+    shown: Mapping[str, str] | None = None,
+    selected: str | None = None,
     quality: Quality = "normal",
     stereo: Stereo | None = None,
     eye_distance: float = EYE_DISTANCE,
@@ -383,6 +391,8 @@ def render_film(
         camera: see `find_camera`.
         wait: maximum time to wait for the first packet of every source, s.
         clicks: clicks to perform before the first frame.
+        shown: what is switched on or off, see `apply_switches`.
+        selected: the joint that is lit, `lwr/A2`.
         quality: see `HeadlessRenderer`.
         stereo: likewise.
         eye_distance: likewise.
@@ -415,6 +425,7 @@ def render_film(
             for done, state in enumerate(_states(mirror, count, fps), start=1):
                 restore(world, data, state)
                 if done == 1:
+                    apply_switches(world, renderer.toggles, shown or {}, selected)
                     _click(renderer, data, clicks)
                 film.add(renderer.render(data, out=pixels))
                 if on_progress is not None:

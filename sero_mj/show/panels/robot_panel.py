@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,8 +12,11 @@ from ...assemble.world_view import WorldView
 from ...decor.quantities import QUANTITY_NAMES
 from ...decor.toggles import Toggles
 from ...frames import Array, Bools, Ints
+from ..torque_history import joint_name
 from .widgets import Widgets
 
+_MOST_WITHOUT_SEARCH = 8  # joints
+_MOST_FOUND = 60  # joints that a search lists
 _MOST_OPEN = 3  # number of robots whose toggles are initially expanded
 _LARGEST = 3.0  # range of the sliders, factors of the declared size
 _FLAG_NAMES = {
@@ -53,10 +56,15 @@ class RobotPanel:
     Args:
         world: the compiled scene; its tables of sizes are changed in place.
         toggles: changed in place.
+
+    Attributes:
+        on_select: called with a joint that was clicked on.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
         self._world, self._toggles = world, toggles
+        self._wanted = ""  # what is searched for
+        self.on_select: Callable[[int], None] = lambda joint: None
         joints, frames = world.joints, world.frames
         self._members, self._tops = tree_of_owners(world)
         # Name, array, rows of an owner, and declared values of the sizes that sliders scale.
@@ -70,6 +78,12 @@ class RobotPanel:
     def build(self, ui: Widgets) -> None:
         """Builds the part of the panel with robots, doubles and the scene."""
         world, toggles = self._world, self._toggles
+        if len(world.joints.names) > _MOST_WITHOUT_SEARCH or len(world.owners) > 1:
+            ui.width(0)
+            self._wanted = ui.search("##search", self._wanted, "search joints and robots")
+        if self._wanted:
+            self._found(ui)
+            return
         for index, name in enumerate(self._tops):
             ui.scope(name)
             is_open = index < _MOST_OPEN and name not in world.doubles
@@ -88,6 +102,16 @@ class RobotPanel:
             if ui.button("as declared"):
                 self._reset()
             ui.tip("resets toggles and sizes to those that the scene declares")
+
+    def _found(self, ui: Widgets) -> None:
+        """Builds the joints whose names, or whose robot's, have what is searched for in them."""
+        wanted = self._wanted.lower()
+        names = [joint_name(self._world, i) for i in range(len(self._world.joints.names))]
+        joints = [i for i, name in enumerate(names) if wanted in name.lower()]
+        ui.text(f"{len(joints)} of {len(names)} joints")
+        for joint in joints[:_MOST_FOUND]:
+            if ui.select(f"{names[joint]}##found{joint}", is_lit=self._toggles.selected == joint):
+                self.on_select(joint)
 
     def _entry(self, ui: Widgets, name: str) -> None:
         """Builds the toggles of a robot or double, or of a group with the tree of its members."""
@@ -169,7 +193,9 @@ class RobotPanel:
             row = slice(joint, joint + 1)
             ui.row()
             ui.cell()
-            ui.label(self._world.joints.names[joint])
+            name = self._world.joints.names[joint]
+            if ui.select(f"{name}##{joint}", is_lit=self._toggles.selected == joint):
+                self.on_select(joint)
             ui.cell()
             self._check(ui, f"arrow##{joint}", self._toggles.arrows, row)
             ui.cell()

@@ -80,6 +80,23 @@ class Widgets(Protocol):
     def button(self, label: str) -> bool:
         """Builds a button; returns whether it was pressed."""
 
+    def select(self, label: str, *, is_lit: bool) -> bool:
+        """Builds a text that can be clicked on; returns whether it was.
+
+        Args:
+            label: the text.
+            is_lit: whether it is selected.
+        """
+
+    def search(self, label: str, text: str, hint: str) -> str:
+        """Builds a field for a text; returns what is in it.
+
+        Args:
+            label: of the field.
+            text: that is in it.
+            hint: what it shows while it is empty.
+        """
+
     def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
         """Builds a check box; returns whether it was changed, and whether it is on."""
 

@@ -199,6 +199,20 @@ class WebHost(LiveHost):
         camera.lookat[:] = point
         self._app.reset_camera_index(ux.TUMBLE_CAMERA_IDX)
 
+    @property
+    def view_camera(self) -> mujoco.MjvCamera:
+        """See `LiveHost`."""
+        return self.viewer.camera
+
+    @property
+    def is_following(self) -> bool:
+        """See `LiveHost`."""
+        return int(self.viewer.camera.type) == int(mujoco.mjtCamera.mjCAMERA_TRACKING)
+
+    def to_clipboard(self, text: str) -> None:
+        """See `LiveHost`: that of the browser in control."""
+        self.viewer.server.browsers.copy(text)
+
     def choose_camera(self, number: int) -> str:
         """Selects a camera by number, 1 for the first; 0 for the scene's own view."""
         names = list_cameras(self.world)

@@ -115,6 +115,12 @@ class PageWindows(plugin.ViewerPlugin):
                 host.toggle_status()
             if imgui.MenuItem("Torques", "P", host.shows_plot):
                 host.toggle_plot()
+            if imgui.MenuItem("Undo", "Ctrl+Z", False):
+                host.perform("undo")
+            if imgui.MenuItem("Redo", "Ctrl+Y", False):
+                host.perform("redo")
+            if imgui.MenuItem("Copy as command", "Ctrl+C", False):
+                host.perform("copy")
             if imgui.MenuItem("Screenshot", "F2", False):
                 host.perform("screenshot")
             if imgui.MenuItem("Film", "F3", host.capture.is_filming):
@@ -260,7 +266,9 @@ class PageWindows(plugin.ViewerPlugin):
         shown, host.shows_plot = imgui.Begin("Torques###torques", host.shows_plot)
         self._cover(size.y)
         if shown:
-            host.joint = self._plots.build(host.history, host.joint)
+            joint = self._plots.build(host.history, host.joint)
+            if joint != host.joint:
+                host.select(joint)
         imgui.End()
 
     def _help(self, size: imgui.Vec2) -> None:

@@ -147,7 +147,13 @@ class StudioApp(studio_app.App):
     def handle_keyboard_events(self) -> None:
         """Handles the keys of `interaction`."""
         io = imgui.GetIO()
-        if io.WantCaptureKeyboard or io.KeyCtrl or io.KeyAlt or io.KeySuper:
+        if io.WantCaptureKeyboard or io.KeyAlt:
+            return
+        if io.KeyCtrl or io.KeySuper:
+            for letter in "zyc":
+                if imgui.IsKeyPressed(_LETTERS[letter], False):
+                    redo = letter == "z" and io.KeyShift
+                    self._host.press("ctrl+y" if redo else f"ctrl+{letter}")
             return
         for name, key in IMGUI_KEYS.items():
             if imgui.IsKeyPressed(key, name in _HELD):

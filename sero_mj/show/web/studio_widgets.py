@@ -131,6 +131,15 @@ class StudioWidgets:
         """Builds a button."""
         return bool(imgui.Button(label))
 
+    def select(self, label: str, *, is_lit: bool) -> bool:
+        """Builds a text that can be clicked on."""
+        imgui.AlignTextToFramePadding()
+        return bool(imgui.Selectable(label, is_lit))
+
+    def search(self, label: str, text: str, hint: str) -> str:
+        """Builds a field for a text."""
+        return str(imgui.InputTextWithHint(label, hint, text)[1])
+
     def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
         """Builds a check box."""
         changed, now = imgui.Checkbox(label, is_on)

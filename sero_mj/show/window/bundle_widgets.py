@@ -164,6 +164,15 @@ class BundleWidgets:
         """Builds a button."""
         return bool(imgui.button(label))
 
+    def select(self, label: str, *, is_lit: bool) -> bool:
+        """Builds a text that can be clicked on."""
+        imgui.align_text_to_frame_padding()
+        return bool(imgui.selectable(label, is_lit)[0])
+
+    def search(self, label: str, text: str, hint: str) -> str:
+        """Builds a field for a text."""
+        return str(imgui.input_text_with_hint(label, hint, text)[1])
+
     def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
         """Builds a check box."""
         return imgui.checkbox(label, is_on)

@@ -255,6 +255,12 @@ class GlWindow:
             return
         if key in (glfw.KEY_Q, glfw.KEY_W) and mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
             self.request_close()
+        elif mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
+            # By the letter on the key, which is another one on other keyboards.
+            letter = (glfw.get_key_name(key, code) or "").lower()
+            if letter == "z" and mods & glfw.MOD_SHIFT:
+                letter = "y"
+            self._add("key", key=f"ctrl+{letter}", is_repeat=self._is_repeat)
         elif key in _NAMED_KEYS:
             self._add("key", key=_NAMED_KEYS[key], is_repeat=self._is_repeat)
 

@@ -471,6 +471,20 @@ class Window(LiveHost):
         elif self.gl.is_full_screen:
             self.gl.toggle_full_screen()
 
+    @property
+    def view_camera(self) -> mujoco.MjvCamera:
+        """See `LiveHost`."""
+        return self.navigator.camera
+
+    @property
+    def is_following(self) -> bool:
+        """See `LiveHost`."""
+        return self.navigator.following is not None
+
+    def to_clipboard(self, text: str) -> None:
+        """See `LiveHost`."""
+        self.gl.set_clipboard(text)
+
     def choose_camera(self, number: int) -> str:
         """Selects a camera by number, 1 for the first, 0 for the initial view."""
         return self.decor.fixed or self.navigator.choose(number)

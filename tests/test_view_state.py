@@ -1,0 +1,250 @@
+"""What a user has set of a view: as text, taken back, and copied as a command."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import ROOT, examples
+from decor_tools import view_at, world_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from window_tools import MISSING, Driven, screen
+
+from sero_mj import World
+from sero_mj.decor.draw import Decor
+from sero_mj.decor.handles import SEGMENTS
+from sero_mj.decor.toggles import Toggles
+from sero_mj.errors import UnknownName, UsageError
+from sero_mj.load import load_scene
+from sero_mj.show.camera import find_camera
+from sero_mj.show.undo import Undo
+from sero_mj.show.view_state import (
+    SWITCH_NAMES,
+    Seen,
+    ViewState,
+    apply_state,
+    apply_switches,
+    camera_text,
+    rounded_camera,
+    switches_text,
+)
+
+SET = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0", "lwr.torques=20,60,-30,40,-9,5,3")
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(load_scene("impedance_push"))
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=examples(40))
+def test_switches_come_back_from_their_text(world: World, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    toggles, again = Toggles(world), Toggles(world)
+    for name in SWITCH_NAMES:
+        now = getattr(toggles, name)
+        if isinstance(now, bool):
+            setattr(toggles, name, bool(rng.integers(2)))
+        elif rng.random() < 0.5:
+            now[:] = rng.integers(2)
+        else:
+            now[:] = rng.integers(0, 4 if name == "arrow_quantity" else 2, len(now))
+    apply_switches(world, again, switches_text(world, toggles))
+    assert switches_text(world, Toggles(world)) == {}
+    for name in SWITCH_NAMES:
+        assert np.array_equal(getattr(toggles, name), getattr(again, name)), name
+
+
+def test_states_come_back_from_their_text(world: World) -> None:
+    state = ViewState("150,-15,2.2,0.1,0,0.5", {"arrows": "10101010101010"}, "lwr/A2", 1.25)
+    assert ViewState.from_text(state.to_text()) == state
+    assert ViewState().to_text() == "{}"
+    toggles = Toggles(world)
+    camera, joint, wrong = apply_state(world, toggles, state)
+    assert camera is not None and camera_text(world, camera) == state.camera
+    assert (joint, toggles.selected, wrong) == (1, 1, [])
+    assert toggles.arrows.tolist()[:7] == [True, False] * 3 + [True]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "found no state of a view in '': "),
+        ("[1]", "found no state of a view in '[1]': "),
+        ('{"colour":1}', "found no state of a view in "),
+        ('{"time":"x"}', "found no state of a view in "),
+        ('{"switches":3}', "found no state of a view in "),
+    ],
+)
+def test_what_is_no_state_is_refused(text: str, expected: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        ViewState.from_text(text)
+    assert str(caught.value).startswith(expected)
+
+
+def test_a_state_of_another_scene_is_shown_as_far_as_it_fits(world: World) -> None:
+    state = ViewState("there", {"arrow": "1", "legend": "0", "axes": "01"}, "kuka/A9")
+    toggles = Toggles(world)
+    camera, joint, wrong = apply_state(world, toggles, state)
+    assert (camera, joint, toggles.legend) == (None, None, False)
+    frames = len(toggles.axes)
+    assert wrong[0] == "no switch 'arrow'; did you mean 'arrows'?"
+    assert wrong[1] == f"axes: found 2 digits; expected one, or {frames}: one for each"
+    assert wrong[2].startswith("no camera 'there'")
+    assert wrong[3].startswith("no joint 'kuka/A9'")
+
+
+def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
+    toggles = Toggles(world)
+    with pytest.raises(UsageError, match="legend: found '2'; expected digits from 0 to 1"):
+        apply_switches(world, toggles, {"legend": "2"})
+    with pytest.raises(UsageError, match="arrow_quantity: found '9'; expected digits from 0 to 3"):
+        apply_switches(world, toggles, {"arrow_quantity": "9"})
+    with pytest.raises(UnknownName, match="no joint 'lwr/A7'"):
+        apply_switches(world, toggles, {}, "lwr/A7")
+    for wrong in ("1,2", "1,2,3,4", "1,2,0,0,0,0", "1,2,3,4,5,nan"):
+        with pytest.raises(UsageError, match="with ,x,y,z of what it looks at"):
+            find_camera(world, wrong)
+
+
+def test_a_rounded_camera_is_that_of_its_text(world: World) -> None:
+    camera = find_camera(world)
+    camera.azimuth, camera.lookat = 123.456789, [0.123456, -0.00001, 1e-7]
+    rounded_camera(camera)
+    again = find_camera(world, camera_text(world, camera))
+    for name in ("azimuth", "elevation", "distance"):
+        assert getattr(camera, name) == getattr(again, name)
+    assert camera.lookat.tolist() == again.lookat.tolist()
+
+
+def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
+    camera, toggles = find_camera(world), Toggles(world)
+    before = Seen.of(camera, toggles, follows=False)
+    camera.azimuth += 1e-13 * camera.azimuth
+    assert Seen.of(camera, toggles, follows=False) != before
+    camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+    camera.lookat = [1.0, 2.0, 3.0]
+    toggles.arrows[2], toggles.legend, toggles.selected = True, False, 3
+    before.show(camera, toggles)
+    assert Seen.of(camera, toggles, follows=False) == before
+    assert Seen.of(camera, toggles, follows=True).lookat is None
+
+
+def test_what_changes_without_a_rest_is_one_step() -> None:
+    state = [0]
+    undo = Undo(lambda: state[0], lambda value: state.__setitem__(0, value))
+    now = 0.0
+
+    def go(values: list[int], seconds: float = 1.0) -> None:
+        nonlocal now
+        for value in values:
+            state[0] = value
+            now += 0.05
+            undo.watch(now)
+        undo.watch(now + seconds)
+        now += seconds
+
+    assert undo.undo() == "nothing to undo"
+    go([1, 2, 3])
+    go([4, 5])
+    go([6], seconds=0.0)  # not yet at rest
+    assert undo.undo() == "undone; Ctrl+Y does it again"
+    assert state == [5]
+    undo.undo()
+    assert state == [3]
+    assert undo.redo() == "done again"
+    assert state == [5]
+    go([9])
+    assert undo.redo() == "nothing to do again"
+    undo.undo()
+    undo.undo()
+    undo.undo()
+    assert state == [0]
+    assert undo.undo() == "nothing to undo"
+
+
+def blocks(picture: np.ndarray) -> np.ndarray:
+    """Means of 8 x 8 pixels: screens without multisampling have other edges."""
+    high, wide = (size // 8 * 8 for size in picture.shape[:2])
+    cut = picture[:high, :wide].astype(float)
+    return cut.reshape(high // 8, 8, wide // 8, 8, 3).mean(axis=(1, 3))
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
+    folder = tmp_path_factory.mktemp("state")
+    with screen() as display, Driven(display, folder, "lwr", settings=SET) as opened:
+        opened.folder = folder  # type: ignore[attr-defined]
+        yield opened
+
+
+@pytest.mark.gl
+@pytest.mark.live
+@pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
+    window: Driven,
+) -> None:
+    picture = "w.picture().tolist()"
+    window.tool("mousemove", 5, 200)
+    window.key("space")  # stands still, so that its arrows do
+    window.settle()
+    first = window.ask(picture)
+    window.key("a")
+    window.key("bracketright")
+    window.until("len(w._undo._past) > 0")
+    window.tool("mousemove", 500, 60, "mousedown", 1)
+    for x in range(490, 420, -10):
+        window.tool("mousemove", x, 66)
+    window.tool("mouseup", 1, "mousemove", 5, 200)
+    window.until("w._undo._kept == w._seen()")
+    assert window.ask("w.toggles.selected") == 1
+    window.ask("setattr(w, 'command', ['lwr'])")
+    window.key("ctrl+c")
+    assert window.ask("w.notice.text") == "copied: the command that renders this picture"
+    command = window.ask("w.gl.clipboard")
+    words = shlex.split(command)
+    assert words[:3] == ["sero-mj", "render", "lwr"]
+    assert words[words.index("--select") + 1] == "lwr/A2"
+    out = window.folder / "copied.png"  # type: ignore[attr-defined]
+    words[words.index("-o") + 1] = str(out)
+    for setting in SET:
+        words[3:3] = ["--set", setting]
+    subprocess.run([sys.executable, "-m", *("sero_mj", *words[1:])], cwd=ROOT, check=True,
+                   capture_output=True)  # fmt: skip
+    shown = np.array(window.ask(picture), np.uint8)
+    rendered = np.array(Image.open(out).convert("RGB"))
+    assert shown.shape == rendered.shape
+    assert np.abs(blocks(shown) - blocks(rendered)).max() < 45
+    for _ in range(window.ask("len(w._undo._past)")):
+        window.key("ctrl+z")
+    assert window.ask("w.notice.text") == "undone; Ctrl+Y does it again"
+    window.until("not w.toggles.arrows.any()")
+    assert window.ask(picture) == first
+    window.key("ctrl+y")
+    window.until("w.toggles.arrows.all()")
+
+
+def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
+    world = world_of(joint_angles=[0.3, 0.6, 0.0, -1.2, 0.0, 0.8, 0.0])
+    data, toggles, decor = world.make_data(), Toggles(world), Decor(world)
+    without = decor.draw(data, toggles, view_at()).count
+    toggles.selected = 3
+    pen = decor.draw(data, toggles, view_at())
+    rows = pen.rows[: pen.count][-(pen.count - without) :]
+    rows = rows[np.abs(rows["emission"] - 0.9) < 1e-6]
+    assert len(rows) == SEGMENTS == pen.count - without
+    T = world.scene.robots["lwr"].kinematics.frames(data.qpos[:7])[4]  # by numpy
+    away = rows["pos"] - data.site_xpos[world.joints.centre_site[3]]
+    axis = data.site_xmat[world.joints.centre_site[3]].reshape(3, 3)[:, 2]
+    assert np.abs(away @ axis).max() < 1e-6
+    radius = np.linalg.norm(away, axis=1)
+    assert radius == pytest.approx(1.3 * world.joints.arrow_radius[3], rel=1e-5)
+    assert np.linalg.norm(np.cross(rows["pos"].mean(axis=0) - T[:3, 3], axis)) < 0.2
