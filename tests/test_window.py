@@ -328,7 +328,9 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             assert window.ask("abs(w.data.time - w.clock.time)") < 0.3  # frames are slow here
             window.until(f"w.clock.end > {window.ask('w.clock.end') + 0.5}")  # it goes on
             window.key("e")
-            assert window.until("'mark' in w.notice.text and w.clock.is_paused")
+            window.until("w.clock.is_paused")
+            assert window.ask("w.clock.time in [moment.time for moment in w.moments.all()]")
+            assert window.ask("any(moment.is_mark for moment in w.moments.all())")
             window.key("k")
             window.until("any(not film[0].poll() for film in w.keeping._films)")
             film = window.ask("w.keeping._films[0][0].args")
