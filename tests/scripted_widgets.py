@@ -17,6 +17,7 @@ class ScriptedWidgets:
         built: kind and label of every widget, in order.
         ways: of sections and nodes.
         disabled: labels of what takes no input.
+        lit: labels of what is selected.
         copied: what was put onto the clipboard last.
     """
 
@@ -25,6 +26,7 @@ class ScriptedWidgets:
         self.built: list[tuple[str, str]] = []
         self.ways: list[str] = []
         self.disabled: list[str] = []
+        self.lit: list[str] = []
         self.copied = ""
         self._way: list[str] = []
         self._is_off: list[bool] = []
@@ -72,6 +74,13 @@ class ScriptedWidgets:
 
     def button(self, label: str) -> bool:
         return self._done("button", label, False)[0]
+
+    def select(self, label: str, *, is_lit: bool) -> bool:
+        self.lit += [label] * is_lit
+        return self._done("select", label, False)[0]
+
+    def search(self, label: str, text: str, hint: str) -> str:
+        return str(self._done("search", label, text)[1])
 
     def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
         return self._done("check", label, is_on)

@@ -140,10 +140,31 @@ def test_a_panel_lists_limbs_as_foldable_groups(world: World) -> None:
     limbs = world.robots["human"].robot.limb_joints
     trees = [label for kind, label in ui.built if kind == "tree"]
     assert trees == ["joints", *limbs, "sizes"]
-    rows = [label for kind, label in ui.built if kind == "text"]
+    rows = [label.partition("##")[0] for kind, label in ui.built if kind == "select"]
     assert rows == [world.joints.names[i] for joints in limbs.values() for i in joints]
     hidden = np.flatnonzero(~toggles.billboards)
     assert hidden.tolist() == limbs["l_arm"]
+
+
+def test_joints_are_searched_for_and_selected(world: World) -> None:
+    toggles = toggles_of(world)
+    panel, selected = RobotPanel(world, toggles), list[int]()
+    panel.on_select = selected.append
+    panel.build(ScriptedWidgets({"##search": "L_THUMB"}))  # typed; shown from the next frame on
+    wanted = [i for i, name in enumerate(world.joints.names) if "l_thumb" in name.lower()]
+    toggles.selected = wanted[1]
+    last = f"human/{world.joints.names[wanted[-1]]}##found{wanted[-1]}"
+    ui = ScriptedWidgets({last: True})
+    panel.build(ui)
+    found = [label.partition("##")[0] for kind, label in ui.built if kind == "select"]
+    assert found == [f"human/{world.joints.names[i]}" for i in wanted]
+    assert ui.texts() == [f"{len(wanted)} of {len(world.joints.names)} joints"]
+    assert ui.lit == [f"{found[1]}##found{wanted[1]}"]
+    assert selected == [wanted[-1]]
+    panel.build(ScriptedWidgets({"##search": ""}))
+    ui = ScriptedWidgets()
+    panel.build(ui)
+    assert any(kind == "tree" for kind, _ in ui.built)
 
 
 def test_tables_show_the_joints_that_matter_and_files_all() -> None:
