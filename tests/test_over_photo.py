@@ -172,6 +172,27 @@ def test_a_transparent_double_lets_the_photo_through(tmp_path: Path) -> None:
     assert 0.1 < np.median(through) < 0.95  # neither opaque nor invisible
 
 
+@pytest.mark.gl
+def test_a_click_is_on_what_the_lens_shows_there() -> None:
+    by = camera("barrel")
+    world = World(Scene(robots=[lwr(torques=[90.0, -170, 80, 90, 60, 30, 30], show_arrows=True)]))
+    data = world.make_data()
+    Placer(world).place(data)
+    black = np.zeros((by.height, by.width, 3), np.uint8)
+    with PhotoRenderer(world, by) as renderer:
+        renderer.decor.toggles.legend = False
+        drawn = renderer.render(data, black).astype(int)
+        # In the midst of the orange that is farthest from the picture's middle.
+        orange = ((drawn[..., 0] - drawn[..., 2]) > 120).astype(np.uint8)
+        inside = np.argwhere(cv2.erode(orange, np.ones((5, 5))) > 0)
+        y, x = inside[np.argmax(np.linalg.norm(inside - [by.height / 2, by.width / 2], axis=1))]
+        picked = renderer.click(data, float(x), float(y))
+        assert picked is not None and picked.kind == "arrow"
+        assert renderer.hover(data, 3.0, 3.0) is None
+        after = renderer.render(data, black).astype(int)
+        assert np.abs(after - drawn).max() > 60  # the click has switched something
+
+
 def write_video(path: Path, pictures: list[Array], fps: float = 10.0) -> Path:
     with FilmWriter(path, pictures[0].shape[1], pictures[0].shape[0], fps) as film:
         for picture in pictures:

@@ -214,8 +214,7 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
     if not of_photo and not is_film:
         raise UsageError(f"-o {options.output}: a video gives a film, .mp4 say; found a picture")
     for name, given in (
-        ("camera", options.camera), ("stereo", options.stereo), ("click", options.clicks or None),
-        ("show", options.shown or None), ("select", options.select), ("at", options.at),
+        ("camera", options.camera), ("stereo", options.stereo),
         ("size", options.size if options.size != DEFAULT_SIZE else None),
         ("fps", options.fps),
     ):  # fmt: skip
@@ -230,6 +229,10 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
             options.camera_file,
             options.output,
             wait=options.wait,
+            at=options.at or 0.0,
+            shown=dict(options.shown),
+            selected=options.select,
+            clicks=options.clicks,
             quality=options.quality,
         )
         return _told(options, silent)
@@ -251,6 +254,9 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
         camera_file=options.camera_file,
         offset=options.offset,
         duration=options.duration,
+        shown=dict(options.shown),
+        selected=options.select,
+        clicks=options.clicks,
         quality=options.quality,
     )
     return _told(options, silent)

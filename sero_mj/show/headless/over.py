@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -15,10 +16,13 @@ from ...drive.mirror import Mirror
 from ...errors import RenderError, UsageError
 from ..camera_file import read_camera
 from ..footage import Pixels, Video, at_rate, read_photo
+from ..interaction import Gesture
 from ..over_photo import PhotoPainter
 from ..photo_camera import PhotoCamera
+from ..picking import Picked
 from ..scene_decor import SceneDecor
 from ..typesetting import Typesetter, compose
+from ..view_state import apply_switches
 from .film import FILMS, FilmWriter, check_writable, default_fps, save_picture
 from .render import (
     MAX_SIDE,
@@ -26,9 +30,11 @@ from .render import (
     PRINT_DPI,
     QUALITIES,
     SUPERSAMPLING,
+    Click,
     OnProgress,
     Quality,
     make_renderer,
+    perform_clicks,
 )
 
 log = logging.getLogger(__name__)
@@ -73,6 +79,29 @@ class PhotoRenderer:
         compose(pixels, self._typesetter.place(self.decor.panels))
         return pixels
 
+    def click(
+        self,
+        data: mujoco.MjData,
+        x: float,
+        y: float,
+        gesture: Gesture = "click",
+        tolerance: float = 0.0,
+    ) -> Picked | None:
+        """Clicks on a pixel of the photo, see `HeadlessRenderer.click`."""
+        decor = self._lay_out(data)
+        return decor.click(data, decor.from_above(x, y), gesture, tolerance)
+
+    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
+        """Moves the pointer to a pixel of the photo, see `HeadlessRenderer.hover`."""
+        decor = self._lay_out(data)
+        return decor.hover(data, decor.from_above(x, y))
+
+    def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
+        scene = self._renderer.scene
+        self._renderer.update_scene(data)
+        self.decor.lay_out(data, self._painter.look(scene, self._typesetter.font))
+        return self.decor
+
     def close(self) -> None:
         """Frees the OpenGL context."""
         self._renderer.close()
@@ -96,6 +125,10 @@ def render_picture_over(
     path: Path,
     *,
     wait: float = 2.0,
+    at: float = 0.0,
+    shown: Mapping[str, str] | None = None,
+    selected: str | None = None,
+    clicks: Sequence[Click] = (),
     quality: Quality = "normal",
 ) -> list[str]:
     """Renders the current state of a scene over a photo.
@@ -106,6 +139,10 @@ def render_picture_over(
         camera_file: see `camera_file`.
         path: of the picture; .png, or another format of Pillow.
         wait: maximum time to wait for the first packet of every source, s.
+        at: time of recordings and simulations, s after their start.
+        shown: switches to set, see `view_state.apply_switches`.
+        selected: the joint to be lit.
+        clicks: clicks to perform before rendering.
         quality: see `HeadlessRenderer`.
 
     Returns:
@@ -120,7 +157,9 @@ def render_picture_over(
         check_writable(path)
         with PhotoRenderer(mirror.world, camera, quality) as renderer:
             silent = mirror.wait(wait)
-            mirror.wait_fresh(min(wait, NEXT_WITHIN), 0.0)
+            mirror.wait_fresh(min(wait, NEXT_WITHIN), at)
+            apply_switches(mirror.world, renderer.decor.toggles, shown or {}, selected)
+            perform_clicks(renderer, mirror.data, clicks)
             dpi = PRINT_DPI if quality == "fine" else None
             save_picture(path, renderer.render(mirror.data, pixels), dpi)
     return silent
@@ -134,6 +173,9 @@ def render_film_over(
     camera_file: Path,
     offset: float = 0.0,
     duration: float | None = None,
+    shown: Mapping[str, str] | None = None,
+    selected: str | None = None,
+    clicks: Sequence[Click] = (),
     quality: Quality = "normal",
     on_progress: OnProgress | None = None,
 ) -> list[str]:
@@ -149,6 +191,9 @@ def render_film_over(
         offset: time of the recording, s since it began, at the first frame of the video; see
             `video_offset.find_offset`.
         duration: of the film, s; None for the video's.
+        shown: switches to set, see `view_state.apply_switches`.
+        selected: the joint to be lit.
+        clicks: clicks to perform before the first frame that shows data.
         quality: see `HeadlessRenderer`.
         on_progress: called with the number of rendered frames and of all frames.
 
@@ -173,11 +218,14 @@ def render_film_over(
             PhotoRenderer(mirror.world, camera, quality) as renderer,
         ):
             silent = mirror.wait(0.0)
+            apply_switches(mirror.world, renderer.decor.toggles, shown or {}, selected)
             plain = 0
             for time, pixels in at_rate(video, fps, duration):
                 now = time + offset
                 if begin <= now <= end:
                     mirror.advance(now)
+                    perform_clicks(renderer, mirror.data, clicks)
+                    clicks = ()
                     film.add(renderer.render(mirror.data, pixels))
                 else:
                     plain += 1

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import mujoco
 import numpy as np
@@ -357,7 +357,7 @@ def render_picture(
             silent = mirror.wait(wait)
             mirror.wait_fresh(min(wait, NEXT_WITHIN), at)
             apply_switches(mirror.world, renderer.toggles, shown or {}, selected)
-            _click(renderer, mirror.data, clicks)
+            perform_clicks(renderer, mirror.data, clicks)
             dpi = PRINT_DPI if quality == "fine" else None
             save_picture(Path(path), renderer.render(mirror.data), dpi)
     return silent
@@ -426,14 +426,27 @@ def render_film(
                 restore(world, data, state)
                 if done == 1:
                     apply_switches(world, renderer.toggles, shown or {}, selected)
-                    _click(renderer, data, clicks)
+                    perform_clicks(renderer, data, clicks)
                 film.add(renderer.render(data, out=pixels))
                 if on_progress is not None:
                     on_progress(done, count)
     return silent
 
 
-def _click(renderer: HeadlessRenderer, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
+class TakesClicks(Protocol):
+    """A renderer that can be clicked on; see `HeadlessRenderer`."""
+
+    def click(
+        self, data: mujoco.MjData, x: float, y: float, gesture: Gesture, tolerance: float
+    ) -> Picked | None:
+        """Clicks on a pixel and returns the item there."""
+
+    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
+        """Moves the pointer to a pixel and returns the item there."""
+
+
+def perform_clicks(renderer: TakesClicks, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
+    """Clicks on pixels in their order, and logs what was there."""
     for x, y, gesture, finger in clicks:
         if gesture == "hover":
             picked = renderer.hover(data, x, y)
