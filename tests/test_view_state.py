@@ -6,6 +6,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -24,6 +25,7 @@ from sero_mj.decor.toggles import Toggles
 from sero_mj.errors import UnknownName, UsageError
 from sero_mj.load import load_scene
 from sero_mj.show.camera import find_camera
+from sero_mj.show.kept_views import file_of, find_view, keep_view
 from sero_mj.show.undo import Undo
 from sero_mj.show.view_state import (
     SWITCH_NAMES,
@@ -138,6 +140,28 @@ def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
     assert Seen.of(camera, toggles, follows=True).lookat is None
 
 
+def test_a_view_is_kept_for_its_scene(
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    scene = world.scene
+    assert find_view(scene) is None
+    state = ViewState("150,-15,2.2,0.1,0,0.5", {"legend": "0"}, "lwr/A2", 1.25)
+    keep_view(scene, state, {"plot": True})
+    (file,) = (tmp_path / "sero-mj" / "views").iterdir()
+    assert file == file_of(scene) and file.name.startswith("impedance_push-")
+    assert find_view(scene) == (state._replace(time=None), {"plot": True})
+    assert find_view(load_scene("lwr")) is None
+    for text in ("", "{}", '{"view": "[]", "layout": {}}', '{"view": "{}", "layout": 3}', "\0"):
+        file.write_text(text)
+        with pytest.raises(UsageError, match=r"found no view \(.*--fresh makes a new one"):
+            find_view(scene)
+    file.unlink()
+    file.parent.rmdir()
+    file.parent.write_text("a file where the folder should be")
+    keep_view(scene, state, {})  # is no reason to fail
+
+
 def test_what_changes_without_a_rest_is_one_step() -> None:
     state = [0]
     undo = Undo(lambda: state[0], lambda value: state.__setitem__(0, value))
@@ -181,7 +205,13 @@ def blocks(picture: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
     folder = tmp_path_factory.mktemp("state")
-    with screen() as display, Driven(display, folder, "lwr", settings=SET) as opened:
+    monkeypatch = pytest.MonkeyPatch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder))
+    with (
+        monkeypatch.context(),
+        screen() as display,
+        Driven(display, folder, "lwr", settings=SET) as opened,
+    ):
         opened.folder = folder  # type: ignore[attr-defined]
         yield opened
 
@@ -229,6 +259,14 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     window.until("not w.toggles.arrows.any()")
     assert window.ask(picture) == first
     window.key("ctrl+y")
+    window.until("w.toggles.arrows.all()")
+    before = window.ask("[w.view_state().to_text(), w.layout]")
+    window.ask("w.toggle_panel() or w.toggle_plot()")
+    window.ask("w.keep_view()")
+    window.ask("w.toggles.reset() or w.choose_camera(0) and w.toggle_panel() or w.toggle_plot()")
+    window.ask("w.restore_view()")
+    assert window.ask("w.view_state().camera") in before[0]
+    assert window.ask("[w.layout['panel'], w.layout['plot']]") == [True, True]
     window.until("w.toggles.arrows.all()")
 
 

@@ -24,9 +24,14 @@ def served(tmp_path_factory: Any) -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def visitor(browser: Any, served: Served) -> Iterator[Visitor]:
-    visitor = Visitor(browser, served)
+    served.ask("w.toggles.axes.fill(True) or w.select(3)")
+    link = served.ask("w.link")
+    served.ask("w.toggles.reset() or setattr(w.toggles, 'selected', None)")
+    visitor = Visitor(browser, served, url=link)
     visitor.hears("First remote draw frame applied")
     served.until("w.decor.view is not None and w.decor.count > 0")
+    served.until("w.toggles.axes.all() and w.toggles.selected == 3")  # by the link
+    served.ask("setattr(w.toggles, 'selected', None)")
     yield visitor
     visitor.close()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import socket
 import struct
+import urllib.parse
 import urllib.request
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -299,3 +300,25 @@ def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path) -> None:
     assert len(frames) >= 6
     difference = np.abs(frames[0].astype(int) - np.asarray(Image.open(picture)))
     assert difference.mean() < 3.0  # of one moment
+
+
+def test_a_link_opens_the_page_with_its_view(page: WebHost) -> None:
+    page.frame()
+    page.toggles.legend = not page.toggles.legend
+    page.viewer.camera.azimuth = 12.3456789
+    page.clock.seek(1.5)
+    wanted, link = page.view_state(), page.link
+    address, _, text = link.partition("#view=")
+    assert address == page.url and wanted.time == 1.5
+    page.toggles.reset()
+    page.viewer.camera.azimuth = 0.0
+    page.clock.seek(0.0)
+    browsers = page.viewer.server.browsers
+    assert browsers.hear(object(), f"sero-mj view {urllib.parse.unquote(text)}")
+    page.frame()
+    assert page.view_state()._replace(time=1.5) == wanted
+    assert page.clock.time == pytest.approx(1.5) and page.clock.is_paused
+    assert browsers.hear(object(), "sero-mj view <script>")
+    page.frame()
+    assert page.notice.is_bad
+    assert page.notice.text.startswith("found no state of a view in '<script>': ")

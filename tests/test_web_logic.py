@@ -58,6 +58,7 @@ def test_every_state_says_where_the_head_reads_it_whether_the_pointer_is_over_th
 
 def test_every_key_of_the_table_is_one_of_the_page() -> None:
     ours = {*KEYS, *HOST_KEYS, *MORE_KEYS} - set(OF_BROWSER) - {"+", "_"}  # with Shift
+    ours = {key for key in ours if not key.startswith("ctrl+")}
     assert ours <= set(studio_controls.IMGUI_KEYS)
 
 

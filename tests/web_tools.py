@@ -174,6 +174,7 @@ class Visitor:
         browser: Playwright's.
         served: the page.
         size: of the page, pixels.
+        url: another address of it.
         **options: of Playwright's pages.
 
     Attributes:
@@ -181,14 +182,19 @@ class Visitor:
     """
 
     def __init__(
-        self, browser: Any, served: Served, size: tuple[int, int] = SIZE, **options: Any
+        self,
+        browser: Any,
+        served: Served,
+        size: tuple[int, int] = SIZE,
+        url: str = "",
+        **options: Any,
     ) -> None:
         self._served = served
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
         self.page.add_init_script(_DRAWS_ON_DEMAND)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.goto(served.url)
+        self.page.goto(url or served.url)
 
     def hears(self, text: str, seconds: float = 100.0) -> None:
         """Waits until the page has written something to its console."""

@@ -87,6 +87,11 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
+    parser.add_argument(
+        "--fresh",
+        action="store_true",
+        help="as the scene declares it, not as it was left the last time",
+    )
     add_stereo_options(parser)
     add_over_options(parser, is_live=True)
     add_scene_options(parser)
@@ -199,8 +204,13 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
             window.navigator.camera, has_panel = options.last
             if has_panel:
                 window.toggle_panel()
+        if options.last is None and not options.fresh:
+            window.restore_view(with_camera=options.camera is None)
         window.command = command_of(options)
-        window.run()
+        try:
+            window.run()
+        finally:
+            window.keep_view()
         options.last = copy.copy(window.navigator.camera), window.has_panel
         return window.next_scene
 
@@ -232,8 +242,13 @@ def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | N
                 file=sys.stderr,
                 flush=True,
             )
+        if not options.fresh:
+            page.restore_view(with_camera=options.camera is None)
         page.command = command_of(options)
-        page.run()
+        try:
+            page.run()
+        finally:
+            page.keep_view()
         return page.next_scene
 
 

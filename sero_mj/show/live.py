@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -16,7 +16,7 @@ import numpy as np
 from ..assemble.scene import Scene
 from ..decor.toggles import Toggles
 from ..drive.mirror import LiveWorld
-from ..errors import SeroError
+from ..errors import SeroError, UsageError
 from ..frames import Array
 from ..receive.source import Packets
 from . import live_history
@@ -27,6 +27,7 @@ from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
 from .jogging import Jogging
 from .keeping import Keeping
+from .kept_views import find_view, keep_view
 from .moments import Moments
 from .panels.jog_panel import JogPanel
 from .panels.robot_panel import RobotPanel
@@ -384,6 +385,36 @@ class LiveHost(ABC):
             "" if selected is None else joint_name(self.world, selected),
             None if self.clock.is_live else round(self.clock.time, 6),
         )
+
+    @property
+    def layout(self) -> dict[str, bool]:
+        """Which parts of the window or page are shown, by name."""
+        return {"status": self.shows_status, "plot": self.shows_plot}
+
+    def show_layout(self, layout: Mapping[str, bool]) -> None:
+        """Shows the parts that were shown before."""
+        self.shows_status = layout.get("status", self.shows_status)
+        self.shows_plot = layout.get("plot", self.shows_plot)
+
+    def restore_view(self, *, with_camera: bool = True) -> None:
+        """Shows the scene as its user left it, if that was kept; see `keep_view`.
+
+        Args:
+            with_camera: whether its camera as well.
+        """
+        try:
+            found = find_view(self.world.scene)
+        except UsageError as error:
+            self.say(str(error), is_bad=True)
+            return
+        if found is not None:
+            state, layout = found
+            self.show_state(state if with_camera else state._replace(camera=""))
+            self.show_layout(layout)
+
+    def keep_view(self) -> None:
+        """Keeps camera, switches, selection and layout for the next time."""
+        keep_view(self.world.scene, self.view_state(), self.layout)
 
     def show_state(self, state: ViewState) -> None:
         """Shows a view as it was, as far as it fits the scene; says what does not."""

@@ -22,6 +22,7 @@ _REQUEST_TIMEOUT = 10.0  # timeout of a connection's request, s
 _SIZE = re.compile(r"sero-mj size ([1-9][0-9]{0,4}) ([1-9][0-9]{0,4})")
 _PRESS = re.compile(r"sero-mj press ([0-2])")
 _HOLD = "sero-mj hold"
+_VIEW = "sero-mj view "
 _OLDEST_PRESS = 1.0  # s since the last frame without one; it was no click on the picture
 _MOST_PRESSES = 50
 
@@ -42,6 +43,7 @@ class Browsers:
         self._is_held = False
         self._presser: Any = None  # the connection of the last press: of who has control
         self._copied: str | None = None  # for its clipboard
+        self._view: str | None = None  # that a link leads to
         self._lock = threading.Lock()
 
     @property
@@ -65,7 +67,15 @@ class Browsers:
                 self._presser = connection
         elif message == _HOLD:
             self._is_held = True
+        elif is_view := message.startswith(_VIEW):
+            self._view = message.removeprefix(_VIEW)
+            return is_view
         return bool(size or press) or message == _HOLD
+
+    def take_view(self) -> str | None:
+        """Returns the view that a browser was opened with a link to, as text, once."""
+        view, self._view = self._view, None
+        return view
 
     def copy(self, text: str) -> None:
         """Puts a text onto the clipboard of the browser that pressed last, or asks there to."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
+import urllib.parse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +13,13 @@ import mujoco
 from mujoco.studio import launch_thread, messages, sim_history, ux, viewer_handle
 
 from ...drive.mirror import LiveWorld
-from ...errors import RenderError
+from ...errors import RenderError, UsageError
 from ...frames import Array
 from ..camera import find_camera, list_cameras
 from ..headless.film import Pixels
 from ..live import LiveHost
 from ..picking import Pixel
+from ..view_state import ViewState
 from .guard import is_loopback, make_token
 from .page_windows import PageWindows
 from .studio import LOOPBACK, RATE, StudioViewer, suppress_output
@@ -77,6 +79,7 @@ class WebHost(LiveHost):
         self._app = StudioApp(self)
         self._panels = PageWindows(self, self.decor, self._app)
         self._actions["help"] = self._toggle_help
+        self._actions["link"] = self._copy_link
         is_private = is_loopback(check_address(host))
         self._token = None if is_private and not token else make_token()
         if not (isinstance(port, int) and 0 <= port < 65536):
@@ -166,6 +169,7 @@ class WebHost(LiveHost):
             viewer.dispatch(event)
         if not viewer.is_running():
             return False
+        self._follow_link()
         for snapshot in viewer.get_sim_snapshots():
             viewer.dispatch(snapshot)
         if viewer.has_ui:
@@ -180,6 +184,24 @@ class WebHost(LiveHost):
         if not self.capture.is_filming:
             self._end_renderer()
         return self.is_open
+
+    @property
+    def link(self) -> str:
+        """Address that opens the page with this view: camera, switches, selection, time."""
+        return f"{self.url}#view={urllib.parse.quote(self.view_state().to_text(), safe='')}"
+
+    def _follow_link(self) -> None:
+        text = self.viewer.server.browsers.take_view()
+        if text is None:
+            return
+        try:
+            self.show_state(ViewState.from_text(text))
+        except UsageError as error:
+            self.say(str(error), is_bad=True)
+
+    def _copy_link(self) -> str:
+        self.to_clipboard(self.link)
+        return "copied: a link that opens this view"
 
     def point(self, at: Pixel | None) -> None:
         """Moves the pointer to a pixel of the page, y up; None if it is not over the scene."""

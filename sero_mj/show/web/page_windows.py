@@ -121,6 +121,8 @@ class PageWindows(plugin.ViewerPlugin):
                 host.perform("redo")
             if imgui.MenuItem("Copy as command", "Ctrl+C", False):
                 host.perform("copy")
+            if imgui.MenuItem("Copy a link to this view", "", False):
+                host.perform("link")
             if imgui.MenuItem("Screenshot", "F2", False):
                 host.perform("screenshot")
             if imgui.MenuItem("Film", "F3", host.capture.is_filming):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -470,6 +470,17 @@ class Window(LiveHost):
             self.shows_help = False
         elif self.gl.is_full_screen:
             self.gl.toggle_full_screen()
+
+    @property
+    def layout(self) -> dict[str, bool]:
+        """See `LiveHost`."""
+        return {**super().layout, "panel": self.has_panel}
+
+    def show_layout(self, layout: Mapping[str, bool]) -> None:
+        """See `LiveHost`."""
+        super().show_layout(layout)
+        if layout.get("panel", False) != self.has_panel:
+            self.toggle_panel()
 
     @property
     def view_camera(self) -> mujoco.MjvCamera:

@@ -1,0 +1,68 @@
+"""Views as their user left them: one file for every scene, in the user's state folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from platformdirs import user_state_path
+
+from ..assemble.scene import Scene
+from ..errors import UsageError
+from .pose_text import scene_argument
+from .view_state import ViewState
+
+log = logging.getLogger(__name__)
+
+_MOST_BYTES = 100_000
+
+
+def file_of(scene: Scene) -> Path:
+    """Returns where the view of a scene is kept: by its file, or by its name where it has none."""
+    name = scene.name if scene.file is None else str(scene.file.resolve())
+    digest = hashlib.sha256(name.encode()).hexdigest()[:16]
+    stem = "".join(c if c.isalnum() else "_" for c in Path(scene_argument(scene)).stem)[:40]
+    return user_state_path("sero-mj", appauthor=False) / "views" / f"{stem}-{digest}.json"
+
+
+def keep_view(scene: Scene, state: ViewState, layout: Mapping[str, bool]) -> None:
+    """Keeps a view for the next time; says in the log where it cannot.
+
+    Args:
+        scene: that was shown.
+        state: what its user has set; the time is not kept.
+        layout: which parts of the window or page were shown.
+    """
+    path = file_of(scene)
+    text = json.dumps({"view": state._replace(time=None).to_text(), "layout": dict(layout)})
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        log.info("the view is not kept: %s: %s", path, error)
+
+
+def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool]] | None:
+    """Returns a view that was kept, and the layout; None for none.
+
+    Raises:
+        UsageError: the file is damaged.
+    """
+    path = file_of(scene)
+    try:
+        with path.open("rb") as file:
+            text = file.read(_MOST_BYTES)
+    except OSError:
+        return None
+    try:
+        found = json.loads(text)
+        layout = {str(name): bool(on) for name, on in found["layout"].items()}
+        return ViewState.from_text(found["view"]), layout
+    except (ValueError, KeyError, TypeError, AttributeError, UsageError) as error:
+        raise UsageError(f"{path}: found no view ({error}); --fresh makes a new one") from None
