@@ -133,6 +133,8 @@ def test_the_wheel_comes_nearer_when_it_is_turned_up(served: Served, page: Visit
 
 def test_the_panel_switches_what_is_shown(served: Served, page: Visitor) -> None:
     page.press("t")
+    page.click(*served.middle("Move lwr"))  # folds what would push the others out of the page
+    served.settle()
     page.click(*served.middle("axes"))
     served.until("w.toggles.axes.any()")
     page.click(*served.middle("axes"))
