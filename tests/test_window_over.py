@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ from polling import until
 from window_tools import MISSING, SIZE, Driven, screen
 
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError, RenderError
-from sero_mj.show.camera_feed import CameraFeed
+from sero_mj.cli._arguments import read_scene
+from sero_mj.cli.view import _feed
+from sero_mj.errors import DeclarationError, RenderError, UsageError
+from sero_mj.show.camera_feed import CameraFeed, VideoFeed
 from sero_mj.show.camera_file import write_camera
 from sero_mj.show.headless.film import FilmWriter
 
@@ -71,6 +74,50 @@ def test_opencv_s_cameras_are_in_the_right_colours_and_tried_again_when_they_end
         until(lambda: "sends nothing any more" in feed.piece[0] and feed.piece[1] == "bad")
         number, _ = feed.latest()
         until(lambda: feed.latest()[0] > number)
+
+
+def test_a_video_is_read_at_the_time_that_is_shown_forward_and_back(tmp_path: Path) -> None:
+    write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
+    shades = [20 + 9 * ((7 * k) % 25) for k in range(100)]  # 5 s
+    write_video(tmp_path / "v.mp4", shades)
+    with VideoFeed(tmp_path / "v.mp4", tmp_path / "c.toml", 3.0) as feed:
+
+        def shows(time: float, frame: int) -> None:
+            """Waits until that frame is read."""
+            until(lambda: abs(float(feed.latest(time)[1].mean()) - shades[frame]) < 3)
+
+        shows(3.0, 0)
+        shows(3.0 + 10.5 / 20, 10)
+        shows(3.0 + 11.5 / 20, 11)  # the next one
+        shows(3.0 + 90.5 / 20, 90)  # sought
+        shows(3.0 + 30.5 / 20, 30)  # and back
+        assert feed.piece == ("v.mp4: 1.5 s", "good")
+        shows(1.0, 0)
+        assert feed.piece == ("v.mp4: begins in 2.0 s", "quiet")
+        shows(9.0, 99)
+        assert feed.piece == ("v.mp4: ended 1.0 s ago", "quiet")
+        shows(3.2 + 1e-6, 4)
+        number, _ = feed.latest(3.2 + 1e-6)
+        assert feed.latest(3.21)[0] == number  # still the same frame
+
+
+def test_a_video_goes_with_the_time_of_a_scenario_and_is_a_camera_for_what_is_live(
+    tmp_path: Path,
+) -> None:
+    write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
+    video = write_video(tmp_path / "v.mp4", [40, 80, 120])
+    options = Namespace(over=video, camera_file=tmp_path / "c.toml", offset=1.5)
+    feed = _feed(read_scene("impedance_push"), options)
+    assert isinstance(feed, VideoFeed)
+    feed.latest(1.0)
+    assert feed.piece[0] == "v.mp4: begins in 0.5 s"
+    feed.close()
+    for scene in ("lwr_udp", "lwr"):  # live, and without sources
+        with pytest.raises(UsageError, match="--offset is for a video over a recording"):
+            _feed(read_scene(scene), options)
+        feed = _feed(read_scene(scene), Namespace(**{**vars(options), "offset": None}))
+        assert isinstance(feed, CameraFeed)
+        feed.close()
 
 
 def test_what_is_no_camera_is_told(

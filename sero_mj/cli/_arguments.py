@@ -224,7 +224,7 @@ def check_stereo_options(options: argparse.Namespace) -> None:
 
 
 def add_over_options(parser: argparse.ArgumentParser, *, is_live: bool = False) -> None:
-    """Adds `--over`, `--camera-file` and, for videos that are not live, `--offset`."""
+    """Adds `--over`, `--camera-file` and `--offset`."""
     if is_live:
         parser.add_argument(
             "--over", metavar="CAMERA",
@@ -238,8 +238,6 @@ def add_over_options(parser: argparse.ArgumentParser, *, is_live: bool = False) 
     parser.add_argument(
         "--camera-file", type=Path, metavar="FILE", help="the camera that took it; YAML or TOML"
     )
-    if is_live:
-        return
     parser.add_argument(
         "--offset",
         type=_offset,
@@ -263,6 +261,26 @@ def check_over_options(options: argparse.Namespace) -> None:
     for name in ("camera_file", "offset"):
         if getattr(options, name, None) is not None and options.over is None:
             raise UsageError(f"--{name.replace('_', '-')} is for --over; give it as well")
+
+
+def offset_of_video(scene: Scene, video: Path, camera_file: Path, *, quiet: bool = False) -> float:
+    """Finds when in a recording or scenario a video begins, s, and says so unless `quiet`."""
+    from rich.console import Console
+
+    from ..show.camera_file import read_camera
+    from ..show.footage import Video
+    from ..show.video_offset import find_offset
+
+    with Video(video) as opened:
+        camera = read_camera(camera_file, opened.size)
+    with contextlib.ExitStack() as stack:
+        if not quiet:
+            console = Console(stderr=True)
+            stack.enter_context(console.status("comparing the motion in video and recording"))
+        found = find_offset(scene, video, camera)
+    if not quiet:
+        print(found, flush=True)
+    return found.offset
 
 
 def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) -> None:

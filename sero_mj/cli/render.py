@@ -6,7 +6,6 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,7 @@ from ._arguments import (
     check_over_options,
     check_stereo_options,
     not_negative,
+    offset_of_video,
     positive,
     read_shown_scene,
 )
@@ -244,7 +244,9 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
     if options.offset is not None and not scene.sources:
         raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
     if options.offset in (None, "auto"):
-        options.offset = _find_offset(options, scene)
+        options.offset = 0.0
+        if scene.sources:
+            options.offset = offset_of_video(scene, over, options.camera_file, quiet=options.quiet)
     silent = film_with_progress(
         scene,
         options.output,
@@ -260,28 +262,6 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
         quality=options.quality,
     )
     return _told(options, silent)
-
-
-def _find_offset(options: argparse.Namespace, scene: Scene) -> float:
-    """Finds when in the recording the video begins, and says so; 0 where nothing moves it."""
-    from rich.console import Console
-
-    from ..show.camera_file import read_camera
-    from ..show.footage import Video
-    from ..show.video_offset import find_offset
-
-    if not scene.sources:
-        return 0.0
-    with Video(options.over) as video:
-        camera = read_camera(options.camera_file, video.size)
-    with ExitStack() as stack:
-        if not options.quiet:
-            console = Console(stderr=True)
-            stack.enter_context(console.status("comparing the motion in video and recording"))
-        found = find_offset(scene, options.over, camera)
-    if not options.quiet:
-        print(found)
-    return found.offset
 
 
 def check_picture_or_film(option: str, path: Path) -> bool:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from ..assemble.scene import Scene
@@ -22,6 +23,7 @@ from ._arguments import (
     add_stereo_options,
     check_over_options,
     check_stereo_options,
+    offset_of_video,
     port,
     read_shown_scene,
     refuse,
@@ -30,6 +32,7 @@ from ._arguments import (
 )
 
 if TYPE_CHECKING:
+    from ..show.camera_feed import CameraFeed, VideoFeed
     from ..show.live import LiveHost
 
 Control = Literal["gravity", "joint", "cartesian"]
@@ -44,6 +47,7 @@ examples:
   sero-mj view lwr_udp --web                          on a page for browsers on this machine
   sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
   sero-mj view lwr_udp --over 0 --camera-file cell.yaml   over what a camera sees of the robot
+  sero-mj view lwr_udp --over video.mp4 --camera-file cell.yaml --replay run.mcap
   sero-mj view lwr --simulate --control joint         a robot to play with, without an end
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
@@ -104,6 +108,10 @@ def run(options: argparse.Namespace) -> int:
     check_over_options(options)
     if options.over is not None:
         refuse(options, ("camera", "stereo"), " does not go with --over: the view is the camera's")
+        if options.replay is not None and Path(options.over).is_file():
+            if options.start is not None:
+                raise UsageError("--start does not go with a video; --offset says when it begins")
+            options.start = 0.0  # times are those of the recording
     on_page = wants_page(options)
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
@@ -183,10 +191,10 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
     with ExitStack() as stack:
         make_viewport = None
         if options.over is not None:
-            from ..show.camera_feed import CameraFeed
             from ..show.window.photo_viewport import PhotoViewport
 
-            feed = stack.enter_context(CameraFeed(options.over, options.camera_file))
+            feed = _feed(scene, options)
+            stack.callback(feed.close)
             make_viewport = partial(PhotoViewport, feed=feed)
         mirror = stack.enter_context(Mirror(scene))
         window = Window(
@@ -213,6 +221,22 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
             window.keep_view()
         options.last = copy.copy(window.navigator.camera), window.has_panel
         return window.next_scene
+
+
+def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:
+    """The camera, or the video, that the scene is drawn over."""
+    from ..drive.wiring import wire
+    from ..show.camera_feed import CameraFeed, VideoFeed
+
+    sources = wire(scene).check(scene).sources.values()
+    file = Path(options.over)
+    if not file.is_file() or not sources or any(source.is_live for source in sources):
+        if options.offset is not None:
+            raise UsageError("--offset is for a video over a recording or a scenario")
+        return CameraFeed(options.over, options.camera_file)
+    if options.offset in (None, "auto"):
+        options.offset = offset_of_video(scene, file, options.camera_file)
+    return VideoFeed(file, options.camera_file, options.offset)
 
 
 def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | None:

@@ -1,4 +1,7 @@
-"""`CameraFeed`: the pictures of a live camera, read on a thread of its own; the latest counts."""
+"""`CameraFeed`: the pictures of a live camera; `VideoFeed`: of a video, at the time that is shown.
+
+Both read on threads of their own.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,8 @@ from .status_line import Piece
 _FIRST = 10.0  # s that a camera may take for its first picture
 _AGAIN = 1.0  # s until a camera that is lost is tried again
 _QUIET = 0.7  # s without a picture after which it is lost
+_SAME = 1e-4  # s
+_READ_ON = 2.0  # s to a frame that is read on to; one that is farther is sought
 _RATE_OVER = 0.1  # share of the last interval in the mean
 
 
@@ -78,8 +83,12 @@ class CameraFeed:
     def _failed(self) -> bool:
         return bool(self._error)
 
-    def latest(self) -> tuple[int, Pixels]:
-        """Returns the number of the newest picture, from 1, and its pixels (height, width, 3)."""
+    def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
+        """Returns the number of the newest picture, from 1, and its pixels (height, width, 3).
+
+        Args:
+            time: that is shown, s; has no meaning here.
+        """
         with self._changed:
             assert self._pixels is not None  # there is one since it is opened
             return self._number, self._pixels
@@ -178,6 +187,131 @@ class CameraFeed:
                 self._take(np.ascontiguousarray(picture[..., ::-1]))
         finally:
             capture.release()
+
+
+class VideoFeed:
+    """Reads a video at the time that is shown, forward and back; a context manager.
+
+    Frames are decoded on a thread of its own: while that seeks, the last one stays.
+
+    Args:
+        path: the video.
+        camera_file: of the camera, see `camera_file`.
+        offset: time that is shown, s, at the first frame.
+
+    Attributes:
+        name: what it is called.
+        camera: as its file says.
+
+    Raises:
+        RenderError: it cannot be read.
+        DeclarationError: the camera file is wrong, or of pictures of another size.
+    """
+
+    def __init__(self, path: Path, camera_file: Path, offset: float) -> None:
+        self.name = path.name
+        self._video = Video(path)
+        try:
+            self.camera: PhotoCamera = read_camera(camera_file, self._video.size)
+        except BaseException:
+            self._video.close()
+            raise
+        self._offset = offset
+        self._wanted = 0.0  # time since the first frame, s
+        self._number = 0
+        self._end = self._video.duration
+        self._pixels: Pixels | None = None
+        self._error = ""
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="video", daemon=True)
+        self._thread.start()
+        with self._changed:
+            self._changed.wait_for(lambda: self._pixels is not None or bool(self._error), _FIRST)
+
+    def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
+        """Returns the number and the pixels (height, width, 3) of the newest frame that is read.
+
+        Args:
+            time: that is shown, s; the frame of this time is read next.
+        """
+        with self._changed:
+            self._wanted = time - self._offset
+            self._changed.notify_all()
+            if self._pixels is None:
+                return 0, np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
+            return self._number, self._pixels
+
+    @property
+    def piece(self) -> Piece:
+        """What the status line says of it."""
+        with self._changed:
+            wanted, error = self._wanted, self._error
+        if error:
+            return f"{self.name}: {error}", "bad"
+        if wanted < 0:
+            return f"{self.name}: begins in {-wanted:.1f} s", "quiet"
+        if self._end and wanted > self._end:
+            return f"{self.name}: ended {wanted - self._end:.1f} s ago", "quiet"
+        return f"{self.name}: {wanted:.1f} s", "good"
+
+    def close(self) -> None:
+        """Ends reading; harmless when it is closed."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join(2.0)
+        self._video.close()
+
+    def __enter__(self) -> VideoFeed:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        try:
+            while not self._closing:
+                self._read_on()
+        except Exception as error:  # of what is damaged; the window goes on with the last frame
+            with self._changed:
+                self._error = str(error) or type(error).__name__
+                self._changed.notify_all()
+
+    @property
+    def _sought(self) -> float:
+        """The time that is wanted, of those that the video has, s."""
+        return max(self._wanted, 0.0)
+
+    def _read_on(self) -> None:
+        """Shows frame after frame as their times come, until another part is wanted."""
+        last: tuple[float, Pixels] | None = None
+        for frame in self._video.frames(self._sought):
+            if last is not None and frame[0] > self._sought:
+                self._show(last[1])
+                if not self._goes_on(last[0], frame[0]):
+                    return
+            last = frame
+        if last is not None:
+            self._show(last[1])
+            self._goes_on(last[0], np.inf)
+
+    def _show(self, pixels: Pixels) -> None:
+        with self._changed:
+            self._number += 1
+            self._pixels = pixels
+            self._changed.notify_all()
+
+    def _goes_on(self, at: float, end: float) -> bool:
+        """Waits while the frame from a time to another is wanted; are those behind it then?"""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closing or not at - _SAME <= self._sought < end)
+            return not self._closing and end <= self._sought < end + _READ_ON
 
 
 def _size_in(camera_file: Path) -> tuple[int, int] | None:

@@ -76,6 +76,7 @@ class Video:
         self.fps = float(self._stream.average_rate or self._stream.guessed_rate or _FPS)
         length = self._container.duration
         self.duration = 0.0 if length is None else length / 1e6
+        self._first: float | None = None  # time of the first frame, as the file counts
         try:
             first = next(self.frames())[1]
         except (StopIteration, RenderError):
@@ -83,30 +84,35 @@ class Video:
             raise RenderError(f"{path}: not one frame of it can be read") from None
         self.size = (first.shape[1], first.shape[0])
 
-    def frames(self) -> Iterator[tuple[float, Pixels]]:
-        """Yields every frame from the first one on: its time since the first one, s, and pixels.
+    def frames(self, begin: float = 0.0) -> Iterator[tuple[float, Pixels]]:
+        """Yields frames: their times since the first one, s, and pixels.
 
         What is damaged ends it, with all frames before.
+
+        Args:
+            begin: time up to which frames may be left out, s.
 
         Raises:
             RenderError: there is nothing to be read.
         """
         stream = self._stream
-        self._container.seek(0)
-        first: float | None = None
         step = 1.0 / self.fps
-        time = -step
+        time, is_any = -step, False
         try:
+            if begin > 0.0 and self._first is not None:
+                self._container.seek(round((self._first + begin) * 1e6))
+            else:
+                self._container.seek(0)
             for frame in self._container.decode(stream):
-                found = (
-                    float(Fraction(frame.pts or 0) * stream.time_base) if stream.time_base else 0.0
-                )
-                first = found if first is None else first
+                found = float(Fraction(frame.pts or 0) * (stream.time_base or 0))
+                self._first = found if self._first is None else self._first
                 # Without good times frames are counted.
-                time = found - first if found - first > time else time + step
+                since = found - self._first
+                time = since if since > time else time + step
+                is_any = True
                 yield time, upright(frame)
         except (av.FFmpegError, OSError, ValueError) as error:
-            if first is None:
+            if not is_any:
                 raise RenderError(f"{self.path}: cannot be read: {_reason(error)}") from error
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from PIL import Image
 
 from ...assemble.world_view import WorldView
 from ...decor.toggles import Toggles
-from ..camera_feed import CameraFeed
+from ..camera_feed import CameraFeed, VideoFeed
 from ..headless.film import Pixels
 from ..over_photo import PhotoPainter
 from ..status_line import Piece
@@ -26,11 +26,15 @@ class PhotoViewport(Viewport):
         world: the compiled scene.
         toggles: what is shown.
         context: of the window, current.
-        feed: the camera.
+        feed: the camera, or a video.
     """
 
     def __init__(
-        self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext, feed: CameraFeed
+        self,
+        world: WorldView,
+        toggles: Toggles,
+        context: mujoco.MjrContext,
+        feed: CameraFeed | VideoFeed,
     ) -> None:
         super().__init__(world, toggles, context)
         self._feed = feed
@@ -73,7 +77,7 @@ class PhotoViewport(Viewport):
             largest = rect.left + rect.width, rect.bottom + rect.height
             self._painter = painter = PhotoPainter(self.world, of.resized(*size), largest)
             self._photo = None
-        number, pixels = self._feed.latest()
+        number, pixels = self._feed.latest(float(data.time))
         if self._photo is None or number != self._number:
             self._number = number
             self._photo = np.asarray(
