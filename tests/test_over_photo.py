@@ -225,6 +225,25 @@ def test_a_picture_and_a_film_are_as_large_and_as_long_as_what_is_below(
     assert np.allclose(corner, [40 + 10 * k for k in range(8)], atol=4)
 
 
+@pytest.mark.gl
+def test_a_picture_over_a_video_has_the_frame_of_its_time(tmp_path: Path) -> None:
+    by = camera("none", (320, 200))
+    write_camera(tmp_path / "c.toml", by)
+    shades = [np.full((200, 320, 3), 40 + 20 * k, np.uint8) for k in range(8)]
+    write_video(tmp_path / "v.mp4", shades)
+    over = ["--over", f"{tmp_path}/v.mp4", "--camera-file", f"{tmp_path}/c.toml", "--quiet"]
+    # The scenario at 2.45 s, and the frame of 0.45 s after the first one, which shows 2 s.
+    for name, options, frame in (
+        ("impedance_push", ["--offset", "2", "--at", "2.45"], 4),
+        ("impedance_push", ["--offset", "2"], 0),
+        ("lwr", ["--at", "0.3", "--show", "arrows=1"], 3),
+    ):
+        line = ["render", name, "-o", f"{tmp_path}/o.png", *over, *options, "--quality", "draft"]
+        main_ok(line)
+        made = np.asarray(Image.open(tmp_path / "o.png")).astype(int)
+        assert np.abs(made[3, -3] - (40 + 20 * frame)).max() < 5
+
+
 def main_ok(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(arguments)
@@ -260,8 +279,8 @@ def files(tmp_path: Path) -> Path:
         ("--offset 3", "--offset is for --over; give it as well"),
         ("--over p.png --camera-file c.toml --offset 3",
          "--offset is for videos; --start says when of a recording a photo is"),
-        ("--over v.mp4 --camera-file c.toml",
-         "-o o.png: a video gives a film, .mp4 say; found a picture"),
+        ("--over v.mp4 --camera-file c.toml --at 7",
+         "v.mp4: has no frame at 7.00 s; its frames are from 0 to 0.30 s"),
         ("--over p.png --camera-file c.toml --camera 1,2,3",
          "--camera does not go with --over: the picture is as large as the photo or video, seen by "
          "its camera"),

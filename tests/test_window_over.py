@@ -175,6 +175,7 @@ def test_a_window_shows_decor_over_what_the_camera_sends(tmp_path: Path) -> None
         window.tool("mousemove", 100, 200, "mousedown", 1, "mousemove", 200, 230, "mouseup", 1)
         window.until("'the view is that of' in w.notice.text")
         assert window.ask(joint) == [x, y]
+        assert "no command makes this picture" in window.ask("w._copy_command()")
         # A camera that is lost is told, and nothing stops.
         (tmp_path / "v.mp4").unlink()
         window.until("w.decor.pieces[0][1] == 'bad'")

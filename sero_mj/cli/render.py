@@ -211,8 +211,6 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
     of_photo = is_photo(over)
     if of_photo and is_film:
         raise UsageError(f"-o {options.output}: a photo gives a picture, .png say; found a film")
-    if not of_photo and not is_film:
-        raise UsageError(f"-o {options.output}: a video gives a film, .mp4 say; found a picture")
     for name, given in (
         ("camera", options.camera), ("stereo", options.stereo),
         ("size", options.size if options.size != DEFAULT_SIZE else None),
@@ -220,33 +218,33 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
     ):  # fmt: skip
         if given is not None:
             raise UsageError(f"--{name} does not go with --over: {_OF_OTHERS}")
-    if of_photo:
-        if options.offset is not None:
-            raise UsageError("--offset is for videos; --start says when of a recording a photo is")
+    if of_photo and options.offset is not None:
+        raise UsageError("--offset is for videos; --start says when of a recording a photo is")
+    if not of_photo and options.start is not None:
+        raise UsageError("--start does not go with a video; --offset says when it begins")
+    if not of_photo and options.replay is not None:
+        options.start = 0.0  # times are those of the recording
+    scene = read_shown_scene(options)
+    if not of_photo:
+        if options.offset is not None and not scene.sources:
+            raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
+        if options.offset in (None, "auto") and scene.sources:
+            options.offset = offset_of_video(scene, over, options.camera_file, quiet=options.quiet)
+    if not is_film:
         silent = render_picture_over(
-            read_shown_scene(options),
+            scene,
             over,
             options.camera_file,
             options.output,
             wait=options.wait,
-            at=options.at or 0.0,
+            at=options.at,
+            offset=options.offset or 0.0,
             shown=dict(options.shown),
             selected=options.select,
             clicks=options.clicks,
             quality=options.quality,
         )
         return _told(options, silent)
-    if options.start is not None:
-        raise UsageError("--start does not go with a video; --offset says when it begins")
-    if options.replay is not None:
-        options.start = 0.0  # times are those of the recording
-    scene = read_shown_scene(options)
-    if options.offset is not None and not scene.sources:
-        raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
-    if options.offset in (None, "auto"):
-        options.offset = 0.0
-        if scene.sources:
-            options.offset = offset_of_video(scene, over, options.camera_file, quiet=options.quiet)
     silent = film_with_progress(
         scene,
         options.output,
@@ -254,7 +252,7 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
         render=render_film_over,
         over=over,
         camera_file=options.camera_file,
-        offset=options.offset,
+        offset=options.offset or 0.0,
         duration=options.duration,
         shown=dict(options.shown),
         selected=options.select,

@@ -17,6 +17,7 @@ from ..errors import RenderError
 Pixels = NDArray[np.uint8]
 PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _MOST_PIXELS = 16384**2
+_SAME = 1e-4  # s
 _FPS = 30.0  # where a video does not say
 
 
@@ -129,6 +130,24 @@ class Video:
         tb: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def read_frame(path: Path, time: float) -> Pixels:
+    """Reads the frame of a video that is seen at a time, s since the first one.
+
+    Raises:
+        RenderError: the video cannot be read, or has no such frame.
+    """
+    with Video(path) as video:
+        found, last = None, 0.0
+        for at, pixels in video.frames(time):
+            if at > time + _SAME:
+                break
+            found, last = pixels, at
+        if found is None or time > last + 1.5 / video.fps:
+            end = f" to {video.duration:.2f}" if video.duration else " on"
+            raise RenderError(f"{path}: has no frame at {time:.2f} s; its frames are from 0{end} s")
+        return found
 
 
 def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[float, Pixels]]:

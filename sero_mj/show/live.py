@@ -430,6 +430,8 @@ class LiveHost(ABC):
             self.say(f"of the view before: {wrong[0]}", is_bad=True)
 
     def _copy_command(self) -> str:
+        if self.decor.fixed:
+            return f"{self.decor.fixed}; no command makes this picture, F2 keeps it"
         state, clock = self.view_state(), self.clock
         words = ["sero-mj", "render", *(self.command or [scene_argument(self.world.scene)])]
         for name, goal in self.jogging.goals.items():

@@ -62,6 +62,11 @@ class SceneDecor:
         return self._decor.pen
 
     @property
+    def fixed(self) -> str:
+        """What to tell who wants to move the camera; empty where that can be moved."""
+        return ""
+
+    @property
     def panels(self) -> list[Panels]:
         """The panels of the last frame, in drawing order."""
         return self._decor.panels

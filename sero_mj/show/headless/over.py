@@ -15,7 +15,7 @@ from ...decor.font import line_height
 from ...drive.mirror import Mirror
 from ...errors import RenderError, UsageError
 from ..camera_file import read_camera
-from ..footage import Pixels, Video, at_rate, read_photo
+from ..footage import Pixels, Video, at_rate, is_photo, read_frame, read_photo
 from ..interaction import Gesture
 from ..over_photo import PhotoPainter
 from ..photo_camera import PhotoCamera
@@ -125,21 +125,24 @@ def render_picture_over(
     path: Path,
     *,
     wait: float = 2.0,
-    at: float = 0.0,
+    at: float | None = None,
+    offset: float = 0.0,
     shown: Mapping[str, str] | None = None,
     selected: str | None = None,
     clicks: Sequence[Click] = (),
     quality: Quality = "normal",
 ) -> list[str]:
-    """Renders the current state of a scene over a photo.
+    """Renders the current state of a scene over a photo, or over a frame of a video.
 
     Args:
         scene: what to show.
-        photo: the file.
+        photo: the file, or a video, of which the frame of that time is taken.
         camera_file: see `camera_file`.
         path: of the picture; .png, or another format of Pillow.
         wait: maximum time to wait for the first packet of every source, s.
-        at: time of recordings and simulations, s after their start.
+        at: time of recordings and simulations, s after their start; None for the start, or for the
+            first frame of a video.
+        offset: time of these at the first frame of a video.
         shown: switches to set, see `view_state.apply_switches`.
         selected: the joint to be lit.
         clicks: clicks to perform before rendering.
@@ -151,13 +154,19 @@ def render_picture_over(
     Raises:
         SeroError: a problem of the scene, its sources, the camera or a file.
     """
-    pixels = read_photo(photo)
+    if is_photo(photo):
+        pixels, now = read_photo(photo), at or 0.0
+    else:
+        now = offset if at is None else at
+        pixels = read_frame(photo, now - offset)
     camera = read_camera(camera_file, (pixels.shape[1], pixels.shape[0]))
     with Mirror(scene) as mirror:
+        if not is_photo(photo):
+            refuse_live(mirror, photo)
         check_writable(path)
         with PhotoRenderer(mirror.world, camera, quality) as renderer:
             silent = mirror.wait(wait)
-            mirror.wait_fresh(min(wait, NEXT_WITHIN), at)
+            mirror.wait_fresh(min(wait, NEXT_WITHIN), now)
             apply_switches(mirror.world, renderer.decor.toggles, shown or {}, selected)
             perform_clicks(renderer, mirror.data, clicks)
             dpi = PRINT_DPI if quality == "fine" else None

@@ -77,11 +77,6 @@ class Viewport(SceneDecor):
         self._typesetter: Typesetter | None = None
 
     @property
-    def fixed(self) -> str:
-        """What to tell who wants to move the camera; empty where that can be moved."""
-        return ""
-
-    @property
     def pieces(self) -> list[Piece]:
         """What it adds to the status line."""
         return []

@@ -45,7 +45,7 @@ class PhotoViewport(Viewport):
 
     @property
     def fixed(self) -> str:
-        """See `Viewport`."""
+        """See `SceneDecor`."""
         return f"the view is that of {self._feed.name}"
 
     @property
