@@ -246,6 +246,13 @@ def test_what_cannot_be_simulated_says_why() -> None:
         endless_scene(scene)
 
 
+def test_of_a_scenario_its_scene_is_played_with() -> None:
+    played = Played("joint", sero_mj.load_scene("impedance_push"))
+    assert [*played.world.doubles] == ["lwr_target"] and [*played.world.scene.arrows] == ["by_hand"]
+    assert played.source.about == "simulation of impedance_push"
+    assert played.run.scenario.disturbances == {}
+
+
 def test_two_robots_have_targets_of_their_own() -> None:
     robots = [
         sero_mj.SerialRobot.from_model(

@@ -414,7 +414,7 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 def test_no_key_means_two_things_and_each_is_done() -> None:
     assert not set(KEYS) & {*HOST_KEYS, *MORE_KEYS}
     assert not set(HOST_KEYS) & set(MORE_KEYS)
-    assert {*MORE_KEYS.values()} - {"last_joint", "last_event"} <= {
+    assert {*MORE_KEYS.values()} - {"last_joint", "last_event", "redo"} <= {
         name for name, _ in HOST_KEYS.values()
     }
 
@@ -433,7 +433,8 @@ class Host(LiveHost):
     """Notes what it says and is asked for, and shows nothing."""
 
     is_open = is_due = True
-    frame = picture = centre = close = request_close = picture_size = None  # type: ignore[assignment]
+    frame = picture = centre = close = request_close = None  # type: ignore[assignment]
+    picture_size = view_camera = is_following = to_clipboard = None  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
         data = world.make_data()

@@ -34,6 +34,7 @@ from ._arguments import (
 if TYPE_CHECKING:
     from ..show.camera_feed import CameraFeed, VideoFeed
     from ..show.live import LiveHost
+    from ..show.web.host import WebHost
 
 Control = Literal["gravity", "joint", "cartesian"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
@@ -186,6 +187,7 @@ def _of_page(options: argparse.Namespace) -> list[str]:
 
 def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | None:
     from ..drive.mirror import Mirror
+    from ..show.camera import copy_camera
     from ..show.window.host import Window
 
     with ExitStack() as stack:
@@ -209,7 +211,8 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
         stack.enter_context(window)
         _offer(window, plain, options.control or "joint")
         if options.last is not None:  # as it was seen before
-            window.navigator.camera, has_panel = options.last
+            camera, has_panel = options.last
+            copy_camera(camera, window.view_camera)
             if has_panel:
                 window.toggle_panel()
         if options.last is None and not options.fresh:
@@ -219,7 +222,7 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
             window.run()
         finally:
             window.keep_view()
-        options.last = copy.copy(window.navigator.camera), window.has_panel
+        options.last = copy.copy(window.view_camera), window.has_panel
         return window.next_scene
 
 
@@ -241,6 +244,7 @@ def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:
 
 def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | None:
     from ..drive.mirror import Mirror
+    from ..show.camera import copy_camera
     from ..show.viewer import open_page
 
     host = options.host or _LOOPBACK
@@ -257,22 +261,18 @@ def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | N
     ):
         _offer(page, plain, options.control or "joint")
         if options.last is None:
-            print(f"{scene.name} is at {' and '.join(page.urls)}  (Ctrl+C ends it)", flush=True)
-        options.port, options.last = page.port, ()
-        if not page.is_private:
-            print(
-                f"warning: served at {host}: whoever has this address sees the page and can take "
-                "control; nothing is encrypted",
-                file=sys.stderr,
-                flush=True,
-            )
-        if not options.fresh:
-            page.restore_view(with_camera=options.camera is None)
+            _announce(scene, page, host)
+            if not options.fresh:
+                page.restore_view(with_camera=options.camera is None)
+        else:
+            copy_camera(options.last, page.view_camera)
+        options.port, options.token = page.port, page.token or False  # as its browsers know it
         page.command = command_of(options)
         try:
             page.run()
         finally:
             page.keep_view()
+        options.last = copy.copy(page.view_camera)
         return page.next_scene
 
 
@@ -285,3 +285,15 @@ def command_of(options: argparse.Namespace) -> list[str]:
         value = getattr(options, name)
         words += [] if value is None else [f"--{name}", str(value)]
     return words
+
+
+def _announce(scene: Scene, page: WebHost, host: str) -> None:
+    """Says where the page is, and who else may see it."""
+    print(f"{scene.name} is at {' and '.join(page.urls)}  (Ctrl+C ends it)", flush=True)
+    if not page.is_private:
+        print(
+            f"warning: served at {host}: whoever has this address sees the page and can take "
+            "control; nothing is encrypted",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -216,3 +216,10 @@ def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]
     right = np.array([sa, -ca, 0.0])
     up = np.array([-ca * se, -sa * se, ce])
     return forward, right, up
+
+
+def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:
+    """Gives a camera the pose, or the frame, of another one."""
+    to.type, to.fixedcamid, to.trackbodyid = camera.type, camera.fixedcamid, camera.trackbodyid
+    to.lookat[:], to.distance = camera.lookat, camera.distance
+    to.azimuth, to.elevation = camera.azimuth, camera.elevation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from typing import Any
 
 from ..assemble.scene import Scene
 from ..frames import Array
@@ -71,7 +72,8 @@ def endless_scene(
     """Returns a scene whose robots are simulated without an end while it is shown.
 
     Physics and controllers run at 1 kHz; where all robots declare a torque loop, joint torque
-    control between them at 3 kHz. Sources and routes of the scene have no part in it.
+    control between them at 3 kHz. Sources and routes of the scene have no part in it; of a scenario
+    its scene and gravity are taken.
 
     Args:
         scene: with robots.
@@ -82,17 +84,22 @@ def endless_scene(
         DeclarationError: what only shows when robots are simulated: starts beyond limits, no
             masses.
     """
-    shown = copy.copy(scene)
+    runs: list[Any] = [getattr(source, "run", None) for source in scene.sources.values()]
+    declared = [run.scenario for run in runs if hasattr(run, "scenario")]
+    shown = copy.copy(declared[0].scene if declared else scene)
     shown.sources, shown.routes = {}, {}
     starts = angles or {}
     shown.robots = {
         name: robot.model_copy(
             update={"joint_angles": starts.get(name, robot.home), "torques": None}
         )
-        for name, robot in scene.robots.items()
+        for name, robot in shown.robots.items()
     }
     has_loops = all("torque_control" in robot.model_fields_set for robot in shown.robots.values())
-    scenario = Scenario(shown, name=scene.name, duration=_LONGEST, torque_control=has_loops)
+    given = {"gravity": declared[0].run.gravity} if declared else {}
+    scenario = Scenario(
+        shown, name=scene.name, duration=_LONGEST, torque_control=has_loops, **given
+    )
     simulation = Simulation(scenario, by_hand=True, is_live=True)
     assert simulation.live is not None
     for robot in simulation.live.robots.values():

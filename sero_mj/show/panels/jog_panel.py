@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
 from ...assemble.world_view import WorldView
+from ...decor.card_names import card_names
 from ...frames import Array, frame, inverse, rotation_from_rpy, rpy_from_rotation
 from ..jogging import Jogging
 from ..joint_goal import JointGoal
@@ -14,8 +15,34 @@ from ..pose_text import as_command, as_python, as_toml
 from .widgets import Widgets
 
 UNITS = ("deg", "rad")
-_NAME, _NUMBER = 3.2, 5.4  # widths of columns, of the text's height
+_MOST_SECTIONS, _MOST_OPEN = 3, 2  # number of robots with sections, and of those unfolded at first
+# Widths of columns, of the text's height, and of a name's character.
+_LEAST_NAME, _MOST_NAME, _NUMBER, _CHARACTER = 3.2, 8.0, 4.6, 0.56
 _POSE = (("x", 0), ("y", 1), ("z", 2), ("roll", 0), ("pitch", 1), ("yaw", 2))
+
+
+def build_each(
+    ui: Widgets, verb: str, names: Collection[str], build: Callable[[str], None]
+) -> None:
+    """Builds a section for every robot, or where they are many a tree in one section.
+
+    Args:
+        ui: takes them.
+        verb: what is done with the robots there.
+        names: of the robots.
+        build: what is in it.
+    """
+    are_many = len(names) > _MOST_SECTIONS
+    if are_many and not ui.header(f"{verb} {len(names)} robots"):
+        return
+    for index, name in enumerate(names):
+        ui.scope(f"{verb} {name}")
+        if not are_many and ui.header(f"{verb} {name}", is_open=index < _MOST_OPEN):
+            build(name)
+        elif are_many and ui.tree(name):
+            build(name)
+            ui.end_tree()
+        ui.end_scope()
 
 
 class JointSliders:
@@ -42,7 +69,10 @@ class JointSliders:
     def _joints(self, ui: Widgets, goal: JointGoal, joints: Sequence[int]) -> None:
         robot, angles = goal.robot, goal.angles
         free = set(robot.coupled.independent.tolist())
-        if not ui.table(f"##angles{joints[0]}", (_NAME, 0, _NUMBER)):
+        names = card_names(robot.names, robot.name)  # without what all have in common
+        longest = max(len(names[joint]) for joint in joints)
+        name_width = min(max(_CHARACTER * longest, _LEAST_NAME), _MOST_NAME)
+        if not ui.table(f"##angles{joints[0]}", (name_width, 0, _NUMBER)):
             return
         for joint in joints:
             name, turns = robot.names[joint], robot.types[joint] == "revolute"
@@ -52,7 +82,7 @@ class JointSliders:
             low, high = goal.range_of(joint)
             ui.row()
             ui.cell()
-            ui.label(name)
+            ui.label(names[joint])
             ui.cell()
             ui.disable(is_off=joint not in free)
             ui.width(0.0)
@@ -108,13 +138,9 @@ class JogPanel:
         self._copied = ""
 
     def build(self, ui: Widgets) -> None:
-        """Builds a section for every robot."""
+        """Builds a section for every robot, of many a tree in one section."""
         goals = self._jogging.goals
-        for name, goal in goals.items():
-            ui.scope(f"jog {name}")
-            if ui.header(f"Move {name}", is_open=len(goals) == 1):
-                self._robot(ui, name, goal)
-            ui.end_scope()
+        build_each(ui, "Move", goals, lambda name: self._robot(ui, name, goals[name]))
 
     def _robot(self, ui: Widgets, name: str, goal: JointGoal) -> None:
         self._sliders.build(ui, goal)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...simulate.live_control import CONTROL_NAMES, CONTROLS, LiveRobot
 from ..steering import Steering
-from .jog_panel import FlangeFields, JointSliders
+from .jog_panel import FlangeFields, JointSliders, build_each
 from .widgets import Widgets
 
 _SLIDER = 9.5  # wide, of the text's height
@@ -42,11 +42,8 @@ class SteeringPanel:
             ui.text(f"stopped: {steering.error}", "bad")
             if ui.button("start again"):
                 self._say(steering.start_again())
-        for index, name in enumerate(steering.robots):
-            ui.scope(f"control {name}")
-            if ui.header(f"Control {name}", is_open=index < 2):
-                self._robot(ui, name, steering.robots[name])
-            ui.end_scope()
+        robots = steering.robots
+        build_each(ui, "Control", robots, lambda name: self._robot(ui, name, robots[name]))
 
     def _robot(self, ui: Widgets, name: str, robot: LiveRobot) -> None:
         now = CONTROLS.index(robot.control)

@@ -43,9 +43,12 @@ class WebHost(LiveHost):
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
         token: whether the page's address contains a secret token; for other machines it always
-            does.
+            does. A text is that token.
         waits: whether recordings and simulations start when the first browser connects.
         folder: see `LiveHost`.
+
+    Attributes:
+        token: in the page's address; None without.
 
     Raises:
         RenderError: the page cannot be served there, or this process already serves one.
@@ -62,7 +65,7 @@ class WebHost(LiveHost):
         camera: str | None = None,
         host: str = LOOPBACK,
         port: int = 0,
-        token: bool = False,
+        token: bool | str = False,
         waits: bool = False,
         folder: Path | None = None,
     ) -> None:
@@ -81,7 +84,9 @@ class WebHost(LiveHost):
         self._actions["help"] = self._toggle_help
         self._actions["link"] = self._copy_link
         is_private = is_loopback(check_address(host))
-        self._token = None if is_private and not token else make_token()
+        self.token: str | None = None
+        if token or not is_private:
+            self.token = token if isinstance(token, str) else make_token()
         if not (isinstance(port, int) and 0 <= port < 65536):
             raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
         viewer_end, sim_end = launch_thread.make_thread_endpoints()
@@ -91,7 +96,7 @@ class WebHost(LiveHost):
                 world.model,
                 address=host,
                 port=port,
-                token=self._token,
+                token=self.token,
                 title=f"{world.scene.name} - sero-mj",
                 plugins=[self._app, self._panels],
                 camera=find_camera(world, camera),
@@ -119,14 +124,14 @@ class WebHost(LiveHost):
     @property
     def url(self) -> str:
         """Address of the page for browsers on this machine, with its token if it has one."""
-        return page_url(self.viewer.address, self.viewer.port, self._token)
+        return page_url(self.viewer.address, self.viewer.port, self.token)
 
     @property
     def urls(self) -> list[str]:
         """All addresses of the page, including that for other machines if they can reach it."""
         found = [self.url]
         if self.viewer.address in ANY_ADDRESS:
-            found.append(page_url(socket.gethostname(), self.viewer.port, self._token))
+            found.append(page_url(socket.gethostname(), self.viewer.port, self.token))
         return found
 
     @property
