@@ -5,5 +5,6 @@ In: a mirror, or the user's own model and data. Out: pictures and films (`headle
 Open first: `viewer.py` (a live viewer in Python, drawn by the process of `viewer_main.py`),
 `live.py` (what window and page share), `interaction.py` (actions of clicks and keys),
 `picking.py` (finds the item at a pixel); `jogging.py`, `pulling.py` and `steering.py` are what the
-pointer drags: robots without data, simulated ones, and their targets.
+pointer drags: robots without data, simulated ones, and their targets; `over_photo.py` draws over
+photos, `photo_camera.py` is their camera, `calibration.py` finds it.
 """
