@@ -31,6 +31,7 @@ from ..scene_decor import SceneDecor
 from ..status_line import Piece, status_pieces
 from ..stereo import EYE_DISTANCE, Stereo, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
+from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
 from .hud import Hud, TimeLine, arrange
 from .plots import Plot, TorquePlot
@@ -204,6 +205,7 @@ class Window(LiveHost):
 
     Attributes:
         navigator: moves the camera.
+        gamepad: moves it as well, and presses keys.
         is_quick: whether the last frame was drawn without multisampling and shadows, since the
             view moves and the machine is slow.
 
@@ -245,7 +247,10 @@ class Window(LiveHost):
             "panel": self.toggle_panel,
         }
         self._plot = TorquePlot(world)
+        self.gamepad = Gamepad(self, self._turn)
         self._help = help_columns()
+        self._help.append([("Gamepad", ""), *PAD_STICKS.items(),
+                           *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
         self._line: TimeLine | None = None
         self._is_scrubbing = False
         self._pace, self.is_quick = Pace(), False
@@ -281,6 +286,7 @@ class Window(LiveHost):
             return True
         for event in self.gl.events():
             self._take(event, height)
+        self.gamepad.update()
         if not self.clock.is_live:
             self.clock.on_moment = self._sample if self.has_plot else None
         self._advance(lambda: self.clock.advance(passed))
@@ -434,7 +440,7 @@ class Window(LiveHost):
             self._click(found)
 
     def _move(self, moved: Moved, height: int) -> None:
-        view, navigator = self.decor.view, self.navigator
+        view = self.decor.view
         places = (moved.pulls_from, moved.pressed)
         begin, pressed = (None if at is None else self.decor.to_picture(*at) for at in places)
         if view is None or self.drag(moved, self._pointer(), begin, pressed):
@@ -442,11 +448,19 @@ class Window(LiveHost):
         if self.decor.fixed:
             self.say(self.decor.fixed)
             return
+        is_zoom = moved.how == "zoom"
+        down = moved.down if is_zoom else moved.down / height
+        self._turn(moved.how, moved.right / height, down)
+
+    def _turn(self, how: str, right: float, down: float) -> None:
+        """Turns, pans or zooms the view, by heights of the picture or notches of the wheel."""
+        view, navigator = self.decor.view, self.navigator
+        if view is None or self.decor.fixed:
+            return
         navigator.free(view.position, view.forward)
-        right, down = moved.right / height, moved.down / height
-        if moved.how == "zoom":
-            navigator.zoom(moved.down)
-        elif moved.how == "pan":
+        if how == "zoom":
+            navigator.zoom(down)
+        elif how == "pan":
             navigator.pan(right, down, view.tan_half_fovy)
         else:
             navigator.orbit(right, down)
