@@ -113,6 +113,11 @@ def test_joints_stay_within_their_limits_and_say_so() -> None:
     assert goal.trouble == "" and goal.angles[1] == 0.5
     goal.set_all(np.full(7, 9.0))
     assert goal.trouble.startswith("limit of A1 reached, 170 deg, limit of A2")
+    for wrong in (np.nan, np.inf):
+        goal.set_joint(1, wrong)
+        assert goal.trouble == "found no finite number; it stays where it was"
+        goal.move_flange(np.eye(4), frame(np.eye(3), [wrong, 0.0, 0.5]), at_once=True)
+        assert goal.trouble.startswith("found no finite number") and np.isfinite(goal.angles).all()
     # Typed poses that are out of reach change nothing.
     goal.set_all(BENT)
     goal.move_flange(np.eye(4), frame(np.eye(3), [2.0, 0, 0.3]), at_once=True)

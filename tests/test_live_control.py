@@ -150,6 +150,8 @@ def test_gains_that_the_step_cannot_hold_are_refused_with_the_largest() -> None:
     assert robot.change({"stiffness": most}, text) == ""
     assert robot.change({"stiffness": before + 1.05 * share * (5000.0 - before)}, text) != ""
     assert robot.change({"damping": np.array([9.0])}, lambda v: "x").startswith("refused: found 9;")
+    nothing = robot.change({"stiffness": np.full(finger.n, np.nan)}, text)
+    assert nothing.startswith("refused: ") and "At most" not in nothing
     played.go(0.2)
     assert played.source.error is None
 
@@ -376,16 +378,36 @@ def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     played.go(2.0)
     assert played.source.error is None
     assert played.toggles.handles.mark is None
-    # The double's links are dragged with Ctrl; under gravity compensation there is nothing to drag.
-    played.decor.lay_out(played.data, view)
-    double = played.world.doubles["lwr_target"]
-    point = played.data.xpos[double.bodies[0][7]]
-    found = played.steering.begin(played.decor, tuple(view.project(point)[0].tolist()))
-    assert found is None or found[0].startswith("moves lwr_target/")
-    played.steering.end()
     played.steering.choose("lwr", "gravity")
     played.steering.advance()
     assert played.toggles.handles is None
+
+
+def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() -> None:
+    played = Played("joint")
+    view = view_at()
+    played.decor.lay_out(played.data, view)
+    double = played.world.doubles["lwr_target"]
+    there = played.data.xpos[played.world.robots["lwr"].bodies[6]]
+    at = tuple(view.project(there)[0].tolist())
+    assert played.steering.begin(played.decor, at) is None  # it is the robot's link: that is pulled
+    played.run.plant.push("lwr/flange", force=[0.0, 60.0, -150.0])
+    played.go(2.0)
+    played.decor.lay_out(played.data, view)
+    goal = played.steering.goals["lwr"]
+    assert goal.angles == pytest.approx(BENT)  # the robot gives way, its target does not
+    link = played.data.xpos[double.bodies[0][6]]
+    assert np.linalg.norm(link - played.data.xpos[played.world.robots["lwr"].bodies[6]]) > 0.1
+    at = tuple(view.project(link)[0].tolist())
+    found = played.steering.begin(played.decor, at)
+    assert found is not None and found[0].startswith("moves lwr_target/link")
+    played.steering.move((at[0] + 30.0, at[1] + 20.0))
+    for _ in range(20):
+        assert played.steering.update(played.decor) == ""
+    played.steering.end()
+    assert np.abs(goal.angles - BENT).max() > 0.02
+    played.go(1.0)
+    assert played.signal("target_angles")[-1] == pytest.approx(goal.angles)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from ..frames import Array, frame
 _FAR = 0.005  # m, from which on it is shown where a frame was wanted
 _TURNED = np.deg2rad(2.0)  # rad, likewise
 _PER_DRAG = 12  # iterations for a move of the pointer; what is left is made up in the next
+_NO_NUMBER = "found no finite number; it stays where it was"
 _PI, _METRE = np.pi, 1.0  # range of sliders where a joint has no limits
 
 
@@ -74,6 +75,9 @@ class JointGoal:
         self._set(free)
 
     def _set(self, free: Array) -> None:
+        if not np.isfinite(free).all():
+            self.trouble = _NO_NUMBER
+            return
         self.mark, self.trouble = None, ""
         kept = free
         if self._limits is not None:
@@ -109,6 +113,9 @@ class JointGoal:
             pose: T_world_flange (4, 4), m.
             at_once: whether the pose was typed: only what is reached counts then.
         """
+        if not np.isfinite(pose).all():
+            self.trouble = _NO_NUMBER
+            return
         place = frame_place(self.robot, base, self.robot.flange_link, self.robot.T_n_flange)
         found = reach(
             place,

@@ -130,6 +130,8 @@ class LiveRobot:
             declared = _changed(now, values)
             self.use(declared)
         except DeclarationError as error:
+            if not all(np.isfinite(np.asarray(value)).all() for value in values.values()):
+                return f"refused: {_reason(error)}"
             before = {key: np.asarray(getattr(now, key)) for key in values}
 
             def part(share: float) -> dict[str, Any]:
