@@ -322,14 +322,14 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
                 "[w._line.left, w._line.bottom, w._line.width, w.gl.size[1]]"
             )
             window.click(left + 0.3 * width, tall - bottom - 2)
-            assert window.ask("w.clock.is_past")
+            window.key("space")
+            assert window.ask("[w.clock.is_past, w.clock.is_paused]") == [True, True]
             ago = window.ask("w.clock.end - w.clock.time")
             assert ago > 1.5
             assert window.ask("abs(w.data.time - w.clock.time)") < 0.3  # frames are slow here
             window.until(f"w.clock.end > {window.ask('w.clock.end') + 0.5}")  # it goes on
             window.key("e")
-            window.until("w.clock.is_paused")
-            assert window.ask("w.clock.time in [moment.time for moment in w.moments.all()]")
+            window.until("w.clock.time in [moment.time for moment in w.moments.all()]")
             assert window.ask("any(moment.is_mark for moment in w.moments.all())")
             window.key("k")
             window.until("any(not film[0].poll() for film in w.keeping._films)")
