@@ -166,7 +166,9 @@ class JointGoal:
             left += f" and {np.rad2deg(found.angle):.0f} deg"
         joints = np.flatnonzero(found.at_limit)
         why = ", ".join(self._limit_text(int(i), found.angles) for i in joints[:3])
-        self.trouble = f"not reached, {left} away: {why or 'too far, or straight into it'}"
+        self.trouble = (
+            f"not reached, {left} away: {why or 'out of reach, or a singularity in the way'}"
+        )
         self.mark = np.array([wanted, there])
 
     def let_go(self) -> None:
