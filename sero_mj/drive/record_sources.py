@@ -112,15 +112,8 @@ def record_events(
 
     about = {"sero-mj": __version__, "scene": scene.name, "trigger": trigger.text}
     with TriggeredRecorder(path_of, find, about=about, **options) as recorder:
-        routes = wire(scene).routes
-        try:
-            _attach_files(recorder, scene)
-            for name, source in sources.items():
-                _add(recorder, name, source, scene, routes)
+        with _connected(recorder, sources, scene):
             yield recorder
-        finally:
-            for source in sources.values():
-                source.record_to(None)
 
 
 @contextmanager
@@ -151,15 +144,24 @@ def record_last(
     with TriggeredRecorder(
         path_of, nothing, about=about, before=seconds, after=0.0, signals_rate=signals_rate
     ) as recorder:
-        routes = wire(scene).routes
-        try:
-            _attach_files(recorder, scene)
-            for name, source in sources.items():
-                _add(recorder, name, source, scene, routes)
+        with _connected(recorder, sources, scene):
             yield recorder
-        finally:
-            for source in sources.values():
-                source.record_to(None)
+
+
+@contextmanager
+def _connected(
+    recorder: TriggeredRecorder, sources: Mapping[str, Source], scene: Scene
+) -> Iterator[None]:
+    """Hands packets of sources to a recorder, and files of the scene to its recordings."""
+    routes = wire(scene).routes
+    try:
+        _attach_files(recorder, scene)
+        for name, source in sources.items():
+            _add(recorder, name, source, scene, routes)
+        yield
+    finally:
+        for source in sources.values():
+            source.record_to(None)
 
 
 def _attach_files(recorder: Recorder | TriggeredRecorder, scene: Scene) -> None:
