@@ -111,9 +111,9 @@ def record_events(
         return holds, lambda row: hits.describe(int(np.searchsorted(index, row)))
 
     about = {"sero-mj": __version__, "scene": scene.name, "trigger": trigger.text}
-    with TriggeredRecorder(path_of, find, about=about, **options) as recorder:
-        with _connected(recorder, sources, scene):
-            yield recorder
+    recorder = TriggeredRecorder(path_of, find, about=about, **options)
+    with recorder, _connected(recorder, sources, scene):
+        yield recorder
 
 
 @contextmanager
@@ -141,11 +141,11 @@ def record_last(
         return np.zeros(len(rows), bool), str
 
     about = {"sero-mj": __version__, "scene": scene.name}
-    with TriggeredRecorder(
+    recorder = TriggeredRecorder(
         path_of, nothing, about=about, before=seconds, after=0.0, signals_rate=signals_rate
-    ) as recorder:
-        with _connected(recorder, sources, scene):
-            yield recorder
+    )
+    with recorder, _connected(recorder, sources, scene):
+        yield recorder
 
 
 @contextmanager

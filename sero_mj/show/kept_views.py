@@ -22,8 +22,9 @@ _MOST_BYTES = 100_000
 
 
 def file_of(scene: Scene) -> Path:
-    """Returns where the view of a scene is kept: by its file, or by its name where it has none."""
+    """Returns where the view of a scene is kept: by its file or name, and by who is in it."""
     name = scene.name if scene.file is None else str(scene.file.resolve())
+    name = "\n".join([name, *scene.robots, *scene.doubles])
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
     stem = "".join(c if c.isalnum() else "_" for c in Path(scene_argument(scene)).stem)[:40]
     return user_state_path("sero-mj", appauthor=False) / "views" / f"{stem}-{digest}.json"
