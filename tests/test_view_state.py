@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import subprocess
 import sys
@@ -19,10 +20,11 @@ from PIL import Image
 from window_tools import MISSING, Driven, screen
 
 from sero_mj import World
+from sero_mj.cli import view
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.handles import SEGMENTS
 from sero_mj.decor.toggles import Toggles
-from sero_mj.errors import UnknownName, UsageError
+from sero_mj.errors import SeroError, UnknownName, UsageError
 from sero_mj.load import load_scene
 from sero_mj.show.camera import find_camera
 from sero_mj.show.kept_views import file_of, find_view, keep_view
@@ -261,6 +263,10 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     window.key("ctrl+y")
     window.until("w.toggles.arrows.all()")
     before = window.ask("[w.view_state().to_text(), w.layout]")
+    window.ask("sys.modules.__setitem__('sero_mj.show.window.panel_layer', None)")
+    window.key("Tab")
+    assert window.ask("w.notice.text").startswith("no panel: import of sero_mj.show.window.panel")
+    window.ask("sys.modules.pop('sero_mj.show.window.panel_layer')")
     window.ask("w.toggle_panel() or w.toggle_plot()")
     window.ask("w.keep_view()")
     window.ask("w.toggles.reset() or w.choose_camera(0) and w.toggle_panel() or w.toggle_plot()")
@@ -286,3 +292,55 @@ def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
     radius = np.linalg.norm(away, axis=1)
     assert radius == pytest.approx(1.3 * world.joints.arrow_radius[3], rel=1e-5)
     assert np.linalg.norm(np.cross(rows["pos"].mean(axis=0) - T[:3, 3], axis)) < 0.2
+
+
+# ---- files that are dropped
+
+
+def options_of(scene: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    view.add_to(parser.add_subparsers())
+    return parser.parse_args(["view", scene])
+
+
+def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path) -> None:
+    options = options_of("lwr_udp")
+    before = dict(vars(options))
+    for name, text, expected in (
+        ("notes.txt", "", "notes.txt"),
+        ("scene.toml", "[robots.lwr]\nmodle = 'lwr'\n", "did you mean 'model'"),
+        ("robot.urdf", "<robot/>", "robot: has no <link>"),
+        ("run.mcap", "no recording", "run.mcap"),
+    ):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        with pytest.raises(SeroError) as caught:
+            view._open_file(tmp_path / name, options)
+        assert expected in str(caught.value)
+        assert vars(options) == before
+    urdf = tmp_path / "two.urdf"
+    urdf.write_text(
+        '<robot name="two"><link name="a"/><link name="b"/><joint name="j" type="revolute">'
+        '<parent link="a"/><child link="b"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="5" velocity="1"/></joint></robot>',
+        encoding="utf-8",
+    )
+    scene = view._open_file(urdf, options)
+    assert list(scene.robots) == ["two"]
+    assert (options.scene, options.plain, options.is_opened) == (str(urdf), scene, True)
+
+
+@pytest.mark.gl
+@pytest.mark.live
+@pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+def test_a_file_dropped_on_a_window_ends_it_for_another_scene(window: Driven) -> None:
+    drop = "w.gl._on_drop(None, ['/tmp/there.toml'])"  # xdotool drops no files
+    window.ask(drop)
+    window.until("w.notice.text == 'there.toml: files are opened by `sero-mj view` alone'")
+    window.ask("globals().update(load=__import__('sero_mj.load', fromlist=['x']).load_scene)")
+    window.ask("setattr(w, 'opener', lambda path: load('no such scene'))")
+    window.ask(drop)
+    window.until("\"no scene or robot 'no such scene'\" in w.notice.text and w.notice.is_bad")
+    assert window.ask("w.is_open and w.next_scene is None")
+    window.ask("setattr(w, 'opener', lambda path: load('justin'))")
+    window.ask(f"{drop} or setattr(w, 'request_close', lambda: None)")  # else it cannot be asked
+    assert window.until("w.next_scene is not None and w.next_scene.name") == "justin"

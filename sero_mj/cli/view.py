@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
@@ -25,8 +25,10 @@ from ._arguments import (
     check_stereo_options,
     offset_of_video,
     port,
+    read_scene,
     read_shown_scene,
     refuse,
+    replay_instead,
     size,
     until_ended,
 )
@@ -100,7 +102,7 @@ def add_to(commands: Commands) -> None:
     add_stereo_options(parser)
     add_over_options(parser, is_live=True)
     add_scene_options(parser)
-    parser.set_defaults(last=None)
+    parser.set_defaults(last=None, plain=None, is_opened=False)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -125,12 +127,13 @@ def run(options: argparse.Namespace) -> int:
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
     shown: Scene | None = scene
+    options.plain = scene
     if options.simulate:
         shown = _simulated(scene, options.control or "joint")
     show = _serve if on_page else _open_window
     with until_ended():  # as good as closing it
         while shown is not None:
-            shown = show(shown, scene, options)
+            shown = show(shown, options.plain, options)
     return 0
 
 
@@ -210,6 +213,7 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
         )
         stack.enter_context(window)
         _offer(window, plain, options.control or "joint")
+        window.opener = partial(_open_file, options=options)
         if options.last is not None:  # as it was seen before
             camera, has_panel = options.last
             copy_camera(camera, window.view_camera)
@@ -223,7 +227,33 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
         finally:
             window.keep_view()
         options.last = copy.copy(window.view_camera), window.has_panel
+        if options.is_opened:
+            options.last, options.is_opened = None, False
         return window.next_scene
+
+
+def _open_file(path: Path, options: argparse.Namespace) -> Scene:
+    """The scene of a file that is dropped on the window; it is checked while the old one is seen.
+
+    Args:
+        path: of a scene, scenario or robot, or a recording of what the scene that is shown mirrors.
+        options: are then those of the new scene.
+    """
+    from ..assemble.world import World
+    from ..drive.wiring import wire
+
+    if path.suffix.lower() == ".mcap":
+        scene = read_scene(options.scene, options.settings)
+        replay_instead(scene, path, None)
+        given: dict[str, Any] = {"replay": path}
+    else:
+        scene = read_scene(str(path), by_hand=True)
+        given = {"scene": str(path), "settings": [], "replay": None}
+    wire(scene).check(scene)
+    World(scene)
+    given |= {"start": None, "camera": None, "over": None, "plain": scene, "is_opened": True}
+    vars(options).update(given)
+    return scene
 
 
 def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:

@@ -17,18 +17,18 @@ class Event:
     """A mouse or key event.
 
     Attributes:
-        kind: `press` and `release` of a button, `move`, `scroll`, `key`.
+        kind: `press` and `release` of a button, `move`, `scroll`, `key`, `drop` of a file.
         x: pixels of the framebuffer from its left edge; wheel steps to the right for `scroll`.
         y: pixels up from its lower edge; wheel steps away from the user for `scroll`.
         time: on the clock of `time.monotonic`, s.
         button: `LEFT`, `RIGHT`, `MIDDLE`.
-        key: a character in lower case, or a name: `f1`, `left`, `escape`.
+        key: a character in lower case, or a name: `f1`, `left`, `escape`; of a `drop` the path.
         shift: whether Shift or Control was held.
         control: whether Control was held.
         is_repeat: whether the event is an automatic repetition of a key.
     """
 
-    kind: Literal["press", "release", "move", "scroll", "key"]
+    kind: Literal["press", "release", "move", "scroll", "key", "drop"]
     x: float = 0.0
     y: float = 0.0
     time: float = 0.0

@@ -66,6 +66,7 @@ _REPEATED = (
     "last_event",
 )
 _JUMP = 1.0  # s
+_HINT_AFTER = 3.0  # s after which is said what has not come
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
 
@@ -98,6 +99,7 @@ class LiveHost(ABC):
         history: the torques of the last seconds.
         moments: what was marked and found, on the time line.
         keeping: keeps what live sources sent in the last minute.
+        opener: returns the scene of a file that is dropped; None where none is opened.
         offers: other scenes that may be shown instead of this one, by the label of a button.
         next_scene: that which its user has chosen, and this host has ended for.
         pulling: pulls links of simulated robots by the pointer.
@@ -143,6 +145,8 @@ class LiveHost(ABC):
         # A scene to show instead of this one, which its user has asked for; and what offers that.
         self.next_scene: Scene | None = None
         self.offers: dict[str, Callable[[], Scene]] = {}
+        self.opener: Callable[[Path], Scene] | None = None
+        self._tells_at = time.monotonic() + _HINT_AFTER  # what is awaited, if nothing has come
         self._advanced = time.monotonic()
         self._robots = RobotPanel(world, self.toggles)
         self._robots.on_select = self.select
@@ -273,6 +277,28 @@ class LiveHost(ABC):
         self._jog_panel.build(ui)
         self._robots.build(ui)
 
+    def open_file(self, path: Path) -> None:
+        """Shows the scene, robot or recording in a file instead, or says why it cannot be."""
+        opener = self.opener
+        if opener is None:
+            self.say(f"{path.name}: files are opened by `sero-mj view` alone", is_bad=True)
+        else:
+            self._go_on_with(lambda: opener(path))
+
+    def _tell_what_is_awaited(self) -> None:
+        """Says once which source has sent nothing yet, and what would."""
+        self._tells_at = float("inf")
+        for source in self.mirror.sources.values():
+            counters = source.counters
+            if source.is_live and source.error is None and not counters.received:
+                if counters.malformed:  # the robot says what is wrong with them
+                    continue
+                self.say(
+                    f"nothing yet on {source.about}, where packets of {source.size} bytes are "
+                    f"expected; try `sero-mj send {scene_argument(self.world.scene)}`"
+                )
+                return
+
     def _go_on_with(self, make: Callable[[], Scene]) -> None:
         """Ends, so that another scene is shown; or says why it cannot be."""
         try:
@@ -301,6 +327,8 @@ class LiveHost(ABC):
         self.jogging.advance(passed)
         self.steering.advance()
         self._undo.watch()
+        if now > self._tells_at:
+            self._tell_what_is_awaited()
         try:
             advance()
         except SeroError as error:  # for example a deleted file; the display does not change

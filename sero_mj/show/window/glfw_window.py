@@ -106,6 +106,8 @@ class GlWindow:
         glfw.set_scroll_callback(window, self._on_scroll)
         glfw.set_key_callback(window, self._on_key)
         glfw.set_char_callback(window, self._on_char)
+        on_drop: Any = self._on_drop  # of paths, whatever its annotation says
+        glfw.set_drop_callback(window, on_drop)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -263,6 +265,10 @@ class GlWindow:
             self._add("key", key=f"ctrl+{letter}", is_repeat=self._is_repeat)
         elif key in _NAMED_KEYS:
             self._add("key", key=_NAMED_KEYS[key], is_repeat=self._is_repeat)
+
+    def _on_drop(self, window: Any, paths: Sequence[str]) -> None:
+        if paths:  # several of them are one thing too much
+            self._add("drop", key=str(paths[0]))
 
     def _on_char(self, window: Any, code: int) -> None:
         if self.on_character is not None:

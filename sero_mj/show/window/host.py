@@ -385,8 +385,11 @@ class Window(LiveHost):
         """Shows or hides the panel."""
         if self._panel is None:
             # What draws it is only loaded where it is wanted.
-            from .panel_layer import PanelLayer
-
+            try:
+                from .panel_layer import PanelLayer
+            except ImportError as error:  # of a library of the system, say
+                self.say(f"no panel: {error}", is_bad=True)
+                return
             self._panel = PanelLayer(self.gl, self.world.scene.name)
         else:
             self._panel.is_open = not self._panel.is_open
@@ -413,6 +416,9 @@ class Window(LiveHost):
 
     def _take(self, event: Event, height: int) -> None:
         """Handles an event."""
+        if event.kind == "drop":
+            self.open_file(Path(event.key))
+            return
         if self._panel is not None and self._panel.take(event):
             if event.kind == "move":
                 self._mouse.position = (event.x, event.y)
