@@ -276,10 +276,13 @@ def test_a_drag_with_control_pulls_in_a_window(display: str, tmp_path: Path) -> 
         y = window.ask("w.gl.size[1] - w.decor.rect.bottom") - y
         camera = "[w.navigator.camera.azimuth, *w.navigator.camera.lookat.tolist()]"
         seen = window.ask(camera)
+        shown = "bool(w.toggles.vectors[w.world.arrows.names.index('by_hand')])"
+        assert not window.ask(shown)  # nor in the legend, before anything is pulled
         window.tool("mousemove", round(x), round(y))
         window.tool("keydown", "ctrl", "mousedown", 1)
         window.tool("mousemove", round(x) - 40, round(y) - 30)
         window.until("w.pulling.is_on")
+        assert window.ask(shown)
         window.until("__import__('numpy').linalg.norm(w.pulling._hand.force) > 20")
         assert window.ask("w.notice.text").startswith("pulls lwr/link4 with 500 N/m")
         window.tool("click", 4)

@@ -104,6 +104,7 @@ class Pulling:
         names = self._mirror.world.arrows.names
         if self._hand.name in names:
             index = names.index(self._hand.name)
+            self._toggles.vectors[index] = True
             if not self._toggles.cards[index]:
                 self._toggles.cards[index], self._card = True, index
 

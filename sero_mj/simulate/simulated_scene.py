@@ -116,11 +116,11 @@ def _add_double(scene: Scene, robot: str) -> str:
 
 
 def _show_hand(scene: Scene, hand: Hand) -> None:
-    """Adds an arrow for what is pulled by hand, at the point that was grabbed."""
+    """Adds an arrow for what is pulled by hand, shown once something is, at the grabbed point."""
     point = f"{hand.name}_point"
     scene.frames = {**scene.frames, point: ReceivedFrame(name=point, show_axes=False)}
     scene.arrows[hand.name] = SmartArrow(
-        name=hand.name, kind="force", at=point, expressed_in="world", decimals=1
+        name=hand.name, kind="force", at=point, expressed_in="world", decimals=1, show=False
     )
     scene.routes = {
         **scene.routes,
