@@ -133,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
     show = _serve if on_page else _open_window
     with until_ended():  # as good as closing it
         while shown is not None:
-            shown = show(shown, options.plain, options)
+            shown = show(shown, options)
     return 0
 
 
@@ -188,7 +188,7 @@ def _of_page(options: argparse.Namespace) -> list[str]:
     return given + ["token"] * options.token
 
 
-def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | None:
+def _open_window(scene: Scene, options: argparse.Namespace) -> Scene | None:
     from ..drive.mirror import Mirror
     from ..show.camera import copy_camera
     from ..show.window.host import Window
@@ -212,7 +212,7 @@ def _open_window(scene: Scene, plain: Scene, options: argparse.Namespace) -> Sce
             make_viewport=make_viewport,
         )
         stack.enter_context(window)
-        _offer(window, plain, options.control or "joint")
+        _offer(window, options.plain, options.control or "joint")
         window.opener = partial(_open_file, options=options)
         if options.last is not None:  # as it was seen before
             camera, has_panel = options.last
@@ -272,7 +272,7 @@ def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:
     return VideoFeed(file, options.camera_file, options.offset)
 
 
-def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | None:
+def _serve(scene: Scene, options: argparse.Namespace) -> Scene | None:
     from ..drive.mirror import Mirror
     from ..show.camera import copy_camera
     from ..show.viewer import open_page
@@ -289,7 +289,7 @@ def _serve(scene: Scene, plain: Scene, options: argparse.Namespace) -> Scene | N
             waits=True,
         ) as page,
     ):
-        _offer(page, plain, options.control or "joint")
+        _offer(page, options.plain, options.control or "joint")
         if options.last is None:
             _announce(scene, page, host)
             if not options.fresh:

@@ -213,13 +213,13 @@ class Clock:
             self._mirror.advance()
             return "paused; shows the latest packet"
         if self.is_live:
-            self.time = self.time + count * self.step_size
-            if count > 0 and self.time >= (self.end or 0.0):
+            wanted = self.time + count * self.step_size
+            if count > 0 and wanted >= (self.end or 0.0):
                 self.go_live()
                 self._follow(0.0)
                 self.is_paused = True
                 return "paused; shows the latest packet"
-            self.seek(self.time)
+            self.seek(wanted)
             return f"{time_text((self.end or 0.0) - self.time)} ago"
         self.seek(self.time + count * self.step_size)
         return f"at {self.time:.3f} s"

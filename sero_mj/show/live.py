@@ -20,6 +20,7 @@ from ..errors import SeroError, UsageError
 from ..frames import Array
 from ..receive.source import Packets
 from . import live_history
+from .camera import copy_camera
 from .capture import Capture
 from .clock import Clock
 from .headless.film import Pixels
@@ -448,7 +449,7 @@ class LiveHost(ABC):
         """Shows a view as it was, as far as it fits the scene; says what does not."""
         camera, joint, wrong = apply_state(self.world, self.toggles, state)
         if camera is not None:
-            Seen.of(camera, self.toggles, follows=False).show(self.view_camera, self.toggles)
+            copy_camera(camera, self.view_camera)
         if joint is not None:
             self.select(joint)
         if state.time is not None and self.mirror.sources and not self.clock.is_live:

@@ -65,10 +65,11 @@ class LiveHistory:
 
     def show(self, time: float) -> None:
         """Puts the last state before a time, s, into the data; the oldest one at least."""
-        known = np.flatnonzero(np.isfinite(self._times))
-        if not len(known):
+        count = len(self._times)
+        order = (self._row + 1 + np.arange(count)) % count  # the oldest first
+        order = order[np.isfinite(self._times[order])]
+        if not len(order):
             return
-        order = known[np.argsort(self._times[known])]
         place = int(np.searchsorted(self._times[order], time + 1e-9, "right")) - 1
         row = order[max(place, 0)]
         mujoco.mj_setState(self._model, self._data, self._states[row], _STATE)

@@ -11,10 +11,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import glfw
-import mujoco
 import numpy as np
 
-from ...frames import Array
+from ...frames import Array, rotation_about
 from ..joint_goal import JointGoal
 from ..live import LiveHost
 
@@ -185,10 +184,7 @@ class Gamepad:
         pose = goal.flange(base)
         pose[:3, 3] += _SPEED * (right * view.right - down * view.up - back * away)
         if turn:
-            quat, rotation = np.empty(4), np.empty(9)
-            mujoco.mju_axisAngle2Quat(quat, np.array([0.0, 0.0, 1.0]), -_SPIN * turn)
-            mujoco.mju_quat2Mat(rotation, quat)
-            pose[:3, :3] = rotation.reshape(3, 3) @ pose[:3, :3]
+            pose[:3, :3] = rotation_about(2, -_SPIN * turn) @ pose[:3, :3]
         goal.move_flange(base, pose)
 
 
