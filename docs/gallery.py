@@ -2,6 +2,8 @@
 
 `make gallery` writes `docs/pictures/gallery/*.png` and `docs/gallery.md` from the list `SHOTS`, and
 `make gallery SHOTS="justin lwr"` only these pictures. A new robot, scene or feature gets an entry.
+It also writes `scenes/pictures/*.jpg`, which the start page shows: one of whatever is shipped, as
+in `SHOTS`, or else as it stands.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +22,23 @@ from sero_mj.show.headless.backend import choose_backend
 choose_backend()
 
 import mujoco
+import numpy as np
 
-from sero_mj import render_picture
+from sero_mj import paths, render_picture
+from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
+from sero_mj.drive.wiring import wire
 from sero_mj.load import load_scene
 
 DOCS = Path(__file__).resolve().parent
 PAGE = DOCS / "gallery.md"
 PICTURES = DOCS / "pictures" / "gallery"
+START_PICTURES = paths.scenes_dir() / "pictures"
 SIZE = (600, 440)  # pixels
+START_SIZE = (480, 300)  # likewise, of the start page
+# Of an LWR in these, rad.
+POSE = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
 
 SYSTEMS, FEATURES = "Robots", "What is drawn"
 
@@ -206,6 +215,45 @@ def make_page(shots: Sequence[Shot] = SHOTS) -> str:
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
+def start_shots() -> dict[str, Shot]:
+    """The pictures of the start page, by the name of what is shipped."""
+    named = {shot.scene: shot for shot in reversed(SHOTS) if "\n" not in shot.scene}
+    groups = {name: shot for shot in SHOTS for name in paths.list_group_models()
+              if f'model = "{name}"' in shot.scene}  # fmt: skip
+    simulated = dict.fromkeys(paths.list_scenarios(), 2.0) | {"drive_home": 1.0, "payload": 3.0}
+    found = {}
+    for name in [*paths.list_models(), *paths.list_group_models(), *paths.list_scenes()]:
+        found[name] = named.get(name) or groups.get(name) or Shot(name, "", name, holds_itself=True)
+    for name, at in simulated.items():
+        found[name] = named.get(name) or Shot(name, "", name, at=at)
+    return found
+
+
+def start_scene_of(shot: Shot) -> Scene:
+    """Returns the scene of a picture for the start page: what is live holds itself instead.
+
+    Numbers and legends would be too small there.
+    """
+    scene = scene_of(shot)
+    is_live = any(source.is_live for source in wire(scene).sources.values())
+    if is_live and not shot.played_by:
+        poses = {
+            f"{name}.joint_angles": POSE if _is_lwr(robot) else np.zeros(robot.n).tolist()
+            for name, robot in scene.robots.items()
+        }
+        still = replace(shot, overrides={**shot.overrides, **poses}, holds_itself=True)
+        scene = scene_of(still)
+        scene.sources, scene.routes = {}, {}
+    scene.toggles.legend = False
+    for robot in scene.robots.values():
+        robot.show_billboards = False
+    return scene
+
+
+def _is_lwr(robot: SerialRobot) -> bool:
+    return robot._model is not None and paths.model_name(robot._model) == "lwr"
+
+
 @contextmanager
 def _sender(shot: Shot) -> Iterator[None]:
     """Sends the packets of a live scene, as long as its picture takes."""
@@ -226,6 +274,14 @@ def main(names: Sequence[str]) -> None:
             file = PICTURES / f"{shot.name}.png"
             with _sender(shot):
                 render_picture(scene_of(shot), file, size=SIZE, camera=shot.camera, at=shot.at)
+            print(file)
+    START_PICTURES.mkdir(parents=True, exist_ok=True)
+    for name, shot in start_shots().items():
+        if not names or name in names:
+            file = START_PICTURES / f"{name}.jpg"
+            with _sender(shot):
+                scene = start_scene_of(shot)
+                render_picture(scene, file, size=START_SIZE, camera=shot.camera, at=shot.at)
             print(file)
     PAGE.write_text(make_page(), "utf-8")
 

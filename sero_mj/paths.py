@@ -60,6 +60,11 @@ def list_scenes() -> list[str]:
     return _toml_files(scenes_dir())
 
 
+def list_all() -> list[str]:
+    """Names of all that is shipped: robots, groups of robots, scenes and scenarios."""
+    return [*list_models(), *list_group_models(), *list_scenes(), *list_scenarios()]
+
+
 def find_model(name: str, beside: Path | None = None) -> Path:
     """Returns the robot file that `name` means.
 

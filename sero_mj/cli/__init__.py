@@ -45,6 +45,8 @@ show torques, and billboards with their numbers: in a window, on a web page, in 
 """
 
 _EPILOG = """\
+Without a command it shows a page with all that can be opened, as `sero-mj view` does.
+
 Try it, in two terminals:
   sero-mj send lwr_udp                     play a motion as the robot would, on port 32000
   sero-mj render lwr_udp -o lwr.mp4        film it for 5 s
@@ -62,7 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
     choose_backend()
     logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
     given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(join_negative_values(given))
+    options = _parser().parse_args(join_negative_values(given or ["view"]))
     try:
         status = options.run(options)
         sys.stdout.flush()

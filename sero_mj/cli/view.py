@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
 from ..frames import Array
+from ..show.recent_views import RecentView, remember_view
 from ._arguments import (
     Commands,
     add_command,
@@ -32,11 +33,13 @@ from ._arguments import (
     size,
     until_ended,
 )
+from ._opening import is_temporary, view_of_file
 
 if TYPE_CHECKING:
+    import mujoco
+
     from ..show.camera_feed import CameraFeed, VideoFeed
     from ..show.live import LiveHost
-    from ..show.web.host import WebHost
 
 Control = Literal["gravity", "joint", "cartesian"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
@@ -44,6 +47,7 @@ _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
 _EPILOG = """\
 examples:
+  sero-mj view                                        a page with all that can be opened
   sero-mj view lwr_udp                                the robot, as it moves
   sero-mj view impedance_push                         a simulation, with a time line
   sero-mj view lwr_udp --replay run.mcap              a recording, with a time line
@@ -63,7 +67,10 @@ def add_to(commands: Commands) -> None:
     """Adds the command."""
     summary = "show a scene in a window or on a web page, live"
     parser = add_command(commands, "view", run, summary, _EPILOG)
-    parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
+    parser.add_argument(
+        "scene", metavar="SCENE", nargs="?",
+        help="scene or robot: a file, or a shipped name; a start page without one",
+    )  # fmt: skip
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--window", action="store_true", help="a window on this screen; the default if there is one"
@@ -102,11 +109,10 @@ def add_to(commands: Commands) -> None:
     add_stereo_options(parser)
     add_over_options(parser, is_live=True)
     add_scene_options(parser)
-    parser.set_defaults(last=None, plain=None, is_opened=False)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Shows the scene until it is closed; returns 0."""
+    """Shows the scene until it is closed, or the start page until something is; returns 0."""
     check_stereo_options(options)
     check_over_options(options)
     if options.over is not None:
@@ -123,38 +129,244 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"--control {options.control} is for --simulate, which is not given")
     if options.simulate and options.replay is not None:
         raise UsageError("--simulate and --replay: a recording is played, and not simulated")
-    scene = read_shown_scene(options, by_hand=not options.simulate)
+    session = _Session(options, on_page=on_page)
+    scene = session.first()
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
-    shown: Scene | None = scene
-    options.plain = scene
-    if options.simulate:
-        shown = _simulated(scene, options.control or "joint")
-    show = _serve if on_page else _open_window
     with until_ended():  # as good as closing it
-        while shown is not None:
-            shown = show(shown, options)
+        while True:
+            if scene is None and session.is_at_start:
+                scene = session.choose()
+            if scene is None:
+                return 0
+            scene = session.show(scene)
     return 0
+
+
+class _Session:
+    """What one command shows, one thing after the other.
+
+    Args:
+        options: of the command; become those of what is shown.
+        on_page: whether it is shown on a page.
+
+    Attributes:
+        options: as given.
+        on_page: as given.
+        plain: the scene that is shown, without being simulated.
+        is_at_start: whether the start page is what is shown next.
+    """
+
+    def __init__(self, options: argparse.Namespace, *, on_page: bool) -> None:
+        self.options, self.on_page = options, on_page
+        self.plain = Scene()
+        self.is_at_start = self._began_there = options.scene is None
+        self._last: tuple[mujoco.MjvCamera, bool] | None = None  # camera and panel, to be kept
+        self._is_announced = False
+
+    def first(self) -> Scene | None:
+        """Returns the scene of the command; None for the start page."""
+        options = self.options
+        if not self.is_at_start:
+            return self._begin(read_shown_scene(options, by_hand=not options.simulate))
+        of_scene = ("camera", "replay", "start", "over", "offset")
+        refuse(options, of_scene, " is for a scene; name one: sero-mj view SCENE")
+        if options.settings:
+            raise UsageError("--set is for a scene; name one: sero-mj view SCENE --set ...")
+        return None
+
+    def _begin(self, scene: Scene) -> Scene:
+        """Returns what is shown of a scene that was read: it, or its simulation."""
+        self.plain, self._last = scene, None
+        if not self.options.simulate:
+            return scene
+        return _simulated(scene, self.options.control or "joint")
+
+    def choose(self) -> Scene | None:
+        """Shows the start page; returns the scene that was chosen there."""
+        options = self.options
+        self.is_at_start = False  # unless its user goes back to it
+        from ..show.start_page import listening
+
+        if self.on_page:
+            from ..show.viewer import no_studio
+
+            try:
+                from ..show.web.start_host import StartHost
+            except ImportError as error:
+                raise no_studio(error) from error
+            host = options.host or _LOOPBACK
+            with (
+                listening() as heard,
+                StartHost(self.open, heard, host, options.port or 0, token=options.token) as page,
+            ):
+                options.port, options.token = page.port, page.token or False
+                self._announce("the start page", page.urls, host, is_private=page.is_private)
+                return page.run()
+        from ..show.window.start_window import StartWindow
+
+        size, full_screen = options.size or _SIZE, options.full_screen
+        with (
+            listening() as heard,
+            StartWindow(self.open, heard, size, full_screen=full_screen) as window,
+        ):
+            return window.run()
+
+    def open(self, what: RecentView | Path) -> Scene:
+        """Returns the scene that a user has chosen, or of a file that was dropped, checked.
+
+        The options are then those of the new scene; nothing changes where it is wrong.
+        """
+        from ..assemble.world import World
+        from ..drive.wiring import wire
+
+        view = what
+        if isinstance(view, Path):
+            is_shown = self.options.scene is not None
+            view = view_of_file(view, self.options.scene if is_shown else None)
+        scene = read_scene(view.scene, by_hand=not (self.options.simulate or view.replay))
+        if self.options.look is not None:
+            scene.view.look = self.options.look
+        if view.replay:
+            replay_instead(scene, Path(view.replay), None)
+        wire(scene).check(scene)
+        World(scene)
+        vars(self.options).update(
+            scene=view.scene, replay=Path(view.replay) if view.replay else None, settings=[],
+            start=None, camera=None, over=None,
+        )  # fmt: skip
+        return self._begin(scene)
+
+    def show(self, scene: Scene) -> Scene | None:
+        """Shows a scene until it is closed; returns what is to be shown then, if anything."""
+        return self._serve(scene) if self.on_page else self._open_window(scene)
+
+    def _offer(self, host: LiveHost) -> None:
+        """Offers to simulate the robots that are shown, to show them without, and to go back."""
+        if host.steering.robots:
+            host.offers["end the simulation"] = lambda: self.plain
+        elif not host.pulling.can_pull and host.world.robots:
+
+            def simulate() -> Scene:
+                parts, data = host.world.robots, host.data
+                angles = {name: data.qpos[part.qpos].copy() for name, part in parts.items()}
+                return _simulated(self.plain, self.options.control or "joint", angles)
+
+            host.offers["simulate"] = simulate
+        if self._began_there:
+            host.offers["start page"] = self._go_back
+        host.opener = self.open
+        host.command = command_of(self.options)
+
+    def _go_back(self) -> None:
+        self.is_at_start = True
+
+    def _run(self, host: LiveHost) -> None:
+        """Shows it until it is closed, and remembers how it was left."""
+        options, plain = self.options, self.plain
+        view = RecentView(_absolute(options.scene), _absolute(options.replay))
+        is_kept = options.over is None and not is_temporary(view)
+        try:
+            host.run()
+        finally:
+            host.keep_view()
+        if is_kept:
+            # A page draws its pictures where it is served, which takes a while.
+            is_pictured = self.on_page and (view.picture.is_file() or view.is_shipped)
+            remember_view(view, None if is_pictured else host.picture())
+        if self.plain is plain:  # else another one is shown next
+            self._last = copy.copy(host.view_camera), getattr(host, "has_panel", False)
+
+    def _open_window(self, scene: Scene) -> Scene | None:
+        from ..drive.mirror import Mirror
+        from ..show.camera import copy_camera
+        from ..show.window.host import Window
+
+        options = self.options
+        with ExitStack() as stack:
+            make_viewport = None
+            if options.over is not None:
+                from ..show.window.photo_viewport import PhotoViewport
+
+                feed = _feed(scene, options)
+                stack.callback(feed.close)
+                make_viewport = partial(PhotoViewport, feed=feed)
+            mirror = stack.enter_context(Mirror(scene))
+            window = Window(
+                mirror,
+                size=options.size or _SIZE,
+                camera=options.camera,
+                full_screen=options.full_screen,
+                stereo=options.stereo,
+                eye_distance=options.eye_distance,
+                make_viewport=make_viewport,
+            )
+            stack.enter_context(window)
+            self._offer(window)
+            if self._last is not None:
+                camera, has_panel = self._last
+                copy_camera(camera, window.view_camera)
+                if has_panel:
+                    window.toggle_panel()
+            elif not options.fresh:
+                window.restore_view(with_camera=options.camera is None)
+            self._run(window)
+            return window.next_scene
+
+    def _serve(self, scene: Scene) -> Scene | None:
+        from ..drive.mirror import Mirror
+        from ..show.camera import copy_camera
+        from ..show.viewer import open_page
+
+        options = self.options
+        host = options.host or _LOOPBACK
+        with (
+            Mirror(scene) as mirror,
+            open_page(
+                mirror,
+                camera=options.camera,
+                host=host,
+                port=options.port or 0,
+                token=options.token,
+                waits=True,
+            ) as page,
+        ):
+            self._offer(page)
+            self._announce(scene.name, page.urls, host, is_private=page.is_private)
+            if self._last is not None:
+                copy_camera(self._last[0], page.view_camera)
+            elif not options.fresh:
+                page.restore_view(with_camera=options.camera is None)
+            options.port, options.token = page.port, page.token or False  # as browsers know it
+            self._run(page)
+            return page.next_scene
+
+    def _announce(self, name: str, urls: list[str], host: str, *, is_private: bool) -> None:
+        """Says once where the page is, and who else may see it."""
+        if self._is_announced:
+            return
+        self._is_announced = True
+        print(f"{name} is at {' and '.join(urls)}  (Ctrl+C ends it)", flush=True)
+        if not is_private:
+            print(
+                f"warning: served at {host}: whoever has this address sees the page and can take "
+                "control; nothing is encrypted",
+                file=sys.stderr,
+                flush=True,
+            )
+
+
+def _absolute(name: Path | str | None) -> str:
+    """A name of what is shipped as it is, a file's path as an absolute one."""
+    if name is None:
+        return ""
+    return str(Path(name).resolve()) if Path(name).exists() else str(name)
 
 
 def _simulated(scene: Scene, control: Control, angles: Mapping[str, Array] | None = None) -> Scene:
     from ..simulate.endless_run import endless_scene
 
     return endless_scene(scene, control, angles)
-
-
-def _offer(host: LiveHost, plain: Scene, control: Control) -> None:
-    """Offers to simulate the robots that are shown, or to show them without."""
-    if host.steering.robots:
-        host.offers["end the simulation"] = lambda: plain
-    elif not host.pulling.can_pull and host.world.robots:
-
-        def simulate() -> Scene:
-            parts, data = host.world.robots, host.data
-            angles = {name: data.qpos[part.qpos].copy() for name, part in parts.items()}
-            return _simulated(plain, control, angles)
-
-        host.offers["simulate"] = simulate
 
 
 def wants_page(options: argparse.Namespace) -> bool:
@@ -188,74 +400,6 @@ def _of_page(options: argparse.Namespace) -> list[str]:
     return given + ["token"] * options.token
 
 
-def _open_window(scene: Scene, options: argparse.Namespace) -> Scene | None:
-    from ..drive.mirror import Mirror
-    from ..show.camera import copy_camera
-    from ..show.window.host import Window
-
-    with ExitStack() as stack:
-        make_viewport = None
-        if options.over is not None:
-            from ..show.window.photo_viewport import PhotoViewport
-
-            feed = _feed(scene, options)
-            stack.callback(feed.close)
-            make_viewport = partial(PhotoViewport, feed=feed)
-        mirror = stack.enter_context(Mirror(scene))
-        window = Window(
-            mirror,
-            size=options.size or _SIZE,
-            camera=options.camera,
-            full_screen=options.full_screen,
-            stereo=options.stereo,
-            eye_distance=options.eye_distance,
-            make_viewport=make_viewport,
-        )
-        stack.enter_context(window)
-        _offer(window, options.plain, options.control or "joint")
-        window.opener = partial(_open_file, options=options)
-        if options.last is not None:  # as it was seen before
-            camera, has_panel = options.last
-            copy_camera(camera, window.view_camera)
-            if has_panel:
-                window.toggle_panel()
-        if options.last is None and not options.fresh:
-            window.restore_view(with_camera=options.camera is None)
-        window.command = command_of(options)
-        try:
-            window.run()
-        finally:
-            window.keep_view()
-        options.last = copy.copy(window.view_camera), window.has_panel
-        if options.is_opened:
-            options.last, options.is_opened = None, False
-        return window.next_scene
-
-
-def _open_file(path: Path, options: argparse.Namespace) -> Scene:
-    """The scene of a file that is dropped on the window; it is checked while the old one is seen.
-
-    Args:
-        path: of a scene, scenario or robot, or a recording of what the scene that is shown mirrors.
-        options: are then those of the new scene.
-    """
-    from ..assemble.world import World
-    from ..drive.wiring import wire
-
-    if path.suffix.lower() == ".mcap":
-        scene = read_scene(options.scene, options.settings)
-        replay_instead(scene, path, None)
-        given: dict[str, Any] = {"replay": path}
-    else:
-        scene = read_scene(str(path), by_hand=True)
-        given = {"scene": str(path), "settings": [], "replay": None}
-    wire(scene).check(scene)
-    World(scene)
-    given |= {"start": None, "camera": None, "over": None, "plain": scene, "is_opened": True}
-    vars(options).update(given)
-    return scene
-
-
 def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:
     """The camera, or the video, that the scene is drawn over."""
     from ..drive.wiring import wire
@@ -272,40 +416,6 @@ def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:
     return VideoFeed(file, options.camera_file, options.offset)
 
 
-def _serve(scene: Scene, options: argparse.Namespace) -> Scene | None:
-    from ..drive.mirror import Mirror
-    from ..show.camera import copy_camera
-    from ..show.viewer import open_page
-
-    host = options.host or _LOOPBACK
-    with (
-        Mirror(scene) as mirror,
-        open_page(
-            mirror,
-            camera=options.camera,
-            host=host,
-            port=options.port or 0,
-            token=options.token,
-            waits=True,
-        ) as page,
-    ):
-        _offer(page, options.plain, options.control or "joint")
-        if options.last is None:
-            _announce(scene, page, host)
-            if not options.fresh:
-                page.restore_view(with_camera=options.camera is None)
-        else:
-            copy_camera(options.last, page.view_camera)
-        options.port, options.token = page.port, page.token or False  # as its browsers know it
-        page.command = command_of(options)
-        try:
-            page.run()
-        finally:
-            page.keep_view()
-        options.last = copy.copy(page.view_camera)
-        return page.next_scene
-
-
 def command_of(options: argparse.Namespace) -> list[str]:
     """The scene of a command with `add_scene_options`, and what changes it, for another command."""
     words = [str(options.scene)]
@@ -315,15 +425,3 @@ def command_of(options: argparse.Namespace) -> list[str]:
         value = getattr(options, name)
         words += [] if value is None else [f"--{name}", str(value)]
     return words
-
-
-def _announce(scene: Scene, page: WebHost, host: str) -> None:
-    """Says where the page is, and who else may see it."""
-    print(f"{scene.name} is at {' and '.join(page.urls)}  (Ctrl+C ends it)", flush=True)
-    if not page.is_private:
-        print(
-            f"warning: served at {host}: whoever has this address sees the page and can take "
-            "control; nothing is encrypted",
-            file=sys.stderr,
-            flush=True,
-        )

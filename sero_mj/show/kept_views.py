@@ -27,7 +27,23 @@ def file_of(scene: Scene) -> Path:
     name = "\n".join([name, *scene.robots, *scene.doubles])
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
     stem = "".join(c if c.isalnum() else "_" for c in Path(scene_argument(scene)).stem)[:40]
-    return user_state_path("sero-mj", appauthor=False) / "views" / f"{stem}-{digest}.json"
+    return state_folder() / "views" / f"{stem}-{digest}.json"
+
+
+def state_folder() -> Path:
+    """Returns the user's folder for what is kept from one start to the next."""
+    return user_state_path("sero-mj", appauthor=False)
+
+
+def write_state(path: Path, data: bytes) -> None:
+    """Writes a file of that folder, whole or not at all; says in the log where it cannot."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        log.info("not kept: %s: %s", path, error)
 
 
 def keep_view(scene: Scene, state: ViewState, layout: Mapping[str, bool]) -> None:
@@ -38,15 +54,8 @@ def keep_view(scene: Scene, state: ViewState, layout: Mapping[str, bool]) -> Non
         state: what its user has set; the time is not kept.
         layout: which parts of the window or page were shown.
     """
-    path = file_of(scene)
     text = json.dumps({"view": state._replace(time=None).to_text(), "layout": dict(layout)})
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        log.info("the view is not kept: %s: %s", path, error)
+    write_state(file_of(scene), text.encode())
 
 
 def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool]] | None:

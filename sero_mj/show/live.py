@@ -101,7 +101,8 @@ class LiveHost(ABC):
         moments: what was marked and found, on the time line.
         keeping: keeps what live sources sent in the last minute.
         opener: returns the scene of a file that is dropped; None where none is opened.
-        offers: other scenes that may be shown instead of this one, by the label of a button.
+        offers: other scenes that may be shown instead of this one, by the label of a button; None
+            for what is no scene.
         next_scene: that which its user has chosen, and this host has ended for.
         pulling: pulls links of simulated robots by the pointer.
         jogging: moves robots by hand that nothing else moves.
@@ -145,7 +146,7 @@ class LiveHost(ABC):
         self._tried: Pixel | None = None  # where handles were looked for
         # A scene to show instead of this one, which its user has asked for; and what offers that.
         self.next_scene: Scene | None = None
-        self.offers: dict[str, Callable[[], Scene]] = {}
+        self.offers: dict[str, Callable[[], Scene | None]] = {}
         self.opener: Callable[[Path], Scene] | None = None
         self._tells_at = time.monotonic() + _HINT_AFTER  # what is awaited, if nothing has come
         self._advanced = time.monotonic()
@@ -300,8 +301,8 @@ class LiveHost(ABC):
                 )
                 return
 
-    def _go_on_with(self, make: Callable[[], Scene]) -> None:
-        """Ends, so that another scene is shown; or says why it cannot be."""
+    def _go_on_with(self, make: Callable[[], Scene | None]) -> None:
+        """Ends, so that another scene is shown, if any; or says why it cannot be."""
         try:
             self.next_scene = make()
         except SeroError as error:

@@ -293,12 +293,17 @@ def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
     """
     try:
         from .web.host import WebHost
-    except ImportError as error:  # Studio is not built for every platform
-        raise RenderError(
-            f"no web page: this MuJoCo does not include Studio's web viewer ({error}); "
-            "`sero-mj view SCENE --window` needs none"
-        ) from error
+    except ImportError as error:
+        raise no_studio(error) from error
     return WebHost(mirror, **options)
+
+
+def no_studio(error: ImportError) -> RenderError:
+    """Returns what to say where a part of a web page cannot be imported."""
+    return RenderError(  # Studio is not built for every platform
+        f"no web page: this MuJoCo does not include Studio's web viewer ({error}); "
+        "`sero-mj view SCENE --window` needs none"
+    )
 
 
 def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | ModelWorld:

@@ -12,6 +12,7 @@ import re
 import threading
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
@@ -44,6 +45,7 @@ class Browsers:
         self._presser: Any = None  # the connection of the last press: of who has control
         self._copied: str | None = None  # for its clipboard
         self._view: str | None = None  # that a link leads to
+        self._dropped: Path | None = None  # that is to be opened
         self._lock = threading.Lock()
 
     @property
@@ -71,6 +73,15 @@ class Browsers:
             self._view = message.removeprefix(_VIEW)
             return is_view
         return bool(size or press) or message == _HOLD
+
+    def drop(self, file: Path) -> None:
+        """Takes a file that was dropped on the page."""
+        self._dropped = file
+
+    def take_dropped(self) -> Path | None:
+        """Returns the file that was dropped on the page last, once."""
+        dropped, self._dropped = self._dropped, None
+        return dropped
 
     def take_view(self) -> str | None:
         """Returns the view that a browser was opened with a link to, as text, once."""

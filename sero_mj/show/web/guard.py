@@ -37,6 +37,7 @@ from websockets.http11 import Request, Response
 from ...errors import RenderError
 from .browsers import BrowserConnection, Browsers
 from .compression import DEFLATE, CompressedResponses
+from .uploads import is_for_files, take_files
 
 log = logging.getLogger(__name__)
 
@@ -143,7 +144,7 @@ class Guard:
                 f"was started: http://{headers['Host']}/?token=..."
             )
         if path == "/drop":
-            return "uploads are disabled: the page shows one scene"
+            return "Studio's uploads are disabled; files that are dropped on the page are taken"
         return None
 
     def _cross_site_reason(self, headers: Headers, path: str) -> str | None:
@@ -277,7 +278,9 @@ class GuardedRun:
 
         def process_request(connection: Any, request: Request) -> Response | None:
             answer = self._guard.answer(request)
-            return ask(connection, request) if answer is None else answer
+            if answer is None and not is_for_files(request):
+                answer = ask(connection, request)
+            return answer
 
         def process_response(
             connection: Any, request: Request, response: Response
@@ -286,6 +289,12 @@ class GuardedRun:
             self._guard.set_security_headers(request, other or response)
             self._compressed.compress(request, other or response)
             return other
+
+        async def handle(connection: Any) -> None:
+            if is_for_files(connection.request):
+                await take_files(connection, self._browsers.drop)
+            else:
+                await handler(connection)
 
         options |= {
             "process_request": process_request,
@@ -297,7 +306,7 @@ class GuardedRun:
         }
         options["sock"].listen()  # now listening: connections are queued, not refused
         self._is_guarded.set()
-        return serve(handler, **options)
+        return serve(handle, **options)
 
 
 class SameProcessSocket(socket.socket):

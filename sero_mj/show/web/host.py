@@ -129,10 +129,7 @@ class WebHost(LiveHost):
     @property
     def urls(self) -> list[str]:
         """All addresses of the page, including that for other machines if they can reach it."""
-        found = [self.url]
-        if self.viewer.address in ANY_ADDRESS:
-            found.append(page_url(socket.gethostname(), self.viewer.port, self.token))
-        return found
+        return page_urls(self.viewer.address, self.viewer.port, self.token)
 
     @property
     def port(self) -> int:
@@ -175,6 +172,8 @@ class WebHost(LiveHost):
         if not viewer.is_running():
             return False
         self._follow_link()
+        if (dropped := viewer.server.browsers.take_dropped()) is not None:
+            self.open_file(dropped)
         for snapshot in viewer.get_sim_snapshots():
             viewer.dispatch(snapshot)
         if viewer.has_ui:
@@ -323,6 +322,18 @@ def check_address(host: str) -> str:
             f"{LOOPBACK} is for browsers here, 0.0.0.0 for those everywhere"
         ) from error
     return str(address[0])
+
+
+def page_urls(address: str, port: int, token: str | None = None) -> list[str]:
+    """Returns all addresses of a page: `page_url`, and that for other machines, if they reach it.
+
+    Args:
+        address: see `page_url`.
+        port: likewise.
+        token: likewise.
+    """
+    found = [page_url(address, port, token)]
+    return found + [page_url(socket.gethostname(), port, token)] * (address in ANY_ADDRESS)
 
 
 def page_url(address: str, port: int, token: str | None = None) -> str:

@@ -7,6 +7,7 @@ import copy
 import html
 import io
 import logging
+import secrets
 import socket
 import threading
 import time
@@ -23,12 +24,13 @@ from websockets.exceptions import ConnectionClosed
 from ...errors import RenderError
 from .browsers import Browsers
 from .guard import Guard, GuardedRun, SameProcessSocket
+from .uploads import SCRIPT
 
 LOOPBACK = "127.0.0.1"
 RATE = 60.0  # pictures/s
 _UI_RATE = 30.0  # frames/s of the user interface
 _ALIVE = 0.5  # maximum time between two states that are sent, s
-_HEAD = Path(__file__).with_name("page_head.html").read_text("utf-8").rstrip("\n")
+_HEAD = f"{SCRIPT}\n{Path(__file__).with_name('page_head.html').read_text('utf-8').rstrip()}"
 
 
 class _DisconnectFilter(logging.Filter):
@@ -309,7 +311,7 @@ class StudioViewer(web_viewer.WebViewer):
         self.server.update_model(bundle, crc32)
 
     def get_drop_file(self) -> str:
-        """Returns no file: a file dropped onto the page would replace the scene."""
+        """Returns no file: those that are dropped on the page do not go through Studio."""
         return ""
 
 
@@ -325,7 +327,8 @@ def with_head(page: str, title: str) -> str:
     start, found, rest = page.partition("<title>")
     if found:
         page = start + found + html.escape(title) + rest[rest.find("</title>") :]
-    return page.replace("  </head>", _HEAD, 1)
+    head = _HEAD.replace('"RUN"', f'"{secrets.token_hex(8)}"')
+    return page.replace("  </head>", head, 1)
 
 
 def find_files() -> Path:

@@ -1,4 +1,4 @@
-"""`Blender`: lays pixels over the picture of the current OpenGL context."""
+"""Pixels in the current OpenGL context: `Blender` lays them over its picture."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ _BLEND, _ONE, _ONE_MINUS_ALPHA = 0x0BE2, 1, 0x0303
 _OFF = (0x0B71, 0x0DE1, 0x0B60, 0x0BC0, 0x0C11)  # depth, 2D texture, fog, alpha and scissor tests
 _RGB, _RGBA, _UNSIGNED_BYTE = 0x1907, 0x1908, 0x1401
 _UNPACK_ALIGNMENT = 0x0CF5
+_TEXTURE, _MIN_FILTER, _MAG_FILTER, _LINEAR = 0x0DE1, 0x2801, 0x2800, 0x2601
 
 
 class Blender:
@@ -78,6 +79,25 @@ class Blender:
             self._go_to(left + placed.left, bottom + placed.bottom + height)
             self._draw(width, height, _RGBA, _UNSIGNED_BYTE, placed.pixels.ctypes.data)
         self._pop()
+
+
+def make_texture(pixels: Pixels) -> int:
+    """Returns the name of a new texture with these pixels, (height, width, 3), uint8."""
+    integer, unsigned = ctypes.c_int, ctypes.c_uint
+    name = unsigned()
+    _function("glGenTextures", integer, ctypes.c_void_p)(1, ctypes.addressof(name))
+    _function("glBindTexture", unsigned, unsigned)(_TEXTURE, name)
+    for filter_of in (_MIN_FILTER, _MAG_FILTER):
+        _function("glTexParameteri", unsigned, unsigned, integer)(_TEXTURE, filter_of, _LINEAR)
+    _function("glPixelStorei", unsigned, integer)(_UNPACK_ALIGNMENT, 1)
+    height, width = pixels.shape[:2]
+    upload = _function(
+        "glTexImage2D", unsigned, *[integer] * 5, unsigned, unsigned, ctypes.c_void_p
+    )
+    upload(_TEXTURE, 0, _RGB, width, height, 0, _RGB, _UNSIGNED_BYTE, pixels.ctypes.data)
+    _function("glPixelStorei", unsigned, integer)(_UNPACK_ALIGNMENT, 4)
+    _function("glBindTexture", unsigned, unsigned)(_TEXTURE, 0)
+    return int(name.value)
 
 
 def _function(name: str, *arguments: Any) -> Callable[..., None]:

@@ -1,4 +1,4 @@
-"""`PanelLayer`: a panel of widgets over a window's picture, and its share of mouse and keys."""
+"""Widgets in a window, with their share of mouse and keys; `PanelLayer` is a panel of them."""
 
 from __future__ import annotations
 
@@ -49,26 +49,27 @@ _MODIFIERS = {
 }
 
 
-class PanelLayer:
+class ImguiLayer:
     """Dear ImGui in the window's own OpenGL context, which is left as it was found.
 
     Args:
         gl: the window.
-        title: of the panel.
 
     Attributes:
-        is_open: whether the panel is shown.
+        is_open: whether it is shown.
+        text_height: of its widgets, pixels.
+        widgets: that it is made of.
     """
 
-    def __init__(self, gl: GlWindow, title: str) -> None:
-        self._gl, self._title = gl, title
+    def __init__(self, gl: GlWindow) -> None:
+        self._gl = gl
         self.is_open = True
-        self._height = round(_TEXT * gl.typesetter.font.height)
+        self.text_height = round(_TEXT * gl.typesetter.font.height)
         self._context = imgui.create_context()
         io = imgui.get_io()
         io.set_ini_filename("")
         io.config_flags |= imgui.ConfigFlags_.no_mouse_cursor_change
-        set_style(self._height)
+        set_style(self.text_height)
         imgui.backends.opengl3_init(_GLSL)
         platform = imgui.get_platform_io()
         platform.platform_get_clipboard_text_fn = lambda _: gl.clipboard
@@ -77,14 +78,9 @@ class PanelLayer:
         self.widgets: Widgets = BundleWidgets()
         self._rect = (0.0, 0.0, 0.0, 0.0)  # left, top, width, height
         self._at = (-1.0, -1.0)  # of the pointer, pixels from the upper left corner
-        self._is_held = False  # whether the button was pressed over the panel
+        self._is_held = False  # whether the button was pressed over it
         self._is_open_above = False  # a list to choose from, say
         self._last = time.monotonic()
-
-    @property
-    def covered(self) -> float:
-        """Width of the window that the panel covers at the left edge, pixels."""
-        return self._rect[0] + self._rect[2] if self.is_open else 0.0
 
     @property
     def takes_keys(self) -> bool:
@@ -92,7 +88,7 @@ class PanelLayer:
         return self.is_open and bool(imgui.get_io().want_text_input)
 
     def take(self, event: Event) -> bool:
-        """Takes an event; returns whether it is the panel's, and nobody else's."""
+        """Takes an event; returns whether it is its own, and nobody else's."""
         if not self.is_open:
             return False
         if event.kind == "key":
@@ -117,7 +113,7 @@ class PanelLayer:
         return is_press or was_held
 
     def is_over(self, x: float, y: float) -> bool:
-        """Whether a pixel of the window, y up, is the panel's."""
+        """Whether a pixel of the window, y up, is its own."""
         return self.is_open and self._is_over(x, self._gl.size[1] - y)
 
     def _is_over(self, x: float, y: float) -> bool:
@@ -133,12 +129,11 @@ class PanelLayer:
         if key in _KEYS:
             io.add_key_event(_KEYS[key], action != glfw.RELEASE)
 
-    def build(self, bottom: float, panel: Callable[[Widgets], None]) -> None:
-        """Builds the panel of a frame.
+    def frame(self, build: Callable[[], None]) -> None:
+        """Builds the widgets of a frame, which `draw` draws.
 
         Args:
-            bottom: height of what is below the picture, pixels.
-            panel: builds its widgets.
+            build: builds a window of Dear ImGui, the last one that it ends.
         """
         width, height = self._gl.size
         now = time.monotonic()
@@ -147,9 +142,52 @@ class PanelLayer:
         io.delta_time, self._last = max(now - self._last, 1e-4), now
         imgui.backends.opengl3_new_frame()
         imgui.new_frame()
-        margin = round(0.4 * self._height)
+        build()
+        self._is_open_above = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+        imgui.render()
+
+    def draw(self) -> None:
+        """Draws what was built over what is in the window."""
+        imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
+
+    def close(self) -> None:
+        """Frees it, while the window's context is current."""
+        self._gl.on_key = self._gl.on_character = None
+        imgui.backends.opengl3_shutdown()
+        imgui.destroy_context(self._context)
+
+
+class PanelLayer(ImguiLayer):
+    """A panel of widgets at the left edge of a window's picture.
+
+    Args:
+        gl: the window.
+        title: of the panel.
+    """
+
+    def __init__(self, gl: GlWindow, title: str) -> None:
+        super().__init__(gl)
+        self._title = title
+
+    @property
+    def covered(self) -> float:
+        """Width of the window that the panel covers at the left edge, pixels."""
+        return self._rect[0] + self._rect[2] if self.is_open else 0.0
+
+    def build(self, bottom: float, panel: Callable[[Widgets], None]) -> None:
+        """Builds the panel of a frame.
+
+        Args:
+            bottom: height of what is below the picture, pixels.
+            panel: builds its widgets.
+        """
+        self.frame(lambda: self._build(bottom, panel))
+
+    def _build(self, bottom: float, panel: Callable[[Widgets], None]) -> None:
+        width, height = self._gl.size
+        margin = round(0.4 * self.text_height)
         room = _TALLEST * (height - bottom) - margin
-        wide = round(min(_WIDTH * self._height, 0.6 * width))
+        wide = round(min(_WIDTH * self.text_height, 0.6 * width))
         imgui.set_next_window_pos(ImVec2(margin, margin))
         imgui.set_next_window_size(ImVec2(wide, 0.0))  # as high as what is in it, up to
         imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), ImVec2(wide, max(room, 100.0)))
@@ -159,16 +197,4 @@ class PanelLayer:
         place, size = imgui.get_window_pos(), imgui.get_window_size()
         self._rect = (place.x, place.y, size.x, size.y)
         imgui.end()
-        self._is_open_above = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
-        imgui.render()
         self.is_open = bool(is_open)
-
-    def draw(self) -> None:
-        """Draws what was built over the picture."""
-        imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
-
-    def close(self) -> None:
-        """Frees it, while the window's context is current."""
-        self._gl.on_key = self._gl.on_character = None
-        imgui.backends.opengl3_shutdown()
-        imgui.destroy_context(self._context)

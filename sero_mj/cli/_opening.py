@@ -1,0 +1,85 @@
+"""What a file means that is dropped, or typed on the start page."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from .. import paths
+from ..errors import SeroError, UsageError
+from ..show.recent_views import RecentView, recent_views
+from ._arguments import read_scene, replay_instead
+
+
+def view_of_file(path: Path, shown: str | None) -> RecentView:
+    """Returns what shows a file.
+
+    A recording is shown by the scene that is shown already, if it mirrors the recorded sources;
+    else by the scene of the recording's name: one that was viewed lately, is beside the recording
+    or shipped, or at last by what the recording has of it.
+
+    Args:
+        path: of a robot, a scene, a scenario or a recording.
+        shown: name or file of the scene that is shown; None for none.
+
+    Raises:
+        SeroError: there is no such file, or nothing shows the recording.
+    """
+    if path.suffix.lower() != ".mcap":
+        return RecentView(str(path.resolve()))
+    if not path.is_file():
+        raise UsageError(f"{path}: no such file")
+    why: list[SeroError] = []
+    for scene in _scenes_of(path, shown):
+        try:
+            replay_instead(read_scene(scene), path, None)
+        except SeroError as error:
+            why.append(error)
+        else:
+            return RecentView(scene, str(path.resolve()))
+    if why:
+        raise why[0]
+    raise UsageError(
+        f"{path.name}: found no scene that shows it; sero-mj view SCENE --replay {path.name} "
+        "shows it by one"
+    )
+
+
+def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
+    from ..record.recording import Recording
+
+    if shown is not None:
+        yield shown
+    with Recording(path) as recording:
+        name = recording.about.get("scene", "")
+        files = {each: recording.read_attachment(each) for each in recording.attachments}
+    if not name:
+        return
+    for view in recent_views():
+        if Path(view.scene).stem == name:
+            yield view.scene
+    if (beside := path.parent / f"{name}.toml").is_file():
+        yield str(beside)
+    if name in paths.list_all():
+        yield name
+    own = [each for each in files if Path(each).stem == name]
+    if own:
+        folder = Path(tempfile.mkdtemp(dir=_folder().name))
+        for each, contents in files.items():
+            file = folder / Path(each).parent.name / Path(each).name
+            file.parent.mkdir(exist_ok=True)
+            file.write_bytes(contents)
+        yield str(folder / Path(own[0]).parent.name / Path(own[0]).name)
+
+
+@cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder for what recordings have of their scenes, until this process ends."""
+    return tempfile.TemporaryDirectory(prefix="sero-mj-recorded-")
+
+
+def is_temporary(view: RecentView) -> bool:
+    """Whether files of a view end with this process: they were dropped on a page, say."""
+    return any(name.startswith(tempfile.gettempdir() + "/sero-mj-") for name in view)

@@ -1,0 +1,286 @@
+"""The start page: what it lists, what was viewed lately, what is awaited, and what files mean."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+from recordings import DECLARED, EVENTS, moving
+
+from sero_mj import paths
+from sero_mj.cli._opening import is_temporary, view_of_file
+from sero_mj.errors import SeroError, UsageError
+from sero_mj.load import load_scene
+from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.show import recent_views as recent
+from sero_mj.show.recent_views import MOST, RecentView, recent_views, remember_view
+from sero_mj.show.start_page import Awaited, Listening, sections
+
+ARM = """
+[robots.two]
+dh_convention = "craig"
+dh_params = [[0, 0.3, 0, 0], [0, 0.3, 0, 0]]
+
+[sources.arm]
+kind = "udp"
+port = {port}
+structure = "2F"
+
+[routes]
+"two.joint_angles" = "arm.values0"
+"""
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path / "state" / "sero-mj"
+
+
+def titles(section: str) -> list[str]:
+    return [tile.title for each in sections() if each.title == section for tile in each.tiles]
+
+
+def test_all_that_is_shipped_is_shown_once_with_its_picture() -> None:
+    found = sections()
+    assert [section.title for section in found] == [
+        "Simulations", "Live robots", "Robots", "Parts of robots",
+    ]  # fmt: skip
+    names = [tile.title for section in found for tile in section.tiles]
+    assert sorted(names) == sorted(paths.list_all())
+    assert len({tile.view for section in found for tile in section.tiles}) == len(names)
+    for section in found:
+        for tile in section.tiles:
+            assert tile.about, tile.title
+            assert tile.picture is not None, f"{tile.title}: run make gallery"
+            with Image.open(tile.picture) as image:
+                assert image.size == recent.PICTURE_SIZE
+                assert np.asarray(image.convert("L")).std() > 10, tile.title  # not blank
+    shown = {f"{name}.jpg" for name in names}
+    assert {file.name for file in (paths.scenes_dir() / "pictures").iterdir()} == shown
+
+
+def test_a_tile_opens_what_its_name_says_also_where_a_scene_hides_a_group() -> None:
+    (tile,) = [
+        tile for each in sections() if each.title == "Robots" for tile in each.tiles
+        if tile.title == "biped"
+    ]  # fmt: skip
+    assert not load_scene(tile.view.scene).sources
+    assert load_scene("biped").sources  # the live one
+
+
+def test_what_was_viewed_comes_first_with_how_it_was_left(tmp_path: Path, state: Path) -> None:
+    scene = tmp_path / "mine.toml"
+    scene.write_text(ARM.format(port=0))
+    grey = np.full((800, 1280, 3), 77, np.uint8)
+    remember_view(RecentView(str(scene)), grey)
+    remember_view(RecentView("lwr_udp"), None)  # without a picture it has the shipped one
+    remember_view(RecentView(str(scene)), grey)
+    first = sections()[0]
+    assert first.title == "Recent"
+    assert [tile.title for tile in first.tiles] == ["mine.toml", "lwr_udp"]
+    mine, lwr = first.tiles
+    assert mine.picture is not None
+    assert lwr.picture == paths.scenes_dir() / "pictures" / "lwr_udp.jpg"
+    with Image.open(mine.picture) as image:
+        assert image.size == recent.PICTURE_SIZE
+        assert abs(int(np.asarray(image).mean()) - 77) < 2
+    scene.unlink()
+    assert titles("Recent") == ["lwr_udp"]
+
+
+def test_only_the_latest_are_remembered_and_damage_is_forgotten(state: Path) -> None:
+    names = paths.list_all()[: MOST + 3]
+    for name in names:
+        remember_view(RecentView(name), np.zeros((30, 40, 3), np.uint8))
+    assert [view.scene for view in recent_views()] == names[:2:-1]
+    assert len(list((state / "recent").glob("*.jpg"))) == MOST
+    for text in ("", "{", "[1]", '[{"scene": 3}]', '[{"scene": "a\\u0000", "replay": ""}]'):
+        (state / "recent.json").write_text(text)
+        assert recent_views() == []
+    remember_view(RecentView("lwr"), None)
+    assert recent_views() == [RecentView("lwr")]
+
+
+@contextmanager
+def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[Listening, socket.socket, int]]:
+    """Who listens for scenes with packets of these sizes at one port, and who sends to it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    views = []
+    for size in sizes:
+        file = tmp_path / f"cell{size}.toml"
+        file.write_text(ARM.format(port=port).replace("2F", f"{size // 8}F"))
+        views.append(RecentView(str(file)))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.connect(("127.0.0.1", port))
+        yield Listening(views), sender, port
+
+
+def until(listening: Listening, text: str) -> Awaited:
+    """What is awaited, once its text has this in it."""
+    end = time.monotonic() + 10.0
+    while time.monotonic() < end:
+        (found,) = listening.awaited()
+        if text in found.text:
+            return found
+        threading.Event().wait(0.01)
+    raise AssertionError(found.text)
+
+
+def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
+    with hearing(tmp_path, 16, 24) as (listening, sender, port), listening:
+        (nothing,) = listening.awaited()
+        assert nothing.text == f"UDP 127.0.0.1:{port}: nothing yet"
+        assert nothing.expected == "16 bytes (cell16.toml) or 24 (cell24.toml)"
+        assert nothing.command == f"sero-mj send {tmp_path / 'cell16.toml'}"
+        assert (nothing.mood, nothing.shown) == ("plain", [])
+        for _ in range(5):
+            sender.send(bytes(24))
+        found = until(listening, "5/s of 24 bytes")
+        assert (found.mood, found.command) == ("good", "")
+        assert [Path(view.scene).name for view in found.shown] == ["cell24.toml"]
+        sender.send(bytes(10))
+        found = until(listening, "1/s of 10 bytes, which is not expected")
+        assert found.mood == "bad"
+
+
+def test_a_port_that_is_in_use_is_told(tmp_path: Path) -> None:
+    with hearing(tmp_path, 16) as (listening, _, port):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.bind(("127.0.0.1", port))
+            with listening:
+                (found,) = listening.awaited()
+        assert found.text.startswith(f"UDP port {port} on 127.0.0.1 is in use by another program")
+        assert (found.mood, found.command) == ("bad", "")
+
+
+def test_scenes_that_are_wrong_are_not_listened_for(tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.toml"
+    for text in ("[", "sources = 3", "[sources]\na = 1", '[sources.a]\nkind = "udp"\nport = -1\n'):
+        wrong.write_text(text)
+        with Listening([RecentView(str(wrong)), RecentView("none.toml")]) as listening:
+            assert listening.awaited() == []
+
+
+def record(path: Path, scene: str, files: Mapping[str, bytes]) -> None:
+    """A recording of `moving` packets of a source `arm`."""
+    with RecordingWriter(path, about={"scene": scene}) as writer:
+        writer.add_source("arm", kind="udp", declared=DECLARED, events=EVENTS, size=168)
+        for name, contents in files.items():
+            writer.attach(name, "application/toml", contents)
+        for k, packet in enumerate(moving(3)):
+            writer.write_raw("arm", packet, writer.clock.monotonic_ns / 1e9 + k)
+
+
+def test_a_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> None:
+    recording = tmp_path / "run.mcap"
+    record(recording, "mine", {})
+    with pytest.raises(UsageError) as told:
+        view_of_file(recording, None)
+    assert str(told.value) == (
+        "run.mcap: found no scene that shows it; sero-mj view SCENE --replay run.mcap shows it "
+        "by one"
+    )
+    scene = tmp_path / "mine.toml"
+    scene.write_text(ARM.format(port=0))
+    found = RecentView(str(scene), str(recording))
+    assert view_of_file(recording, None) == found  # beside it
+    assert view_of_file(recording, "lwr_udp") == found  # which has other sources
+    assert view_of_file(recording, str(scene)) == found
+    elsewhere = tmp_path / "cell" / "mine.toml"
+    elsewhere.parent.mkdir()
+    scene.rename(elsewhere)
+    remember_view(RecentView(str(elsewhere)), None)
+    assert view_of_file(recording, None).scene == str(elsewhere)
+    with pytest.raises(SeroError, match=r"expects udp"):
+        elsewhere.unlink()
+        view_of_file(recording, "lwr_udp")
+
+
+def test_a_recording_brings_its_own_scene(tmp_path: Path) -> None:
+    recording = tmp_path / "run.mcap"
+    files = {"cell/mine.toml": ARM.format(port=0).encode()}
+    record(recording, "mine", files)
+    view = view_of_file(recording, None)
+    assert Path(view.scene).read_bytes() == files["cell/mine.toml"]
+    assert is_temporary(view)
+
+
+def test_files_are_told_apart(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"nothing\.mcap: no such file"):
+        view_of_file(tmp_path / "nothing.mcap", None)
+    view = view_of_file(Path("robot.urdf"), None)
+    assert view == RecentView(str(Path.cwd() / "robot.urdf"))
+    assert not is_temporary(view)
+
+
+uploads = pytest.importorskip("sero_mj.show.web.uploads", reason="MuJoCo without Studio")
+
+
+@pytest.mark.parametrize(
+    ("names", "chosen"),
+    [
+        (["scene.toml"], "scene.toml"),
+        (["r/robot.urdf", "r/meshes/a.stl", "r/config/x.toml"], "r/robot.urdf"),
+        (["panda/panda.urdf", "panda/hand.urdf"], "panda/panda.urdf"),
+        (["lwr/robot.toml", "lwr/other.toml"], "lwr/robot.toml"),
+        (["RUN.MCAP", "notes.txt"], "RUN.MCAP"),
+    ],
+)
+def test_of_several_files_one_is_opened(names: list[str], chosen: str) -> None:
+    assert uploads.main_file([PurePosixPath(name) for name in names]) == PurePosixPath(chosen)
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["a.txt", "b", "c", "d"], "found a.txt, b, c, ...; expected a file that ends in .toml"),
+        (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop one of them, or its folder"),
+    ],
+)
+def test_what_cannot_be_opened_is_told(names: list[str], text: str) -> None:
+    with pytest.raises(UsageError) as told:
+        uploads.main_file([PurePosixPath(name) for name in names])
+    assert str(told.value).startswith(text)
+
+
+@given(st.text(max_size=30), st.integers(-3, 10**12))
+def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
+    message = json.dumps([{"path": name, "size": size}])
+    try:
+        (found,) = uploads.read_list(message)
+    except UsageError:
+        return
+    assert Path("/folder", found).resolve().is_relative_to("/folder")
+    assert 0 <= size <= uploads.MOST_BYTES
+
+
+@pytest.mark.parametrize(
+    ("message", "text"),
+    [
+        ("nonsense", "found no list of files; expected paths and sizes"),
+        (b"\xff", "found no list of files"),
+        ("[]", "found no file; drop a robot, a scene or a recording"),
+        ('[{"path": "../a", "size": 1}]', "found the path '../a'; expected a plain one"),
+        ('[{"path": "/etc/a", "size": 1}]', "found the path '/etc/a'"),
+        (r'[{"path": "C:\\a", "size": 1}]', "found the path 'C:"),
+        ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; a page takes at most 500"),
+        (json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]), "found 2001 files; at"),
+    ],
+)
+def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:
+    with pytest.raises(UsageError) as told:
+        uploads.read_list(message)
+    assert str(told.value).startswith(text)

@@ -1,0 +1,119 @@
+"""The start page in a real window, worked by mouse and keys."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from driver import Driver
+from window_tools import MISSING, screen
+
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}")
+
+SIZE = (640, 480)
+_DRIVER = """
+import os
+os.environ["MUJOCO_GL"] = "glfw"
+from pathlib import Path
+from sero_mj.assemble.scene import Scene
+from sero_mj.errors import UsageError
+from sero_mj.show.recent_views import RecentView
+from sero_mj.show.start_page import Listening
+from sero_mj.show.window.start_window import StartWindow
+size, heard = json.loads(sys.argv[1])
+opened = []
+def open_it(what):
+    opened.append(str(what) if isinstance(what, Path) else what.scene)
+    if "wrong" in opened[-1]:
+        raise UsageError(f"{opened[-1]}: found nothing; expected a robot")
+    return Scene(name=opened[-1])
+with Listening([RecentView(each) for each in heard]) as listening:
+    with StartWindow(open_it, listening, size) as w:
+        w.frame()
+        print("ready", flush=True)
+        frames = 0
+        while w.frame():
+            frames += 1
+            answer()
+print("closed", flush=True)
+while True:
+    answer()
+"""
+
+
+@pytest.fixture(scope="module")
+def display() -> Iterator[str]:
+    with screen() as name:
+        yield name
+
+
+class Start(Driver):
+    """A start page in a window of another process."""
+
+    goodbye = "os._exit(0)"
+
+    def __init__(self, display: str, folder: Path, *heard: str) -> None:
+        self._environment = {**os.environ, "DISPLAY": display, "XDG_STATE_HOME": str(folder)}
+        self._environment.pop("WAYLAND_DISPLAY", None)
+        super().__init__(_DRIVER, [SIZE, heard], folder, self._environment)
+
+    def tool(self, *arguments: object) -> None:
+        command = ["xdotool", *(str(argument) for argument in arguments)]
+        subprocess.run(command, check=True, env=self._environment, timeout=20)
+
+    def click(self, label: str) -> None:
+        left, top, width, height = self.until(f"w.places.get({label!r})")
+        self.tool("mousemove", round(left + width / 2), round(top + height / 2))
+        frames = self.ask("frames")
+        self.until(f"frames > {frames} + 2")  # the pointer is over it
+        self.tool("click", 1)
+
+
+def test_a_tile_opens_its_scene_and_what_is_wrong_is_told(display: str, tmp_path: Path) -> None:
+    with Start(display, tmp_path) as start:
+        start.click("path")
+        start.until("w._layer.takes_keys")
+        start.tool("type", "/wrong.toml")
+        start.tool("key", "Return")
+        start.until("opened")
+        notice = start.until("w.notice.is_bad and w.notice.text")
+        assert notice == "/wrong.toml: found nothing; expected a robot"
+        start.ask("w.gl._on_drop(None, ['/cell/wrong.urdf', 'b'])")
+        start.until("opened[1:] == ['/cell/wrong.urdf']")
+        start.click("biped_stand")
+        start.until("w.chosen is not None")
+        assert start.ask("[opened[-1], w.chosen.name]") == ["biped_stand", "biped_stand"]
+
+
+def test_data_that_comes_is_a_button(display: str, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    cell = tmp_path / "cell.toml"
+    cell.write_text(f'[sources.arm]\nkind = "udp"\nport = {port}\nstructure = "2F"\n')
+    with (
+        Start(display, tmp_path, str(cell)) as start,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        assert start.ask("'show cell.toml' in w.places") is False
+        sender.connect(("127.0.0.1", port))
+        done = threading.Event()
+
+        def send() -> None:
+            while not done.wait(0.02):
+                sender.send(bytes(16))
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        try:
+            start.click("show cell.toml")
+            start.until("w.chosen is not None")
+        finally:
+            done.set()
+            thread.join()
+        assert start.ask("opened") == [str(cell)]
