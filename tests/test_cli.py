@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sero_mj.cli import main
+from sero_mj.cli import main, view
 from sero_mj.cli._arguments import overrides
 from sero_mj.paths import find_scene
 
@@ -102,7 +102,8 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["render", "lwr", "-o", "x.png", "--set", "lwe.show_axes=true"], "did you mean 'lwr'?"),
         (["render", "lwr", "-o", "x.png", "--set", "lwr.model=lwr"], "cannot be set"),
         (["dance"], "invalid choice: 'dance'"),
-        ([], "required: COMMAND"),
+        (["view", "--camera", "0,0,1"], "--camera is for a scene; name one: sero-mj view SCENE"),
+        (["view", "--set", "lwr.show_axes=true"], "--set is for a scene; name one"),
     ],
 )
 def test_bad_use_exits_with_2_and_one_clear_line(
@@ -403,3 +404,13 @@ def test_check_names_what_no_route_takes(
     assert out.count("no route leads from it") == 1
     assert "not used" not in run(capsys, "check", "lwr_fri")[1]
     assert "not used" not in run(capsys, "check", "lwr_udp")[1]
+
+
+def test_without_a_command_the_start_page_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = []
+    monkeypatch.setattr(view, "run", lambda options: shown.append(options.scene) or 0)
+    for arguments in ([], ["view"]):
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == 0
+    assert shown == [None, None]

@@ -305,6 +305,7 @@ def options_of(scene: str) -> argparse.Namespace:
 
 def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path) -> None:
     options = options_of("lwr_udp")
+    session = view.Session(options, on_page=False)
     before = dict(vars(options))
     for name, text, expected in (
         ("notes.txt", "", "notes.txt"),
@@ -314,7 +315,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
     ):
         (tmp_path / name).write_text(text, encoding="utf-8")
         with pytest.raises(SeroError) as caught:
-            view._open_file(tmp_path / name, options)
+            session.open(tmp_path / name)
         assert expected in str(caught.value)
         assert vars(options) == before
     urdf = tmp_path / "two.urdf"
@@ -324,9 +325,9 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
         '<limit lower="-1" upper="1" effort="5" velocity="1"/></joint></robot>',
         encoding="utf-8",
     )
-    scene = view._open_file(urdf, options)
+    scene = session.open(urdf)
     assert list(scene.robots) == ["two"]
-    assert (options.scene, options.plain, options.is_opened) == (str(urdf), scene, True)
+    assert (options.scene, session.plain) == (str(urdf), scene)
 
 
 @pytest.mark.gl

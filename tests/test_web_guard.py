@@ -150,11 +150,11 @@ def test_any_number_of_browsers_looks_on(page: WebHost) -> None:
             assert f"viewers={number + 1};" in str(roster)
 
 
-def test_nothing_is_uploaded(page: WebHost, caplog: pytest.LogCaptureFixture) -> None:
+def test_nothing_is_uploaded_to_studio(page: WebHost, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         found = refusal_of(page.port, "/drop?sid=a")
-    assert "uploads are disabled: the page shows one scene" in found
-    assert "refused a request for '/drop': uploads are disabled" in caplog.text
+    assert "Studio's uploads are disabled; files that are dropped on the page are taken" in found
+    assert "refused a request for '/drop': Studio's uploads are disabled" in caplog.text
     with connect(f"ws://127.0.0.1:{page.port}/state?sid=a") as own:
         own.send(bytes(2**20 + 1))
         with pytest.raises(ConnectionClosed, match="1009"):  # message too big

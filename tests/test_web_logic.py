@@ -218,7 +218,7 @@ def test_it_says_why_it_is_a_page_once_there_is_a_scene(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: False)
-    monkeypatch.setattr("sero_mj.cli.view._serve", lambda scene, options: None)
+    monkeypatch.setattr("sero_mj.cli.view.Session.show", lambda session, scene: None)
     for scene, said in (("lwr", True), ("lrw", False)):
         with pytest.raises(SystemExit):
             main(["view", scene])

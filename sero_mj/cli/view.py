@@ -129,7 +129,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"--control {options.control} is for --simulate, which is not given")
     if options.simulate and options.replay is not None:
         raise UsageError("--simulate and --replay: a recording is played, and not simulated")
-    session = _Session(options, on_page=on_page)
+    session = Session(options, on_page=on_page)
     scene = session.first()
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
@@ -143,7 +143,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-class _Session:
+class Session:
     """What one command shows, one thing after the other.
 
     Args:
