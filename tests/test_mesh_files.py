@@ -14,6 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from sero_mj.assemble.dynamics import Dynamics
+from sero_mj.assemble.robot import SerialRobot
+from sero_mj.assemble.scene import Scene
+from sero_mj.assemble.world import World
 from sero_mj.describe import mesh_files
 from sero_mj.describe.mesh_files import MeshPiece, read_mesh
 from sero_mj.describe.package_files import find_file
@@ -277,13 +281,32 @@ def test_a_file_that_is_too_large_is_refused(
     assert "of STL that MuJoCo cannot read without conversion" in refused(tmp_path / "b.stl")
 
 
-def test_what_was_converted_is_kept_by_its_contents(tmp_path: Path) -> None:
+def test_what_was_read_is_kept_until_the_file_changes(tmp_path: Path) -> None:
     path = tmp_path / "box.ply"
     BOX.export(path)
     first = read_mesh(path)
     assert read_mesh(path)[0] is first[0]
     trimesh.creation.box((2, 2, 2)).export(path)
     assert np.ptp(compiled(read_mesh(path)[0]), axis=0) == pytest.approx([2, 2, 2])
+
+
+def test_only_what_touches_or_weighs_gets_a_hull(tmp_path: Path) -> None:
+    BOX.export(tmp_path / "box.stl")
+    robot = SerialRobot(
+        dh_convention="craig",
+        dh_params=[[0, 0, 0, 0.1]] * 2,
+        filenames=["box.stl"] * 3,
+        directory=str(tmp_path),
+        dynamics={"masses": [3, 2, 1], "centers_of_mass": np.eye(3), "inertias": [np.eye(3)] * 3},
+    )
+    seen = World(Scene(robots=[robot])).model
+    assert (seen.mesh_graphadr < 0).all()
+    links = [seen.body(f"{robot.name}/link{i}") for i in (1, 2)]
+    assert [float(link.mass[0]) for link in links] == [2, 1]
+    assert [link.ipos.tolist() for link in links] == [[0, 1, 0], [0, 0, 1]]
+    by_volume = World(Scene(robots=[robot.model_copy(update={"dynamics": Dynamics()})])).model
+    assert (by_volume.mesh_graphadr >= 0).all()
+    assert by_volume.body(f"{robot.name}/link1").mass == pytest.approx(1000 * BOX.volume)
 
 
 @pytest.fixture

@@ -102,8 +102,10 @@ def _radii(
     solids = Solids(model, data)
     of_skin = _OF_SKIN * extent if model.nskin else 0.0
     tried, hidden, smallest = [], [], []
-    for i, joint in enumerate(robot.joints):
-        lengths = _half_lengths(model, boxes, robot, int(joint))
+    half = _half_lengths(model, boxes, robot)
+    for i, body in enumerate(model.jnt_bodyid[robot.joints]):
+        beside = model.body_weldid[[body, model.body_parentid[body]]]
+        lengths = [half[weld] for weld in beside.tolist() if weld in half] or [0.0]
         least = max(_SMALLEST * links[i], min(_OF_HALF * min(lengths), _OF_ROBOT * extent))
         most = max(*lengths, of_skin, least)
         count = int(np.ceil(np.log(most / least) / np.log(_STEP))) + 1
@@ -127,26 +129,24 @@ def _radii(
 
 
 def _half_lengths(
-    model: mujoco.MjModel, boxes: tuple[Array, Array], robot: Seen, joint: int
-) -> list[float]:
-    """Returns half the length of the bodies that a joint connects, m; 0 without any geom.
+    model: mujoco.MjModel, boxes: tuple[Array, Array], robot: Seen
+) -> dict[int, float]:
+    """Returns half the length of what is welded together, m, by the first body of it.
 
     Args:
         model: compiled.
         boxes: about all geoms, see `geom_boxes`.
-        robot: which one.
-        joint: id.
+        robot: whose joints connect the bodies; what has no geoms is left out.
     """
     low, high = boxes
-    body = int(model.jnt_bodyid[joint])
-    lengths = []
-    for around in (body, int(model.body_parentid[body])):
-        weld = int(model.body_weldid[around])
+    bodies = model.jnt_bodyid[robot.joints]
+    lengths = {}
+    for weld in np.unique(model.body_weldid[[*bodies, *model.body_parentid[bodies]]]).tolist():
         welded = (model.body_weldid == weld).nonzero()[0]
         mine = geoms_of(model, welded, robot.trunk if weld == 0 else None)
         if len(mine):
-            lengths.append(float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) / 2)
-    return lengths or [0.0]
+            lengths[weld] = float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) / 2
+    return lengths
 
 
 def _link_lengths(model: mujoco.MjModel, robot: Seen, anchors: Array, extent: float) -> Array:

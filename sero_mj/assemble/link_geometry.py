@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import DeclarationError, Problem, collect
 from ..frames import MIRROR, Array
-from .mjcf_elements import MESH, geom_type, half_sizes, mesh_assets, pose, shape_geom
+from .mjcf_elements import MESH, Hull, geom_type, half_sizes, mesh_assets, pose, shape_geom
 from .mjcf_links import drawn_links, touching_links
 from .robot import SerialRobot
 from .robot_parts import LinkGeometry
@@ -25,7 +25,11 @@ def generated(robot: SerialRobot) -> list[list[LinkShape]]:
 
 
 def drawn_geoms(
-    root: mujoco.MjSpec, robot: SerialRobot, problems: list[Problem], shrink: float = 1.0
+    root: mujoco.MjSpec,
+    robot: SerialRobot,
+    problems: list[Problem],
+    shrink: float = 1.0,
+    hull: Hull = "never",
 ) -> list[list[Geom]]:
     """Returns the attributes of the visible geoms of the base and every link, in their frames.
 
@@ -34,6 +38,7 @@ def drawn_geoms(
         robot: declared or generated shapes.
         problems: get those of files that cannot be read.
         shrink: factor of all sizes, about each link's origin.
+        hull: of meshes, see `mesh_assets`.
     """
     scope = "" if shrink == 1.0 else f"double-{robot.name}-"
     if robot.mjcf is not None:
@@ -43,7 +48,7 @@ def drawn_geoms(
     if not robot.filenames:
         links = generated(robot)
         return [[{"rgba": s.rgba, **shape_geom(s, shrink)} for s in link] for link in links]
-    return _declared(root, robot, "filenames", scope, problems, shrink)
+    return _declared(root, robot, "filenames", scope, problems, hull, shrink)
 
 
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
@@ -55,7 +60,7 @@ def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     if robot.mjcf is not None:
         return touching_links(root, robot)
     problems: list[Problem] = []
-    geoms = _declared(root, robot, "collisions", "touching-", problems)
+    geoms = _declared(root, robot, "collisions", "touching-", problems, "always")
     for geom in (geom for link in geoms for geom in link):
         del geom["rgba"]
     if problems:
@@ -69,9 +74,9 @@ def _declared(
     key: str,
     scope: str,
     problems: list[Problem],
+    hull: Hull,
     shrink: float = 1.0,
 ) -> list[list[Geom]]:
-    solid = key == "collisions"
     geoms: list[list[Geom]] = [[] for _ in range(robot.n + 1)]
     for i, parts in enumerate(getattr(robot, key)):
         for k, part in enumerate(parts):
@@ -92,7 +97,7 @@ def _declared(
                 path = Path(robot.directory) / (part.file or "")
                 scale = shrink * mesh_scale(robot, part)
                 file = f"{scope}link{i}_{k}"
-                for mesh, own in mesh_assets(root, file, path, scale, solid=solid):
+                for mesh, own in mesh_assets(root, file, path, scale, hull=hull):
                     look = next((each for each in (rgba, own) if each is not None), SHELL)
                     geoms[i].append({"type": MESH, "meshname": mesh, "rgba": look, **at})
     return geoms

@@ -36,7 +36,7 @@ from .mjcf_dynamics import (
 from .mjcf_elements import MESH, SITE_GROUP, geom_type, half_sizes, mesh_assets, pose
 from .mounts import base_frames, carrier, mount_order
 from .robot import SerialRobot
-from .robot_dynamics import RobotDynamics
+from .robot_dynamics import RobotDynamics, declared_inertia
 from .scene import Scene
 from .surroundings import PALETTES, Look, Object, Palette
 
@@ -179,7 +179,9 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     root = mujoco.MjSpec()
     root.compiler.degree = False
     problems: list[Problem] = []
-    geoms = drawn_geoms(root, robot, problems)
+    inertia = declared_inertia(robot)
+    # Without declared masses those of its meshes say how large its arrows are.
+    geoms = drawn_geoms(root, robot, problems, hull="never" if inertia else "unless flat")
     body = root.worldbody
     _add_geoms(body, geoms[0])
     body.add_site(name="base", group=SITE_GROUP)
@@ -195,6 +197,8 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
         kind = mujoco.mjtJoint.mjJNT_HINGE if table.revolute[i] else mujoco.mjtJoint.mjJNT_SLIDE
         body.add_joint(name=robot.names[i], type=kind, **joint)
         _add_geoms(body, geoms[i + 1])
+        if inertia is not None:
+            set_inertia(body, inertia, i + 1)
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
         # Site of arrows and billboards; its z is the joint's axis in both conventions.
         body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(centres[i]))
@@ -360,7 +364,7 @@ def _add_object(
         path = Path(item.directory) / item.mesh
         try:
             scale = item.mesh_scale * (frames.MIRROR.diagonal()[:3] if mirrored else 1.0)
-            meshes = mesh_assets(root, f"object_{item.name}", path, scale, solid=True)
+            meshes = mesh_assets(root, f"object_{item.name}", path, scale)
         except DeclarationError as error:
             raise DeclarationError([p.inside("mesh") for p in error.problems]) from error
         looks = [{"type": MESH, "meshname": mesh, "rgba": rgba} for mesh, rgba in meshes]
@@ -384,7 +388,7 @@ def _add_object(
 def _mass_shares(path: Path, scale: Any) -> Array:
     """Returns how the mass of a mesh file is shared by the hulls of its colours, (k,)."""
     root = mujoco.MjSpec()
-    for mesh, _ in mesh_assets(root, "mesh", path, scale, solid=True):
+    for mesh, _ in mesh_assets(root, "mesh", path, scale):
         root.worldbody.add_body().add_geom(type=MESH, meshname=mesh)
     masses = root.compile().body_mass[1:]
     return np.asarray(masses / masses.sum())

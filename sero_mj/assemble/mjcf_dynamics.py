@@ -20,7 +20,7 @@ from .mjcf_elements import MESH, hull_asset
 from .mjcf_links import excluded_links
 from .mounts import carrying_link
 from .robot import SerialRobot
-from .robot_dynamics import RobotDynamics
+from .robot_dynamics import LinkInertia, RobotDynamics
 from .shapes import housing_radii
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
@@ -110,7 +110,7 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
     piece.body("flange").add_body(name=PAYLOAD)
 
 
-def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics, i: int) -> None:
+def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics | LinkInertia, i: int) -> None:
     """Gives a body the mass, centre and tensor of link i; 0 is the base, which a robot carries."""
     moments, axes = principal_moments(dynamics.tensors[i])
     mujoco.mju_mat2Quat(body.iquat, axes.ravel())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -27,8 +27,11 @@ def pose(T: Array) -> dict[str, Array]:
     return {"pos": T[:3, 3], "quat": quat}
 
 
+Hull = Literal["always", "unless flat", "never"]
+
+
 def mesh_assets(
-    spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike, *, solid: bool
+    spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike, *, hull: Hull = "always"
 ) -> list[tuple[str, Rgba | None]]:
     """Adds a mesh file to the assets.
 
@@ -37,7 +40,8 @@ def mesh_assets(
         name: of the mesh, where it is a new one.
         path: of the file, in any format that `read_mesh` takes.
         scale: m per unit, one number or along x, y and z; negative ones mirror it.
-        solid: whether it has to have a volume, as it touches or has a mass.
+        hull: whether it gets a convex hull: for what touches or has a mass, with which a flat mesh
+            is refused; for a mass unless it is flat; or never, for what is only seen.
 
     Returns:
         name and colour of a mesh for each colour in the file; None where the file has none.
@@ -47,9 +51,11 @@ def mesh_assets(
     """
     meshes = []
     for k, piece in enumerate(read_mesh(path)):
-        file = add_file(spec, path.with_suffix(piece.ending), piece.contents)
-        # By the convex hull, so that a mesh with holes has a mass; a flat one has no hull.
-        inertia = _CONVEX if solid or not piece.is_flat else _SHELL
+        named = path.with_suffix(piece.ending)
+        file = add_file(spec, named, piece.contents, piece.digest)
+        # Of the hull, so that a mesh with holes has a mass; a hull takes longer than all else.
+        has_hull = hull == "always" or (hull == "unless flat" and not piece.is_flat)
+        inertia = _CONVEX if has_hull else _SHELL
         same = [mesh for mesh in spec.meshes if (mesh.file, mesh.inertia) == (file, inertia)]
         mesh = next((mesh for mesh in same if (mesh.scale == scale).all()), None)
         if mesh is None:

@@ -43,7 +43,7 @@ _LEAST_MASS = 1e-6  # kg
 _BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
 
 
-class _Links(NamedTuple):
+class LinkInertia(NamedTuple):
     """Inertias of the base and every link, in the frames of the DH rows."""
 
     masses: Array  # (n + 1,), kg
@@ -92,7 +92,7 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
     declared = robot.dynamics
     hulls = _link_hulls(robot)
     estimated = []
-    links = _declared_links(robot)
+    links = declared_inertia(robot)
     if links is None:
         links = _estimated_links(robot, hulls)
         estimated.append("masses")
@@ -134,7 +134,12 @@ def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
     )
 
 
-def _declared_links(robot: SerialRobot) -> _Links | None:
+def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
+    """Returns what base and links of a robot are declared to weigh; None if they are not."""
+    if robot.mirrored:
+        links = declared_inertia(robot.model_copy(update={"mirrored": False}))
+        S = MIRROR[:3, :3]
+        return links and LinkInertia(links.masses, links.centers @ S, S @ links.tensors @ S)
     declared = robot.dynamics
     if declared.masses is None or declared.centers_of_mass is None or declared.inertias is None:
         return None
@@ -152,10 +157,10 @@ def _declared_links(robot: SerialRobot) -> _Links | None:
     bare = masses == 0
     masses[bare] = max(_BARE_SHARE * float(masses.sum()), _LEAST)
     tensors[bare] = max(float(masses[bare].sum()) * _BARE_RADIUS**2, _LEAST) * np.eye(3)
-    return _Links(masses, centers, tensors)
+    return LinkInertia(masses, centers, tensors)
 
 
-def _holding_efforts(robot: SerialRobot, links: _Links) -> Array:
+def _holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
     """Returns the efforts that hold the arm, stretched from each joint, against gravity, (n,)."""
     table = robot.kinematics
     along = table.path_lengths(table.distances())
@@ -177,7 +182,8 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     owners: list[int] = []
     problems: list[Problem] = []
     places: list[Array] = []
-    for i, geoms in enumerate(drawn_geoms(root, robot, problems)):
+    # Without hulls MuJoCo keeps vertices in another frame, whose rounding would change every run.
+    for i, geoms in enumerate(drawn_geoms(root, robot, problems, hull="unless flat")):
         for geom in (geom for geom in geoms if geom["type"] == MESH):
             root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
             owners.append(i)
@@ -197,7 +203,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     return hulls
 
 
-def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> _Links:
+def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertia:
     """Estimates inertias from the declared density and the hulls and shapes that are drawn."""
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
@@ -219,7 +225,7 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> _Links:
     for i in range(robot.n + 1):
         axes = frames.rotation_from_quat(model.body_iquat[i + 1])
         tensors[i] = axes @ np.diag(model.body_inertia[i + 1]) @ axes.T
-    return _Links(model.body_mass[1:].copy(), model.body_ipos[1:].copy(), tensors)
+    return LinkInertia(model.body_mass[1:].copy(), model.body_ipos[1:].copy(), tensors)
 
 
 def _corners(model: mujoco.MjModel, mesh: int) -> Array:

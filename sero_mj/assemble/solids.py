@@ -101,11 +101,13 @@ class Solids:
         geom, normal, step = self._geom, self._normal, _STEP * reach
         at = 0.0
         for _ in range(_MOST_CROSSINGS):
+            if at > reach:
+                break
             point = start + at * direction
             gap = mujoco.mj_ray(
                 self._model, self._data, point, direction, self._groups, True, -1, geom, normal
             )
-            if gap < 0 or at > reach:
+            if gap < 0:
                 break
             yield int(geom[0]), at + gap, bool(normal @ direction > 0)
             at += gap + step

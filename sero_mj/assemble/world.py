@@ -26,7 +26,7 @@ from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults
-from .mjcf_elements import mesh_assets
+from .mjcf_elements import Hull, mesh_assets
 from .mounts import carrier
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, robot_dynamics
@@ -444,9 +444,10 @@ def _mesh_problems(scene: Scene) -> list[Problem]:
 
 def _mesh_problem(key: str, path: Path) -> Problem | None:
     solid = "filenames" not in key  # what is only drawn may be flat
+    hull: Hull = "always" if solid else "unless flat"
     root = mujoco.MjSpec()
     try:
-        for mesh, _ in mesh_assets(root, "mesh", path, 1.0, solid=solid):
+        for mesh, _ in mesh_assets(root, "mesh", path, 1.0, hull=hull):
             kind = mujoco.mjtGeom.mjGEOM_MESH
             root.worldbody.add_geom(type=kind, meshname=mesh, contype=solid, conaffinity=solid)
         root.compile()

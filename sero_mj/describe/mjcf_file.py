@@ -115,11 +115,18 @@ def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
     return add_file(spec, path, read_file(path, MOST_ASSET_BYTES))
 
 
-def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes) -> str:
+def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | None = None) -> str:
     """Stores a file's contents in the assets of a spec and returns its name there.
 
     The name is unique across folders, so that specs can be attached to each other.
+
+    Args:
+        spec: gets it.
+        path: of the file.
+        contents: of the file.
+        digest: SHA-256 of the contents in hexadecimal digits, if it is known.
     """
-    file = f"{path.stem}-{sha256(contents).hexdigest()[:16]}{path.suffix.lower()}"
+    digest = digest or sha256(contents).hexdigest()
+    file = f"{path.stem}-{digest[:16]}{path.suffix.lower()}"
     spec.assets[file] = contents
     return file

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -75,6 +76,7 @@ class UrdfFile:
         self._has_lines = True
         self._lost: dict[str, list[str]] = {}  # mesh files that were not found, and who has them
         self._found: dict[str, Path | None] = {}  # the file that a name means
+        self._last_found: dict[str, Path] = {}  # the folder of a package
         self._unread: dict[Path, str] = {}
         self._colored: dict[Path, bool] = {}  # whether a mesh file has colours of its own
         self._flat: set[Path] = set()
@@ -319,7 +321,7 @@ class UrdfFile:
     def _mesh_file(self, mesh: Element, name: str, tag: str, link: str) -> Path | None:
         """The file of a mesh; None for one that cannot be found, read or used."""
         if name not in self._found:
-            self._found[name] = find_file(name, self.path, self._packages)
+            self._found[name] = self._search(name)
         file = self._found[name]
         if file is None:
             line = f", line {mesh.sourceline}" if self._has_lines else ""
@@ -339,6 +341,16 @@ class UrdfFile:
             )
             return None
         return None if file in self._unread else file
+
+    def _search(self, name: str) -> Path | None:
+        """Finds the file of a mesh, first where the last one of its package was."""
+        file = find_file(name, self.path, {**self._last_found, **self._packages})
+        package = package_of(name)
+        if file is not None and package is not None:
+            inside = Path(unquote(name).partition(f"{package}/")[2])
+            if file.parts[-len(inside.parts) :] == inside.parts:
+                self._last_found[package] = file.parents[len(inside.parts) - 1]
+        return file
 
     def _tell_about_meshes(self) -> None:
         if self._lost:

@@ -20,7 +20,6 @@ import mujoco
 import numpy as np
 from PIL import Image
 
-from ...assemble.mjcf import SKY
 from ...assemble.scene import Scene
 from ...assemble.world_view import WorldView
 from ...decor.font import line_height
@@ -39,12 +38,12 @@ from ..typesetting import Typesetter, compose
 from ..view_state import apply_switches
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
+from .textures import upload_textures, without_textures
 
 log = logging.getLogger(__name__)
 
 MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
-# `draft` has neither shadows nor multisampling, and one colour for a sky; `fine` is drawn larger
-# and reduced, for print.
+# `draft` has neither shadows nor multisampling; `fine` is drawn larger and reduced, for print.
 Quality = Literal["draft", "normal", "fine"]
 QUALITIES: tuple[str, ...] = get_args(Quality)
 SUPERSAMPLING = 2  # a side, of `fine`
@@ -84,25 +83,19 @@ def offscreen_size(
         width: pixels.
         height: pixels.
         samples: of every pixel; the model's when None.
-        is_draft: whether there are neither multisampling nor shadows, and the sky has one colour.
+        is_draft: whether there are neither multisampling nor shadows.
     """
     size, quality = model.vis.global_, model.vis.quality
     before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
-    tall, wide = model.tex_height.copy(), model.tex_width.copy()
     size.offwidth, size.offheight = width, height
     if samples is not None:
         quality.offsamples = samples
     if is_draft:
         quality.offsamples = quality.shadowsize = 0
-        # The smaller versions of a sky take software OpenGL 50 ms; one pixel a side has none.
-        sky = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXTURE, SKY)
-        if sky >= 0:
-            model.tex_width[sky], model.tex_height[sky] = 1, 6
     try:
         yield
     finally:
         size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
-        model.tex_height[:], model.tex_width[:] = tall, wide
 
 
 DEFAULT_SIZE = (1280, 800)
@@ -297,7 +290,12 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
     adopt_backend()
     try:
         with offscreen_size(model, width, height, is_draft=is_draft):
-            return mujoco.Renderer(model, height, width)
+            if not is_draft:
+                return mujoco.Renderer(model, height, width)
+            with without_textures(model) as textures:
+                renderer = mujoco.Renderer(model, height, width)
+        upload_textures(model, renderer._mjr_context, textures)
+        return renderer
     except Exception as error:  # every GL backend raises errors of its own
         raise RenderError(
             f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
