@@ -10,6 +10,8 @@
 # make wheel  dist/*.whl, with models and scenes inside
 
 BIN := .venv/bin
+# Tests start some hundred programs; without compiled files each would compile all of ours anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test quick mutations lint docs bench foreign gallery wheel clean
 
