@@ -123,7 +123,7 @@ def test_the_tab_names_the_scene_and_the_page_is_isolated(page: Visitor) -> None
 
 def test_the_wheel_comes_nearer_when_it_is_turned_up(served: Served, page: Visitor) -> None:
     page.move(430, 260)
-    page.picture()  # by then the browser knows that it is over the scene
+    page.settle()
     far = served.ask("w.viewer.camera.distance")
     page.page.mouse.wheel(0, -100)
     served.until(f"w.viewer.camera.distance < {0.97 * far}")

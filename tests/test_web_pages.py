@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from web_tools import FEW, MISSING, POSE, TORQUES, Served, Visitor, blue
+from web_tools import FEW, MISSING, POSE, TORQUES, Served, Visitor, blue, on_page
 
 # Their own file, for a page that is still open elsewhere takes its share of the processor to draw.
 pytestmark = [
@@ -72,6 +72,7 @@ def test_a_mirrored_robot_moves_and_is_grey_when_its_source_is_quiet(
         served.ask("setattr(w, 'shows_status', False)")
         visitor = Visitor(browser, served)
         visitor.hears("First remote draw frame applied")
+        served.until("not w.notice.is_shown")  # that nothing has come yet
         grey = _light_pixels(visitor.still())
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
 
@@ -95,7 +96,7 @@ def free_port(kind: socket.SocketKind) -> int:
 def _light_pixels(pixels: np.ndarray) -> int:
     """Pixels of the LWR's shell: light, and warmer than the floor."""
     warm = pixels[..., 0] - pixels[..., 2]
-    return int(((pixels[..., 0] > 150) & (warm > 8) & (warm < 60)).sum())
+    return on_page((pixels[..., 0] > 150) & (warm > 8) & (warm < 60))
 
 
 def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
@@ -134,7 +135,8 @@ def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
 def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push", settings=("run.duration=100",)) as served:
         served.ask("setattr(w, 'shows_status', False)")
-        visitor = Visitor(browser, served, has_touch=True)
+        # With fewer pixels Studio's page takes a turn of the wheel for more.
+        visitor = Visitor(browser, served, has_touch=True, device_scale_factor=1)
         visitor.hears("First remote draw frame applied")
         served.until("w.decor.view is not None")
         served.settle()

@@ -20,6 +20,7 @@ POSE = "lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0"
 TORQUES = "lwr.torques=20,60,-30,40,-9,5,3"
 FEW = 60  # pixels of an arrow, at least
 SIZE = (560, 400)  # small: software draws a few such pictures a second
+_SCALE = 0.5  # pixels of pictures by those of pages, likewise
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MISSING = ["chromium"] * (CHROMIUM is None)
 MISSING += ["playwright"] * (importlib.util.find_spec("playwright") is None)
@@ -56,16 +57,22 @@ _DRAW = """() => new Promise(resolve => {
     const look = () => framesDrawn < framesWanted ? setTimeout(look, 20) : resolve();
     look();
 })"""
+_PASS = """() => new Promise(resolve => {
+    let left = 4;
+    const look = () => left-- ? requestAnimationFrame(look) : resolve();
+    look();
+})"""
 # Serves frames, and answers what is asked about the page on its standard input.
 _PROGRAM = """
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.drive.mirror import Mirror
 from sero_mj.show.viewer import open_page
-from sero_mj.show.web import page_windows
+from sero_mj.show.web import page_windows, studio
 from sero_mj.show.web.studio_controls import IMGUI_KEYS
 from pathlib import Path
 page_windows._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
+studio.RATE = 25.0  # as many as browsers here draw: what they do with more costs as much again
 
 places = {}  # of what can be clicked on in the panels, by its label
 def noted(build):
@@ -190,7 +197,9 @@ class Visitor:
         **options: Any,
     ) -> None:
         self._served = served
-        self.page = browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
+        viewport = {"width": size[0], "height": size[1]}
+        options = {"device_scale_factor": _SCALE, **options}
+        self.page = browser.new_page(viewport=viewport, **options)
         self.page.add_init_script(_DRAWS_ON_DEMAND)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
@@ -201,11 +210,11 @@ class Visitor:
         self._until(lambda: any(text in line for line in self.said), seconds, text)
 
     def picture(self) -> NDArray[np.int16]:
-        """What is seen, (height, width, 3), without Studio's bar below."""
+        """What is seen, (height / 2, width / 2, 3), without Studio's bar below."""
         self.page.evaluate(_DRAW)
         png = self.page.screenshot(timeout=60_000)
         pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
-        return pixels[:-32]
+        return pixels[: -round(32 * _SCALE)]
 
     def still(self) -> NDArray[np.int16]:
         """What is seen once nothing changes any more."""
@@ -213,7 +222,7 @@ class Visitor:
         while True:
             self.page.wait_for_timeout(500)
             now = self.picture()
-            if (np.abs(now - last) > 8).sum() < 300:  # the pointer's name, a line of text
+            if (np.abs(now - last) > 8).sum() < 75:  # the pointer's name, a line of text
                 return now
             last = now
 
@@ -235,9 +244,14 @@ class Visitor:
         self.page.mouse.move(x, y)
         self._sees(f"abs(seen['at'][0] - {x}) + abs(seen['at'][1] - {y}) < 2")
 
+    def settle(self) -> None:
+        """Waits until the browser knows what the pointer is over."""
+        self._served.settle()
+        self.page.evaluate(_PASS)
+
     def hold(self) -> None:
         """Holds the left button down."""
-        self.picture()  # by then the browser knows whether the pointer is over a panel
+        self.settle()
         self.page.mouse.down()
         self._sees("seen['is_down']")
 
@@ -269,12 +283,17 @@ class Visitor:
 
 
 def orange(pixels: NDArray[np.int16]) -> int:
-    """How many pixels have the colour of arrows of positive values."""
+    """How many pixels of the page have the colour of arrows of positive values."""
     red, green, blue = pixels[..., 0], pixels[..., 1], pixels[..., 2]
-    return int(((red > 170) & (green > 60) & (green < 150) & (blue < 60)).sum())
+    return on_page((red > 170) & (green > 60) & (green < 150) & (blue < 60))
 
 
 def blue(pixels: NDArray[np.int16]) -> int:
-    """How many pixels have the colour of arrows of negative values."""
+    """How many pixels of the page have the colour of arrows of negative values."""
     red, green, blue_ = pixels[..., 0], pixels[..., 1], pixels[..., 2]
-    return int(((blue_ > 120) & (red < 60) & (green < 110)).sum())
+    return on_page((blue_ > 120) & (red < 60) & (green < 110))
+
+
+def on_page(mask: NDArray[np.bool_]) -> int:
+    """How many pixels of the page those of a picture are."""
+    return round(mask.sum() / _SCALE**2)
