@@ -73,14 +73,17 @@ def open_page(text: str, folder: Path, environment: dict[str, str]) -> None:
         process = subprocess.Popen(
             arguments, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
         )
-        assert process.stdout is not None
-        url = re.search(r"http://\S+", process.stdout.readline())
-        assert url, f"{line}: no address"
-        with urllib.request.urlopen(url[0], timeout=10) as answer:
-            assert b"<html" in answer.read().lower()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
-        process.stdout.close()
+        try:
+            assert process.stdout is not None
+            url = re.search(r"http://\S+", process.stdout.readline())
+            assert url, f"{line}: no address"
+            with urllib.request.urlopen(url[0], timeout=10) as answer:
+                assert b"<html" in answer.read().lower()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(20) == 0
+        finally:
+            process.kill()
+            process.communicate()
 
 
 class Shell:
