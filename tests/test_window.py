@@ -339,7 +339,9 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             kept = tmp_path / next(each for each in film if each.endswith(".mcap"))
             run = read_run(kept)
             assert run.times[-1] > 2.5 and len(run.times) > 100
-            assert film[3:6] == ["render", str(scene), "--replay"]
+            assert film[3:6] == ["render", scene.name, "--camera"]
+            assert film[6] == window.ask("w.view_state().camera")
+            assert film[-4:-2] == ["--replay", str(kept.relative_to(tmp_path))]
             window.key("End")
             assert window.ask("[w.clock.is_past, w.clock.is_paused]") == [False, False]
             window.until("w.data.time == w.clock.end")

@@ -65,12 +65,33 @@ def test_a_simulation_that_cannot_keep_up_says_so(simulated: Mirror) -> None:
     clock.advance(0.02)
     assert clock_text(clock)[0].endswith("x1")
     for _ in range(30):
-        clock.advance(0.9)  # frames so long that time does not jump after them
+        clock.advance(1.8)  # frames so long that time does not jump after them
     assert clock.is_at_end or "(only 0.2" in clock_text(clock)[0]
     clock.seek(0.0)
-    for _ in range(15):
-        clock.advance(0.9)
+    for _ in range(6):
+        clock.advance(1.8)
     assert "(only 0." in clock_text(clock)[0]
+
+
+def test_a_simulation_may_take_as_long_as_the_drawing_of_slow_frames() -> None:
+    now = 0.0  # on a clock on which 50 ms take 100 ms to simulate
+
+    def simulate(time: float) -> None:
+        nonlocal now
+        now += 0.1
+
+    run = SimpleNamespace(end=60.0, step=0.001, newest=None, advance_to=simulate)
+    mirror: Any = SimpleNamespace(is_live=False, sources={"run": run}, advance=lambda time: None)
+    pieces, before = [], 0.0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sero_mj.show.clock.clock", SimpleNamespace(monotonic=lambda: now))
+        clock = Clock(mirror)
+        for drawing in (0.15, 0.15, 0.15, 0.01, 0.01):
+            simulated = now - before
+            before = now
+            clock.advance(drawing + simulated)
+            pieces.append(round((now - before) / 0.1))
+    assert pieces == [2, 2, 2, 1, 1]
 
 
 def test_a_paused_clock_steps_and_seeks(simulated: Mirror) -> None:

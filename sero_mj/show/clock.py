@@ -14,13 +14,15 @@ from .torque_history import SPAN
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # s, of a recording that has no time step
 _PIECE = 0.05  # s that are simulated at once, and
-_PATIENCE = 0.03  # s of real time after which a frame is shown, so that the window stays alive
+# s of real time after which a frame is shown, so that the window stays alive; where the rest of a
+# frame takes longer, that long, which makes half as many frames at worst.
+_PATIENCE = 0.03
 _FINE = 0.004  # s between moments, so that no spike of 5 ms is missed at real time,
 _MOST_MOMENTS = 20  # of which a frame has at most so many
 _FLOWS = 0.5  # s; what goes on by more has jumped
 _PAST_MOMENTS = 120  # in which what plots show before a jump's end is gone through
 _SMOOTHING = 0.1  # of the speed that is shown, for every frame
-_LONGEST_FRAME = 0.25  # s; what stood still for longer (a laptop asleep) does not jump
+_LONGEST_FRAME = 0.5  # s; what stood still for longer (a laptop asleep) does not jump
 
 
 class Clock:
@@ -72,6 +74,7 @@ class Clock:
         self._shown: float | None = None  # what the mirror stands at
         self._simulated = 0.0  # as far as it is simulated
         self._simulates = bool(steps)
+        self._passed = self._simulating = 0.0  # s for the last frame, and for simulating in it
 
     @property
     def is_at_end(self) -> bool:
@@ -106,7 +109,8 @@ class Clock:
             self.real_speed = self.speed
             return self._show()
         before = self.time
-        self.time += self.speed * min(passed, _LONGEST_FRAME)
+        self._passed = min(passed, _LONGEST_FRAME)
+        self.time += self.speed * self._passed
         if self._has_end and self.end is not None and self.time >= self.end:
             self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
         changed = self._show()
@@ -187,10 +191,12 @@ class Clock:
     def _simulate(self, goal: float) -> float:
         """Simulates until then, or for as long as a frame may take; returns how far it came."""
         begin = clock.monotonic()
-        while self._simulated < goal and clock.monotonic() - begin < _PATIENCE:
+        patience = max(_PATIENCE, self._passed - self._simulating)
+        while self._simulated < goal and clock.monotonic() - begin < patience:
             self._simulated = min(self._simulated + _PIECE, goal)
             for source in self._mirror.sources.values():
                 source.advance_to(self._simulated)
+        self._simulating = clock.monotonic() - begin
         if not self.is_paused:
             self.time = self._simulated
         return self._simulated

@@ -6,6 +6,7 @@ import math
 import queue
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
@@ -36,6 +37,7 @@ class Keeping:
         self._said: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._films: list[tuple[subprocess.Popen[str], Path]] = []
         self._path = Path()
+        self._view: Sequence[str] = ()
         live = {name: each for name, each in mirror.sources.items() if each.is_live}
         self.is_on = bool(live)
         if not self.is_on:
@@ -45,11 +47,12 @@ class Keeping:
         )
         self._recorder.on_event = self._on_event
 
-    def keep(self, folder: Path) -> str:
+    def keep(self, folder: Path, view: Sequence[str]) -> str:
         """Writes what came in the last minute; returns what to tell the user.
 
         Args:
             folder: of the recording and the film.
+            view: the film's scene, camera and switches, as arguments of `sero-mj render`.
 
         Raises:
             SeroError: an earlier one could not be written; nothing is remembered since.
@@ -59,7 +62,7 @@ class Keeping:
         if not self._recorder.statistics.packets:
             return "nothing has come yet that could be kept"
         name = self._mirror.world.scene.name
-        self._path = unused_name(folder, name, ".mcap", datetime.now())
+        self._path, self._view = unused_name(folder, name, ".mcap", datetime.now()), view
         self._recorder.record_now("kept by hand")
         return f"keeps the last minute: {self._path.name}"
 
@@ -73,11 +76,10 @@ class Keeping:
 
     def _make_film(self, recording: Path) -> bool:
         """Begins to render a recording in another process, if its scene is in a file."""
-        scene = self._mirror.world.scene
-        if scene.file is None:
+        if self._mirror.world.scene.file is None:
             return False
         path = recording.with_suffix(".mp4")
-        command = [sys.executable, "-m", "sero_mj", "render", str(scene.file), "--replay",
+        command = [sys.executable, "-m", "sero_mj", "render", *self._view, "--replay",
                    str(recording), "-o", str(path)]  # fmt: skip
         self._films.append((
             subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True),

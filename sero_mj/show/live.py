@@ -463,13 +463,7 @@ class LiveHost(ABC):
         if self.decor.fixed:
             return f"{self.decor.fixed}; no command makes this picture, F2 keeps it"
         state, clock = self.view_state(), self.clock
-        words = ["sero-mj", "render", *(self.command or [scene_argument(self.world.scene)])]
-        for name, goal in self.jogging.goals.items():
-            if not np.array_equal(goal.angles, goal.robot.home):
-                words += ["--set", setting(name, goal.angles)]
-        words += ["--camera", state.camera]
-        for name, digits in state.switches.items():
-            words += ["--show", f"{name}={digits}"]
+        words = ["sero-mj", "render", *self._render_words(state)]
         words += ["--select", state.joint] * bool(state.joint)
         words += [] if state.time is None else ["--at", f"{state.time:g}"]
         width, height = self.picture_size
@@ -477,6 +471,19 @@ class LiveHost(ABC):
         self.to_clipboard(shlex.join(words))
         live = "; what is live will have gone on" if clock.is_live else ""
         return f"copied: the command that renders this picture{live}"
+
+    def _render_words(self, state: ViewState) -> list[str]:
+        """Scene, camera and switches as arguments of `sero-mj render`."""
+        words = [*(self.command or [scene_argument(self.world.scene)])]
+        if self.decor.fixed:  # by a photo that is drawn over
+            return words
+        for name, goal in self.jogging.goals.items():
+            if not np.array_equal(goal.angles, goal.robot.home):
+                words += ["--set", setting(name, goal.angles)]
+        words += ["--camera", state.camera]
+        for name, digits in state.switches.items():
+            words += ["--show", f"{name}={digits}"]
+        return words
 
     @property
     @abstractmethod
@@ -605,7 +612,9 @@ class LiveHost(ABC):
     def _keep(self) -> str:
         folder = self.folder or Path()
         try:
-            return self.keeping.keep(folder) if self.keeping.is_on else self.pulling.keep(folder)
+            if self.keeping.is_on:
+                return self.keeping.keep(folder, self._render_words(self.view_state()))
+            return self.pulling.keep(folder)
         except SeroError as error:
             self.say(str(error), is_bad=True)
             return ""
