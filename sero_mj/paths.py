@@ -17,6 +17,7 @@ from .errors import DeclarationError, Problem, UnknownName, nearest
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 # Of robot files in other formats than TOML.
+_TELLS_NOTHING = ("robot", "model", "scene", "main")
 ROBOT_ENDINGS: tuple[str, ...] = (".urdf", ".xacro", ".xml")
 SCENE_ENDINGS = (".x3d", ".x3dv", ".wrl")  # of scene files in other formats
 _PACKAGE = Path(__file__).resolve().parent
@@ -143,10 +144,16 @@ def _files(folder: Path, ending: str) -> list[str]:
 
 
 def model_name(path: Path) -> str:
-    """The name of the robot or group of a file: of its folder, or else of the file itself."""
+    """The name of the robot or group of a file: of its folder, or else of the file itself.
+
+    Of the folder as well for an MJCF whose name tells nothing, as `panda/robot.xml`.
+    """
     if path.suffix == ".toml":
         return path.parent.name
-    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", path.stem.removesuffix(".urdf"))
+    name, folder = path.stem.removesuffix(".urdf"), path.absolute().parent.name
+    if path.suffix == ".xml" and name.lower() in _TELLS_NOTHING and folder:
+        name = folder
+    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name)
 
 
 def file_hint(name: str) -> str:

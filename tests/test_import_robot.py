@@ -99,7 +99,11 @@ def test_an_imported_robot_is_the_same(folder: Path, name: str, capsys) -> None:
     # k values in packets: the coupled finger follows.
     size = robot.coupled.k
     assert size == {"tree": 3, "chain": 2}[name]
-    assert f'structure = "{size}F{size}F"' in (folder / "my_arm.toml").read_text()
+    listed = (folder / "my_arm.toml").read_text()
+    assert f'structure = "{size}F{size}F"' in listed
+    assert "# The joints, in the order of packets:\n#   1 turn_table, 2 slide" in listed
+    follows = "# Not in packets, as they follow others (1):\n#   "
+    assert (follows in listed) == robot.coupled.is_coupled
     text = (folder / "my_arm" / "robot.toml").read_text(encoding="utf-8")
     assert text.startswith("#:schema ./robot.schema.json\n# Made of ")
     assert "# - names of joints changed: 'turn.table' is turn_table" in text
@@ -128,7 +132,16 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
     ("arguments", "message"),
     [
         (["no.urdf"], "no.urdf: no such file"),
-        (["robot.toml"], "FILE: expected a name that ends in .urdf or .xacro"),
+        (["robot.toml"], "FILE: expected a name that ends in .urdf, .xacro, .xml"),
+        (["no.xml"], "no.xml: no such file"),
+        (["mjcf.xml"], "mjcf.xml: found MJCF (<mujoco>), which is a robot as it is; expected URDF"),
+        (["sdf.xml"], "sdf.xml: found <sdf>; expected URDF, which begins with <robot>"),
+        (["text.xml"], "text.xml: found no XML; expected URDF, which begins with <robot>"),
+        (
+            ["fig7.x3d"],
+            "fig7.x3d: found a scene in X3D; expected a robot in URDF. "
+            "`sero-mj convert fig7.x3d fig7.toml` writes it as a scene of ours",
+        ),
         (["tree.urdf", "--out", "far"], "far is there already; choose another with --out"),
         (["tree.urdf", "--out", "1st"], "--out: found '1st'; expected letters"),
         (["tree.urdf", "--package", "x"], "--package: found 'x'; expected NAME=DIR"),
@@ -136,9 +149,40 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
     ],
 )
 def test_what_cannot_be_imported_is_told(folder: Path, capsys, arguments, message) -> None:
+    (folder / "mjcf.xml").write_text("<!-- <robot> -->\n<mujoco/>")
+    (folder / "sdf.xml").write_text("<?xml version='1.0'?><sdf/>")
+    (folder / "text.xml").write_text("no XML")
+    (folder / "fig7.x3d").write_text("#X3D V3.0 utf8")
     assert run("import", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (folder / "tree").exists()
+
+
+def test_a_urdf_that_ends_in_xml_is_one(folder: Path, capsys) -> None:
+    (folder / "arm").mkdir()
+    (folder / "tree.urdf").rename(folder / "arm" / "robot.xml")
+    option = f"arm_meshes={folder / 'far' / 'away'}"
+    assert run("check", "arm/robot.xml", "--package", option) == 0
+    out = capsys.readouterr().out
+    assert "robot   arm: 4 joints" in out  # after its folder, since `robot` tells nothing
+    assert "flange: on link" in out
+    assert run("import", "arm/robot.xml", "--out", "mine", "--package", option) == 0
+
+
+def test_fk_takes_scenes(capsys) -> None:
+    fig7 = str(Path(__file__).with_name("fig7.x3d"))
+    assert run("fk", fig7, "--joint-angles", "0,0.5,0,0,0,0,0") == 0
+    assert "T_base_flange of lwr, by its DH table" in capsys.readouterr().out
+    assert run("fk", "lwr_hit_hand", "--of", "arm") == 0
+    assert "T_base_flange of arm" in capsys.readouterr().out
+    for arguments, message in (
+        (("lwr_hit_hand",), "lwr_hit_hand: is a scene; expected --of with one of arm, hand_thumb"),
+        (("lwr_hit_hand", "--of", "foot"), "lwr_hit_hand: has no robot 'foot'; expected --of"),
+        (("lwr", "--of", "arm"), "--of arm: lwr is no scene; expected a scene's name or file"),
+        (("lwrr",), "no robot model 'lwrr'; did you mean 'lwr'?"),
+    ):
+        assert run("fk", *arguments) == 2
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.gl

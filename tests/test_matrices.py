@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import socket
 import struct
+import sys
 import threading
 from collections.abc import Callable, Iterator
 
@@ -29,6 +31,11 @@ QUARTER_TURN = [0, -1, 0, 0.5, 1, 0, 0, 0, 0, 0, 1, 0.25, 0, 0, 0, 1]
 BY_COLUMNS = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.5, 0, 0.25, 1]
 IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 
+# Of this process: what other tests send to a port of 127.0.0.1 that they had does not come here.
+ADDRESS = "127.0.0.1"
+if sys.platform == "linux":
+    ADDRESS = f"127.{1 + os.getpid() // 250 % 250}.{os.getpid() % 250}.1"
+
 Send = Callable[..., Packet | None]
 
 
@@ -51,7 +58,7 @@ def deliver() -> Iterator[Send]:
 
         def send(receiver: UdpReceiver, *packets: bytes, good: int) -> Packet | None:
             for packet in packets:
-                sock.sendto(packet, ("127.0.0.1", receiver.port))
+                sock.sendto(packet, (ADDRESS, receiver.port))
             assert until(lambda: (latest := receiver.latest()) and latest.number >= good)
             return receiver.latest()
 
@@ -69,7 +76,7 @@ def test_frames_and_vectors_arrive_as_they_were_sent(
         f"<{36}{'d' if is_double else 'f'}", 7, 1.5, -2.5, 3.5, *IDENTITY, *numbers
     )
     with UdpReceiver(
-        structure="1F1V2M", is_double=is_double, column_major=column_major
+        host=ADDRESS, structure="1F1V2M", is_double=is_double, column_major=column_major
     ) as receiver:
         assert receiver.events == {"values0": (1,), "vectors0": (1, 3), "matrices0": (2, 4, 4)}
         values = deliver(receiver, packet, good=1).values
@@ -119,7 +126,7 @@ TRANSPOSED = "last row [0.4, 0, 0.3, 1]; its transpose is one: set column_major 
 def test_a_matrix_that_is_no_frame_is_counted_and_the_last_good_one_stays(
     deliver: Send, column_major: bool, numbers: list[float], why: str
 ) -> None:
-    with UdpReceiver(structure="1F1M", column_major=column_major) as receiver:
+    with UdpReceiver(host=ADDRESS, structure="1F1M", column_major=column_major) as receiver:
         counters = receiver.counters
         deliver(receiver, doubles(1, *IDENTITY), doubles(2, *numbers), b"", good=1)
         assert until(lambda: counters.wrong_size == 1)
@@ -140,7 +147,7 @@ def test_the_first_matrix_that_is_no_frame_is_named(deliver: Send, wrong: int, n
     for bad in frames[wrong:]:
         bad[0] = 2
     first, second, third = frames
-    with UdpReceiver(structure="2M2F1M", column_major=False) as receiver:
+    with UdpReceiver(host=ADDRESS, structure="2M2F1M", column_major=False) as receiver:
         bad_packet = doubles(*first, *second, 0, 0, *third)
         good_packet = doubles(*QUARTER_TURN * 2, 0, 0, *QUARTER_TURN)
         deliver(receiver, bad_packet, good_packet, good=1)
@@ -194,7 +201,7 @@ def test_frames_in_float32_are_taken_and_handed_on_as_they_are(
 
 def test_a_value_that_is_not_finite_is_named_by_row_and_column(deliver: Send) -> None:
     vectors = [0, 0, 0, 0, NAN, 0]
-    with UdpReceiver(structure="2V1M") as receiver:
+    with UdpReceiver(host=ADDRESS, structure="2V1M") as receiver:
         good = doubles(*[0] * 6, *IDENTITY)
         deliver(receiver, doubles(*vectors, *IDENTITY), good, good=1)
         assert receiver.counters.last_fault == "vectors0[1, 1] is nan"
@@ -206,7 +213,7 @@ def test_a_value_that_is_not_finite_is_named_by_row_and_column(deliver: Send) ->
 
 
 def test_where_nan_is_allowed_it_blanks_that_value_only(deliver: Send) -> None:
-    with UdpReceiver(structure="2F3F2V") as receiver:
+    with UdpReceiver(host=ADDRESS, structure="2F3F2V") as receiver:
         receiver.allow_nan(["values1", "vectors0"])
         packet = doubles(1, 2, 3, INF, 5, 6, 7, -INF, NAN, 10, 11)
         values = deliver(receiver, packet, good=1).values
@@ -220,7 +227,7 @@ def test_where_nan_is_allowed_it_blanks_that_value_only(deliver: Send) -> None:
 
 
 def test_elsewhere_nan_still_makes_a_packet_malformed(deliver: Send) -> None:
-    with UdpReceiver(structure="2F1F") as receiver:
+    with UdpReceiver(host=ADDRESS, structure="2F1F") as receiver:
         receiver.allow_nan({"values1"})
         deliver(receiver, doubles(0, NAN, NAN), doubles(4, 5, NAN), good=1)
         assert receiver.counters.last_fault == "values0[1] is nan"
@@ -230,7 +237,7 @@ def test_elsewhere_nan_still_makes_a_packet_malformed(deliver: Send) -> None:
 
 
 def test_part_of_a_frame_is_none(deliver: Send) -> None:
-    with UdpReceiver(structure="2M1M1F", column_major=False) as receiver:
+    with UdpReceiver(host=ADDRESS, structure="2M1M1F", column_major=False) as receiver:
         receiver.allow_nan(["matrices0"])
         holed = changed(QUARTER_TURN, m03=INF)
         packet = doubles(*QUARTER_TURN, *holed, *IDENTITY, 1)
@@ -251,7 +258,7 @@ def test_part_of_a_frame_is_none(deliver: Send) -> None:
 
 
 def test_what_is_allowed_last_counts_and_outlives_reopening(deliver: Send) -> None:
-    receiver = UdpReceiver(structure="1F1F")
+    receiver = UdpReceiver(host=ADDRESS, structure="1F1F")
     receiver.allow_nan(["values0"])
     for _ in range(2):
         with receiver:
@@ -301,10 +308,10 @@ def test_any_bytes_are_applied_whole_or_counted(packet: bytes) -> None:
     good = all(map(math.isfinite, numbers))
     before = struct.pack("<2d", 0.25, 0.5)
     with (
-        UdpReceiver(structure="2F", name="fuzzed") as receiver,
+        UdpReceiver(host=ADDRESS, structure="2F", name="fuzzed") as receiver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock,
     ):
-        address = ("127.0.0.1", receiver.port)
+        address = (ADDRESS, receiver.port)
         for each in (before, packet, b""):
             sock.sendto(each, address)
         # When the third is counted, the second has been dealt with.
@@ -334,10 +341,13 @@ def test_any_numbers_are_applied_or_blanked_or_counted(
     not_finite = bool(holed - allowed)
     frame = "matrices0" in holed or matrix in (IDENTITY, BY_COLUMNS)
     good = frame and not not_finite
-    with UdpReceiver(structure="1F1V1M") as receiver, socket.socket(type=socket.SOCK_DGRAM) as sock:
+    with (
+        UdpReceiver(host=ADDRESS, structure="1F1V1M") as receiver,
+        socket.socket(type=socket.SOCK_DGRAM) as sock,
+    ):
         receiver.allow_nan(allowed)
         for packet in (doubles(*numbers, *matrix), b""):
-            sock.sendto(packet, ("127.0.0.1", receiver.port))
+            sock.sendto(packet, (ADDRESS, receiver.port))
         counters = receiver.counters
         assert until(lambda: counters.wrong_size == 1)
         assert (counters.not_finite, counters.not_frames) == (not_finite, not (good or not_finite))

@@ -290,6 +290,15 @@ def test_what_was_read_is_kept_until_the_file_changes(tmp_path: Path) -> None:
     assert np.ptp(compiled(read_mesh(path)[0]), axis=0) == pytest.approx([2, 2, 2])
 
 
+@pytest.mark.parametrize("head", [b"", b"solid made by "])
+def test_a_cut_stl_says_how_many_triangles_are_missing(tmp_path: Path, head: bytes) -> None:
+    path = tmp_path / "box.stl"
+    BOX.export(path)
+    whole = path.read_bytes()
+    path.write_bytes(head + whole[len(head) : 84 + 3 * 50 + 20])
+    assert "box.stl: is cut off: it announces 12 triangles, found 3" in refused(path)
+
+
 def test_only_what_touches_or_weighs_gets_a_hull(tmp_path: Path) -> None:
     BOX.export(tmp_path / "box.stl")
     robot = SerialRobot(

@@ -343,3 +343,21 @@ def test_refused_assignment_changes_nothing():
     with pytest.raises(DeclarationError, match="found 1 entries; expected 2, one per row"):
         held.dh_params = TWO_JOINTS
     assert held.n == 1
+
+
+def test_a_robot_is_printed_in_a_few_lines() -> None:
+    assert repr(SerialRobot.from_model("lwr")).splitlines() == [
+        "SerialRobot 'lwr': 7 joints, craig DH, reach 1.178 m",
+        "  joints: A1, A2, E1, A3, A4, A5, A6",
+    ]
+    many = SerialRobot(
+        name="many",
+        dh_convention="none",
+        joint_frames=[np.eye(4)] * 30,
+        parents=["base", *(f"J{i + 1}" for i in range(9)), *["base"] * 20],
+    )
+    text = str(many)
+    assert len(text.splitlines()) == 10 and len(text) < 600
+    assert text.splitlines()[0].startswith("SerialRobot 'many': 30 joints, frames of joints, reach")
+    assert ": J1, J2, J3, J4, ..., J7, J8, J9, J10" in text
+    assert text.splitlines()[-1] == "  and 13 more limbs"

@@ -7,7 +7,7 @@ tree.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -69,6 +69,7 @@ _OF_TABLE: dict[str, Any] = {
     "length_unit": "m",
     "dh_base_frame": np.eye(4),
 }
+_LIMBS_IN_REPR, _NAMES_IN_REPR = 8, 8
 _COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
 
 
@@ -367,6 +368,23 @@ class SerialRobot(Declaration):
     def _lines_have_values(cls, lines: Any, info: ValidationInfo) -> Any:
         check_line_values(lines, info.data.get("inputs", []))
         return lines
+
+    def __repr__(self) -> str:
+        count = f"{self.n} joint{'s' * (self.n != 1)}"
+        free = self.coupled.k
+        count += f", {free} of them independent" if free < self.n else ""
+        kind = "frames of joints" if self.dh is None else f"{self.dh_convention} DH"
+        lines = [f"SerialRobot '{self.name}': {count}, {kind}, reach {self.reach:.4g} m"]
+        limbs = self.limb_joints
+        for limb, joints in list(limbs.items())[:_LIMBS_IN_REPR] if len(limbs) > 1 else []:
+            lines.append(f"  {limb}: {_shortened([self.names[i] for i in joints])}")
+        if len(limbs) > _LIMBS_IN_REPR:
+            lines.append(f"  and {len(limbs) - _LIMBS_IN_REPR} more limbs")
+        if len(limbs) <= 1:
+            lines.append(f"  joints: {_shortened(self.names)}")
+        return "\n".join(lines)
+
+    __str__ = __repr__
 
     @model_validator(mode="after")
     def _base_is_free_or_mounted(self) -> SerialRobot:
@@ -717,6 +735,14 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
                 f"found {found:g} for {name}; its coupling has it at {expected:g}: leave it out"
             )
     return values
+
+
+def _shortened(names: Sequence[str]) -> str:
+    """Names with commas, of many the first and the last ones."""
+    if len(names) <= _NAMES_IN_REPR:
+        return ", ".join(names)
+    half = _NAMES_IN_REPR // 2
+    return ", ".join([*names[:half], "...", *names[-half:]])
 
 
 def build_robot(

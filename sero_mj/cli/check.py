@@ -7,6 +7,9 @@ from collections.abc import Set
 from textwrap import fill
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..frames import rpy_from_rotation
 from ._arguments import Commands, add_command, add_package_option, read_scene
 
 if TYPE_CHECKING:
@@ -96,6 +99,7 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     from ..assemble.robot_dynamics import robot_dynamics
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
+    lines.append(f"          flange: {_about_flange(robot)}")
     limbs = robot.limb_joints
     if len(limbs) > 1:
         each = ", ".join(f"{limb} {len(joints)}" for limb, joints in limbs.items())
@@ -104,6 +108,18 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
     mended = [f"          mended  {line}" for line in robot.dynamics.mended]
     return [*lines, f"          dynamics: {about}", *mended]
+
+
+def _about_flange(robot: SerialRobot) -> str:
+    """On which link it is, and where, at joint values of zero."""
+    link = robot.flange_link
+    on = f"link{link}, which joint {robot.names[link - 1]} moves"
+    T = robot.fwd_kin_base_to_flange(np.zeros(robot.n))
+    at, rpy = (
+        ", ".join(f"{value:g}" for value in np.round(values, digits) + 0.0)
+        for values, digits in ((T[:3, 3], 4), (np.rad2deg(rpy_from_rotation(T[:3, :3])), 2))
+    )
+    return f"on {on}; at zero at ({at}) m, rpy ({rpy}) deg"
 
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:

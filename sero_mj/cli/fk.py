@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import UsageError
+from ..errors import UnknownName, UsageError
 from ._arguments import Commands, add_command, add_package_option, numbers
+
+if TYPE_CHECKING:
+    from ..assemble.robot import SerialRobot
 
 _EPILOG = """\
 examples:
   sero-mj fk lwr --joint-angles 0,0.5,0,-1.5,0,1,0
   sero-mj fk lwr --deg --joint-angles 0,30,0,-90,0,60,0
   sero-mj fk my_robot/robot.toml --joint-angles 0.1,0.2 --json
+  sero-mj fk justin --of justin_left_arm
 """
 
 
@@ -24,20 +28,21 @@ def add_to(commands: Commands) -> None:
     parser = add_command(
         commands, "fk", run, "print base-to-flange of a robot by DH and by MuJoCo", _EPILOG
     )
-    parser.add_argument("robot", metavar="ROBOT", help="robot: a file, a folder or a shipped name")
+    parser.add_argument(
+        "robot", metavar="ROBOT", help="robot or scene: a file, a folder or a shipped name"
+    )
     add_package_option(parser)
     parser.add_argument(
         "--joint-angles", metavar="Q", help="joint values with commas, rad or m (default: home)"
     )
+    parser.add_argument("--of", metavar="NAME", help="which robot of a scene; not for a single one")
     parser.add_argument("--deg", action="store_true", help="angles are in degrees")
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
-    from ..load import load_robot
-
-    robot = load_robot(options.robot)
+    robot = _robot_of(options.robot, options.of)
     q = robot.home
     if options.joint_angles is not None:
         q = numbers(options.joint_angles, "--joint-angles")
@@ -63,6 +68,37 @@ def run(options: argparse.Namespace) -> int:
         f"difference: {result['position_difference']:.1e} m, {result['angle_difference']:.1e} rad"
     )
     return 0
+
+
+def _robot_of(name: str, of: str | None) -> SerialRobot:
+    """A robot by its name or file, or one of a scene.
+
+    Raises:
+        UsageError: the scene has several robots, or none of that name.
+    """
+    from .. import paths
+    from ..load import load_robot, load_scene
+
+    try:
+        paths.find_model(name)
+        is_scene = False
+    except UnknownName:
+        try:
+            paths.find_scene(name)
+            is_scene = True
+        except UnknownName:
+            is_scene = False
+    if not is_scene:
+        if of is not None:
+            raise UsageError(f"--of {of}: {name} is no scene; expected a scene's name or file")
+        return load_robot(name)
+    robots = load_scene(name).robots
+    if of is None and len(robots) == 1:
+        (of,) = robots
+    if of not in robots:
+        found = "is a scene" if of is None else f"has no robot '{of}'"
+        raise UsageError(f"{name}: {found}; expected --of with one of {', '.join(robots)}")
+    return robots[of]
 
 
 def compare(robot: Any, q: Any) -> dict[str, Any]:

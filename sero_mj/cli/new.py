@@ -65,7 +65,7 @@ joint_angles = [{angles}]   # rad, until something is received
 _SCENE = """\
 #:schema ./{name}/scene.schema.json
 # Shows {name} as its packets say: {n} joint angles (rad) and {n} torques (Nm), 8 bytes each.
-description = "{name} from packets of {n} angles and {n} torques"
+{joints}description = "{name} from packets of {n} angles and {n} torques"
 {more}
 [robots.{name}]
 model = "{name}"                   # the folder beside this file
@@ -130,15 +130,16 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def scene_text(name: str, n: int, more: str = "") -> str:
+def scene_text(name: str, n: int, more: str = "", joints: str = "") -> str:
     """A scene that mirrors a robot of n independent joints, whose folder is beside it.
 
     Args:
         name: of the robot and its folder.
         n: number of its independent joints.
         more: lines that the scene has as well.
+        joints: comments that say which joints these are.
     """
-    return _SCENE.format(name=name, n=n, more=more)
+    return _SCENE.format(name=name, n=n, more=more, joints=joints)
 
 
 def _copy(model: Path, to: Path) -> None:

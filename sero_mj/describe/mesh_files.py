@@ -168,10 +168,18 @@ def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]
         _check_faces(path, corners, vertices)
     else:
         count = int.from_bytes(contents[80:84], "little")
+        if _is_binary(contents) and len(contents) < 84 + 50 * count:
+            found = max(len(contents) - 84, 0) // 50
+            raise _wrong(path, f"is cut off: it announces {count} triangles, found {found}")
         if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
-            return None  # in ASCII, cut off, or too many faces
+            return None  # in ASCII, or too many faces
     _check(path, piece.points)
     return (piece,)
+
+
+def _is_binary(contents: bytes) -> bool:
+    """Whether an STL file is no text, which may begin with `solid` as well."""
+    return len(contents) >= 84 and b"\0" in contents[:1000]
 
 
 def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:

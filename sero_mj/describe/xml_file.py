@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from lxml import etree
 
+from ..paths import open_file
+
 Element: TypeAlias = Any  # lxml has no types
+_MOST_HEAD = 100_000  # bytes in which a file's first element begins
+_NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!.*?>", re.DOTALL)
+_ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
 
 
 class XmlError(ValueError):
@@ -15,6 +22,17 @@ class XmlError(ValueError):
     def __init__(self, reasons: list[tuple[int | None, str]]) -> None:
         self.reasons = reasons
         super().__init__("; ".join(reason for _, reason in reasons))
+
+
+def root_name(path: Path) -> str | None:
+    """Returns the name of a file's first element; None for a file that cannot be read."""
+    try:
+        with open_file(path) as file:
+            head = file.read(_MOST_HEAD)
+    except (OSError, ValueError):
+        return None
+    found = _ELEMENT.search(_NO_ELEMENT.sub(b"", head))
+    return None if found is None else found[1].decode()
 
 
 def parse_xml(contents: bytes) -> Element:
