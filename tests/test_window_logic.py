@@ -600,7 +600,11 @@ def test_only_a_slow_machine_draws_a_moving_view_quickly() -> None:
     assert all(frames(0.2, moves=True))
     rests = frames(0.2, moves=False)
     assert rests[0] and not any(rests[4:])
+    pace.act(now)  # a click
+    clicked = frames(0.2, moves=False)
+    assert clicked[0] and not any(clicked[4:])
     pace = Pace()
+    pace.act(now)
     assert not any(frames(0.2 if k == 3 else 0.01, moves=True, count=1)[0] for k in range(9)), (
         "one late frame"
     )

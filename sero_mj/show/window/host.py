@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .panel_layer import PanelLayer
 
 _HINT = "H help"
-_RESTS = 0.3  # s after which a view that does not move rests
+_RESTS = 0.3  # s after which a view that does not move rests, where its user does nothing
 _SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
 _MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
 
@@ -163,7 +163,7 @@ class Viewport(SceneDecor):
 
 
 class Pace:
-    """Says when frames are to be drawn quickly: while the view moves, on a slow machine.
+    """Says when frames are to be drawn quickly: while the user acts, on a slow machine.
 
     Attributes:
         slow: s from which on a frame of full quality is slow.
@@ -173,11 +173,15 @@ class Pace:
         self.slow = 0.04
         self._time = 0.0  # of a frame of full quality, s
         self._view: tuple[float, ...] = ()
-        self._moved = float("-inf")  # when the view did
+        self._moved = float("-inf")  # when the view did, or the user did anything
 
     def took(self, seconds: float) -> None:
         """Notes what a frame of full quality took, s; one late frame does not make a difference."""
         self._time += 0.15 * (seconds - self._time)
+
+    def act(self, now: float) -> None:
+        """Notes that the user does something, s: what comes of it is to be seen at once."""
+        self._moved = now
 
     def is_quick(self, view: tuple[float, ...], now: float) -> bool:
         """Whether the frame of a view, where the camera is and looks, is to be drawn quickly."""
@@ -207,7 +211,7 @@ class Window(LiveHost):
         navigator: moves the camera.
         gamepad: moves it as well, and presses keys.
         is_quick: whether the last frame was drawn without multisampling and shadows, since the
-            view moves and the machine is slow.
+            view moves, or the user acts, and the machine is slow.
 
     Raises:
         RenderError: there is no display, no OpenGL, or no such stereo.
@@ -285,6 +289,8 @@ class Window(LiveHost):
             self.gl.wait(0.1)
             return True
         for event in self.gl.events():
+            if event.kind != "move" or self._mouse.is_down:
+                self._pace.act(begin)
             self._take(event, height)
         self.gamepad.update()
         if not self.clock.is_live:
