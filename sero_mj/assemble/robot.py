@@ -28,7 +28,7 @@ from ..describe.mjcf_robot import mjcf_tables
 from ..describe.robot_file import read_robot_file
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import MIRROR, Array, Bools, Ints
-from ..toml_file import located
+from ..toml_file import key_lines, located
 from .couplings import CoupledJoints, Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS, DhTable
 from .dynamics import Dynamics, TorqueControl, is_overridden, merge_tables
@@ -785,7 +785,7 @@ def build_robot(
         robot._model = model
         return robot
     except DeclarationError as error:
-        lines = described.lines
+        lines = key_lines(model) if described.lines is None else described.lines
         raise DeclarationError(
             [
                 problem if is_overridden(problem.key, fields) else located(problem, model, lines)

@@ -13,10 +13,11 @@ class Described:
     Attributes:
         tables: as `tomllib` would read them.
         lines: lines of the foreign file by dotted key of the tables; an error in a key that is not
-            there is at the line of the nearest key above it.
+            there is at the line of the nearest key above it. None of a file of ours, where
+            `toml_file.key_lines` finds them once something is wrong.
         warnings: what was lost or taken for something else, a sentence for each.
     """
 
     tables: dict[str, Any]
-    lines: dict[str, int] = field(default_factory=dict)
+    lines: dict[str, int] | None = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)

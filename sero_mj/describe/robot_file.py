@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..toml_file import key_lines, read_toml
+from ..toml_file import read_toml
 from .described import Described
 from .mjcf_robot import read_mjcf
 from .xml_file import root_name
@@ -33,4 +33,4 @@ def read_robot_file(path: Path, packages: Mapping[str, Path | str] | None = None
         return read_urdf(path, packages)
     if path.suffix == ".xml":
         return read_mjcf(path)
-    return Described(read_toml(path), key_lines(path))
+    return Described(read_toml(path), None)
