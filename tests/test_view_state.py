@@ -224,7 +224,7 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
 def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     window: Driven,
 ) -> None:
-    picture = "w.picture().tolist()"
+    picture = "w.picture().tobytes().hex()"
     window.tool("mousemove", 5, 200)
     window.key("space")  # stands still, so that its arrows do
     window.settle()
@@ -251,7 +251,8 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
         words[3:3] = ["--set", setting]
     subprocess.run([sys.executable, "-m", *("sero_mj", *words[1:])], cwd=ROOT, check=True,
                    capture_output=True)  # fmt: skip
-    shown = np.array(window.ask(picture), np.uint8)
+    width, height = window.ask("w.picture_size")
+    shown = np.frombuffer(bytes.fromhex(window.ask(picture)), np.uint8).reshape(height, width, 3)
     rendered = np.array(Image.open(out).convert("RGB"))
     assert shown.shape == rendered.shape
     assert np.abs(blocks(shown) - blocks(rendered)).max() < 45

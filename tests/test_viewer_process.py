@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from driver import ROOT
 from polling import until
+from web_tools import DRAWS_ON_DEMAND
 from web_tools import MISSING as NO_BROWSER
 from window_tools import MISSING as NO_WINDOW
 from window_tools import screen
@@ -129,12 +130,13 @@ def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser:
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Notebook) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         page = browser.new_page(viewport={"width": 400, "height": 300})
+        page.add_init_script(DRAWS_ON_DEMAND)
         page.on("websocket", watch)
         page.goto(f"http://localhost:{server.server_port}/")
         assert until(lambda: page.wait_for_timeout(100) or len(states) > 10, PATIENCE)
         before = viewer.pictures
-        page.wait_for_timeout(3000)
-        assert viewer.pictures > before + 45  # and not 10 a second, as where nobody looks
+        page.wait_for_timeout(1500)
+        assert viewer.pictures > before + 22  # and not 10 a second, as where nobody looks
         seen = len(states)
         assert until(lambda: page.wait_for_timeout(100) or len(states) > seen, PATIENCE)
         server.shutdown()

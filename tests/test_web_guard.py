@@ -18,7 +18,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from mujoco.studio.web import web_server
-from web_tools import ARGUMENTS, CHROMIUM, MISSING, Served
+from web_tools import MISSING, Served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -355,44 +355,39 @@ class Website:
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Path) -> None:
     """Its own script, from its own origin, and by a name that it makes lead here."""
-    rules = "--host-resolver-rules=MAP *.example 127.0.0.1"
-    evil = browser.browser_type.launch(executable_path=CHROMIUM, args=[*ARGUMENTS, rules])
-    try:
-        with Served(tmp_path, "lwr") as served:
-            port = urlsplit(served.url).port
-            for target in (f"http://localhost:{port}", f"http://rebound.example:{port}"):
-                with Website(target) as site:
-                    visited = evil.new_page()
-                    visited.goto(f"http://evil.example:{site.port}/")
-                    found = visited.evaluate("attack()")
-                    assert set(found.values()) == {"refused"} or found == dict.fromkeys(
-                        found, "refused"
-                    ) | {"blind": "opaque"}, (target, found)
-                    visited.close()
-            rebound = evil.new_page()
-            answer = rebound.goto(f"http://rebound.example:{port}/")
-            assert answer.status == 403
-            assert "expected localhost" in answer.text()
-            # Nobody has looked at it in all this, and nothing was uploaded.
+    with browser.new_context() as evil, Served(tmp_path, "lwr") as served:
+        port = urlsplit(served.url).port
+        for target in (f"http://localhost:{port}", f"http://rebound.example:{port}"):
+            with Website(target) as site:
+                visited = evil.new_page()
+                visited.goto(f"http://evil.example:{site.port}/")
+                found = visited.evaluate("attack()")
+                assert set(found.values()) == {"refused"} or found == dict.fromkeys(
+                    found, "refused"
+                ) | {"blind": "opaque"}, (target, found)
+                visited.close()
+        rebound = evil.new_page()
+        answer = rebound.goto(f"http://rebound.example:{port}/")
+        assert answer.status == 403
+        assert "expected localhost" in answer.text()
+        # Nobody has looked at it in all this, and nothing was uploaded.
+        assert served.ask("w.viewer.server.is_watched") is False
+        assert served.ask("w.viewer._drop_queue.qsize()") == 0
+        assert served.ask("w.viewer.server._guard.refused") >= 10
+        rebound.close()
+        # No other site has it in a frame, under which clicks would be its; notebooks have.
+        with Website(served.url) as site:
+            framing = evil.new_page()
+            said: list[str] = []
+            framing.on("console", lambda message: said.append(message.text))
+            framing.goto(f"http://evil.example:{site.port}/")
+            framing.evaluate("frame()")
+            assert any("frame-ancestors" in line for line in said), said
             assert served.ask("w.viewer.server.is_watched") is False
-            assert served.ask("w.viewer._drop_queue.qsize()") == 0
-            assert served.ask("w.viewer.server._guard.refused") >= 10
-            rebound.close()
-            # No other site has it in a frame, under which clicks would be its; notebooks have.
-            with Website(served.url) as site:
-                framing = evil.new_page()
-                said: list[str] = []
-                framing.on("console", lambda message: said.append(message.text))
-                framing.goto(f"http://evil.example:{site.port}/")
-                framing.evaluate("frame()")
-                assert any("frame-ancestors" in line for line in said), said
-                assert served.ask("w.viewer.server.is_watched") is False
-                framing.goto(f"http://localhost:{site.port}/")
-                framing.evaluate("frame()")
-                served.until("w.viewer.server.is_watched")
-                framing.close()
-    finally:
-        evil.close()
+            framing.goto(f"http://localhost:{site.port}/")
+            framing.evaluate("frame()")
+            served.until("w.viewer.server.is_watched")
+            framing.close()
 
 
 @pytest.mark.gl
@@ -400,7 +395,7 @@ def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Pat
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", token=True) as served:
-        page = browser.new_page(viewport={"width": 280, "height": 240})
+        page = browser.new_page(viewport={"width": 280, "height": 240}, device_scale_factor=0.5)
         said: list[str] = []
         page.on("console", lambda message: said.append(message.text))
         assert page.goto(served.url.partition("?")[0]).status == 403

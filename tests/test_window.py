@@ -280,7 +280,7 @@ def test_a_recording_is_scrubbed_and_its_end_is_the_end(display: str, tmp_path: 
 
 def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path: Path) -> None:
     sender = subprocess.Popen(
-        [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32755"],
+        [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32755", "--rate", "200"],
         stdout=subprocess.DEVNULL,
         cwd=ROOT,
     )
@@ -310,7 +310,7 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
     text = (ROOT / "scenes" / "lwr_udp.toml").read_text().replace("32000", "32756")
     scene.write_text(text)
     sender = subprocess.Popen(
-        [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32756"],
+        [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32756", "--rate", "200"],
         stdout=subprocess.DEVNULL,
         cwd=ROOT,
     )

@@ -24,17 +24,18 @@ _SCALE = 0.5  # pixels of pictures by those of pages, likewise
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MISSING = ["chromium"] * (CHROMIUM is None)
 MISSING += ["playwright"] * (importlib.util.find_spec("playwright") is None)
-# A browser that draws without a GPU.
+# A browser that draws without a GPU, and finds the websites of tests.
 ARGUMENTS = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
     "--no-sandbox",
+    "--host-resolver-rules=MAP *.example 127.0.0.1",
 ]
 # A page works as ever, but draws only its first frames and those that `Visitor.picture` asks for:
 # software takes all processors to draw, and others have to wait.
-_DRAWS_ON_DEMAND = """
+DRAWS_ON_DEMAND = """
 window.framesDrawn = 0;
 window.framesWanted = 5;
 const next = window.requestAnimationFrame.bind(window);
@@ -200,7 +201,7 @@ class Visitor:
         viewport = {"width": size[0], "height": size[1]}
         options = {"device_scale_factor": _SCALE, **options}
         self.page = browser.new_page(viewport=viewport, **options)
-        self.page.add_init_script(_DRAWS_ON_DEMAND)
+        self.page.add_init_script(DRAWS_ON_DEMAND)
         self.said: list[str] = []
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.goto(url or served.url)
