@@ -13,8 +13,10 @@ from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.describe.mjcf_robot import tree_of
+from sero_mj.drive.wiring import wire
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
+from sero_mj.simulate import external_loads
 
 # Several joints on a body, joint values that start elsewhere, frames, classes, a closed-over
 # wrist, a coupling, a drive by a tendon, a ball that lies about, textures and a mesh.
@@ -334,20 +336,65 @@ def test_torque_limits_that_mean_none_are_taken_for_none(caplog):
     assert "torque limits up to 900000 are over 10 times what holds all" in caplog.text
 
 
-def test_a_frame_that_is_no_frame_is_told_with_the_link_of_the_joint(path, tmp_path):
+def test_frames_are_called_by_joints_and_by_links_of_the_file(path, tmp_path):
+    (tmp_path / "s.toml").write_text("""
+[robots.legs]
+model = "two-legs.xml"
+[[robots.legs.children]]
+name = "pad"
+shape = "box"
+size = [0.1, 0.1, 0.1]
+on = "right_slide"
+[robots.finger]
+model = "hit_finger"
+mount = "legs/left_hip_z"
+[doubles.goal]
+of = "legs"
+[arrows.one]
+at = "legs/left_knee"
+expressed_in = "goal/left shank"
+[frames.two]
+relative_to = "legs/trunk"
+[frames.three]
+[routes]
+"three.frame" = "legs/left_knee"
+""")
+    scene = load_scene(tmp_path / "s.toml")
+    legs = scene.robots["legs"]
+    assert legs.link_names == [
+        "trunk", "link1", "link2", "left thigh", "left shank",
+        "right thigh", "link6", "right shank",
+    ]  # fmt: skip
+    assert legs.children[0].on == "link6" and scene.robots["finger"].mount == "legs/link3"
+    arrow = scene.arrows["one"]
+    assert (arrow.at, arrow.expressed_in) == ("legs/link4", "goal/link4")
+    assert scene.frames["two"].relative_to == "legs/base"
+    assert [route.frame for route in wire(scene).frame_routes] == ["legs/link4"]
+    world = World(scene)
+    data = world.make_data()
+    mujoco.mj_forward(world.model, data)
+    for name in ("left_knee", "left shank"):
+        assert np.array_equal(world.frame(data, f"legs/{name}"), world.frame(data, "legs/link4"))
+    assert external_loads._site(world, "legs/trunk") == world.frame_site("legs/base")
+    assert world.robots["legs"].own_link_names[4] == "legs/left shank"
+
+
+def test_a_frame_that_is_no_frame_is_told_with_those_there_are(path, tmp_path):
     (tmp_path / "s.toml").write_text("""
 [robots.legs]
 model = "two-legs.xml"
 [arrows.one]
-at = "legs/left_knee"
+at = "legs/left_kne"
 [arrows.two]
-at = "legs/left foot"
+at = "legs/nothing at all"
 """)
     with pytest.raises(DeclarationError) as caught:
         load_scene(tmp_path / "s.toml")
     told = str(caught.value)
-    assert "no frame 'legs/left_knee'; the link of joint left_knee is 'legs/link4'" in told
-    assert "no frame 'legs/left foot'; available: legs/base, legs/flange, and legs/linkN" in told
+    assert "no frame 'legs/left_kne'; did you mean 'legs/left_knee'?" in told
+    assert (
+        "no frame 'legs/nothing at all'; available: legs/base, legs/flange, and legs/link" in told
+    )
 
 
 def test_independent_joints_alone_say_where_the_flange_is(robot):

@@ -239,6 +239,12 @@ def test_shift_never_begins_a_double_click(world) -> None:
     assert detector.press(None, HERE, 2.1) == "double"
 
 
+def test_hovering_names_a_link_as_its_own_file_does(world) -> None:
+    toggles = Toggles(world)
+    hover(toggles, Picked("link", "human/link20", "human", 19, 1.0, "human/left_hand"), HERE)
+    assert toggles.hover == ("human/left_hand", HERE)
+
+
 def test_hovering_writes_a_name_inside_the_picture(world) -> None:
     toggles, view, decor = toggles_of(world), view_at(), Decor(world)
     data = placed(world)

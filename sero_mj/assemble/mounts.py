@@ -31,15 +31,12 @@ def mount_labels(robot: SerialRobot) -> list[str]:
 
 
 def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobot]:
-    """Returns the robots whose `mount` names a joint, `icub/l_elbow`, on the link that it moves."""
+    """Returns the robots whose `mount` names a joint or link, `icub/l_elbow`, on `icub/link9`."""
     found = {}
     for name, robot in robots.items():
         below, _, label = (robot.mount or "").partition("/")
-        if below in robots and label not in mount_labels(robots[below]):
-            names = robots[below].names
-            if label in names:
-                on = {"mount": f"{below}/link{names.index(label) + 1}"}
-                found[name] = robot.model_copy(update=on)
+        if below in robots and (own := robots[below].frame_label(label)) != label:
+            found[name] = robot.model_copy(update={"mount": f"{below}/{own}"})
     return found
 
 

@@ -106,6 +106,12 @@ class RobotPart:
         return [self.base_name] + [f"{name}/link{i + 1}" for i in range(self.robot.n)]
 
     @property
+    def own_link_names(self) -> list[str]:
+        """Names of its base and links in the robot's own file, n + 1; else as `link_names`."""
+        own = self.robot.link_names
+        return self.link_names if own is None else [f"{self.robot.name}/{link}" for link in own]
+
+    @property
     def chain(self) -> Ints:
         """Indices of its joints that move the flange, in order from the base."""
         return self.robot.flange_joints

@@ -52,6 +52,7 @@ from .robot_parts import (
     check_colors,
     check_line_values,
     dh_rows,
+    frame_label,
     frame_labels,
 )
 from .shapes import clear_radii, housing_radii
@@ -98,6 +99,8 @@ class SerialRobot(Declaration):
             `base`. Those of a chain when None: each is on the one before.
         joint_types: n times `revolute` or `prismatic`.
         joint_names: n names; J1, J2, ... by default.
+        link_names: names of base and links in the file that the robot comes from, n + 1. Frames
+            are called by them as well as by `base`, `link1`, ..., and by the joint of each link.
         limbs: names of joints by limb, for robots that branch; joints that are in none have those
             that `limb_joints` finds. Routes and panels name them.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
@@ -174,6 +177,7 @@ class SerialRobot(Declaration):
     dh_base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
     joint_names: JointNames | None = None
+    link_names: list[str] | None = None
     parents: list[str] | None = None
     couplings: dict[str, Coupling] = {}
     limbs: dict[Name, list[str]] = {}
@@ -274,6 +278,14 @@ class SerialRobot(Declaration):
             raise DeclarationError(problems)
         return parents
 
+    @field_validator("link_names")
+    @classmethod
+    def _names_of_links(cls, names: list[str] | None, info: ValidationInfo) -> list[str] | None:
+        n = _count(info.data)
+        if names is not None and n is not None and len(names) != n + 1:
+            raise ValueError(f"found {len(names)} entries; expected {n + 1}, of base and links")
+        return names
+
     @field_validator("flange_on")
     @classmethod
     def _flange_is_on_a_joint(cls, joint: str | None, info: ValidationInfo) -> Any:
@@ -369,6 +381,11 @@ class SerialRobot(Declaration):
         check_line_values(lines, info.data.get("inputs", []))
         return lines
 
+    def frame_label(self, label: str) -> str:
+        """Returns `link3` for the joint or the link of its own file that a frame is called by."""
+        others = [child.name for child in self.children]
+        return label if label in others else frame_label(label, self.names, self.link_names)
+
     def __repr__(self) -> str:
         count = f"{self.n} joint{'s' * (self.n != 1)}"
         free = self.coupled.k
@@ -398,8 +415,12 @@ class SerialRobot(Declaration):
     @classmethod
     def _frames_to_be_on_exist(cls, children: list[Object], info: ValidationInfo) -> list[Object]:
         n = _count(info.data)
-        if n is not None:
+        if n is not None and "joint_names" in info.data:
             frames = frame_labels(n)
+            known = _joint_names(info.data), info.data.get("link_names")
+            children = [
+                child.model_copy(update={"on": frame_label(child.on, *known)}) for child in children
+            ]
             problems = [
                 Problem(f"{k}.on", f"no frame '{child.on}'{did_you_mean(child.on, frames)}")
                 for k, child in enumerate(children)

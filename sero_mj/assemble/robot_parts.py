@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
@@ -202,6 +202,22 @@ class BillboardLine(Declaration):
 def frame_labels(n: int) -> list[str]:
     """Returns what the frames of a robot with n joints are called: base, links, flange."""
     return ["base", *(f"link{i + 1}" for i in range(n)), "flange"]
+
+
+def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) -> str:
+    """Returns what a frame of a robot is called here, if that is how its own file calls it.
+
+    Args:
+        label: the name of a joint or a link; any other is returned as it is.
+        joints: names, n; each stands for the link that it moves.
+        links: names of the base and the links, n + 1; None where they have none.
+    """
+    labels = frame_labels(len(joints))
+    if label in labels:
+        return label
+    if label in joints:
+        return labels[1 + joints.index(label)]
+    return labels[links.index(label)] if links and label in links else label
 
 
 def as_link_geometry(value: Any) -> Any:

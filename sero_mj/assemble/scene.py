@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -48,6 +48,9 @@ _TOKENS = re.compile(
     r"|(?P<sign>[-+*/()\[\],:])"
     r"|(?P<other>[^ \t\r\n])"
 )
+
+
+_Entry = TypeVar("_Entry", SmartArrow, ReceivedFrame)
 
 
 class SceneToggles(Declaration):
@@ -166,6 +169,8 @@ class Scene:
         self.double_groups: dict[str, list[str]] = {}  # names of the doubles of a group's robots
         for double in doubles or []:
             self._add_double(double)
+        self.arrows = {name: self._by_links(arrow) for name, arrow in self.arrows.items()}
+        self.frames = {name: self._by_links(frame) for name, frame in self.frames.items()}
         problems = self.problems()
         if problems and file is None:
             raise DeclarationError(problems)
@@ -305,6 +310,22 @@ class Scene:
         """Returns all frames that arrows, received frames and routes can refer to, by name."""
         return list_frames(self.robots, self.doubles, self.frames, self.objects)
 
+    def frame_name(self, name: str) -> str:
+        """Returns `icub/link9` for `icub/l_elbow`, a joint or a link of the robot's own file."""
+        owner, _, label = name.partition("/")
+        double = self.doubles.get(owner)
+        robot = self.robots.get(owner if double is None else double.of)
+        return name if robot is None or not label else f"{owner}/{robot.frame_label(label)}"
+
+    def _by_links(self, entry: _Entry) -> _Entry:
+        """Returns an arrow or received frame that names links where it names joints."""
+        update = {
+            key: self.frame_name(value)
+            for key in ("at", "expressed_in", "relative_to")
+            if isinstance(value := getattr(entry, key, None), str)
+        }
+        return entry.model_copy(update=update)
+
     def problems(self) -> list[Problem]:
         """Returns invalid references between entries, ambiguous names, and excessive counts."""
         sections = {key: getattr(self, key) for key in MOST_ENTRIES}
@@ -381,10 +402,9 @@ class Scene:
         robot = self.robots.get(owner)
         if robot is None:
             return did_you_mean(name, [*frames, WORLD])
-        if label in robot.names:
-            return f"; the link of joint {label} is '{owner}/link{robot.names.index(label) + 1}'"
         labels = [each.partition("/")[2] for each in frames if each.startswith(f"{owner}/")]
-        near = nearest(label, [each for each in labels if not each[-1].isdigit()])
+        own = [*robot.names, *(robot.link_names or [])]
+        near = nearest(label, [*(each for each in labels if not each[-1].isdigit()), *own])
         if near is not None:
             return f"; did you mean '{owner}/{near}'?"
         joints = ", ".join(f"{k + 1} {joint}" for k, joint in enumerate(robot.names))

@@ -178,11 +178,19 @@ class WorldView(Protocol):
         Raises:
             UnknownName: no such frame.
         """
-        if name not in self.frames.names:
-            raise UnknownName("frame", name, self.frames.names)
-        state = self.state(data)
-        site = self.frames.site[self.frames.names.index(name)]
+        state, site = self.state(data), self.frame_site(name)
         return _frame(state.site_xmat[site], state.site_xpos[site])
+
+    def frame_site(self, name: str) -> int:
+        """Returns the site of a named frame, which a joint or a link's own name may name.
+
+        Raises:
+            UnknownName: no such frame.
+        """
+        own = self.scene.frame_name(name)
+        if own not in self.frames.names:
+            raise UnknownName("frame", name, self.frames.names)
+        return int(self.frames.site[self.frames.names.index(own)])
 
 
 def _frame(rotation: Array, position: Array) -> Array:

@@ -113,7 +113,8 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
 def _about_flange(robot: SerialRobot) -> str:
     """On which link it is, and where, at joint values of zero."""
     link = robot.flange_link
-    on = f"link{link}, which joint {robot.names[link - 1]} moves"
+    own = "" if robot.link_names is None else f" ({robot.link_names[link]})"
+    on = f"link{link}{own}, which joint {robot.names[link - 1]} moves"
     T = robot.fwd_kin_base_to_flange(np.zeros(robot.n))
     at, rpy = (
         ", ".join(f"{value:g}" for value in np.round(values, digits) + 0.0)

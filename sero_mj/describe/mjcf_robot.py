@@ -62,6 +62,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
         "joint_frames": tree.joint_frames,
         "parents": ["base" if p == 0 else names[p - 1] for p in tree.parents.tolist()],
         "joint_names": names,
+        "link_names": _link_names(tree),
         "joint_types": ["revolute" if turns else "prismatic" for turns in revolute.tolist()],
         "flange_on": names[link - 1],
         "flange_frame": T_link_flange,
@@ -84,6 +85,19 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
         del tables["parents"]
     tables |= _initial_pose(tree, names, couplings)
     return tables, lost
+
+
+def _link_names(tree: MjcfTree) -> list[str]:
+    """Names of the first body of the base and of every link; `link1`, ... where it has none.
+
+    A link has no body where several joints are one after the other in the same one.
+    """
+    found = ["base", *(f"link{i + 1}" for i in range(len(tree.joints)))]
+    for link in range(len(found)):
+        bodies = np.flatnonzero(tree.links == link)
+        if len(bodies):
+            found[link] = tree.model.body(int(bodies[0])).name or found[link]
+    return found
 
 
 def tree_of(source: Any, folder: Path) -> MjcfTree:

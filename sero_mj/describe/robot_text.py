@@ -96,6 +96,7 @@ class _RobotText:
             frames = [frame_table(T) for T in self._tables["joint_frames"]]
             self._rows("joint_frames", frames, self._of_joints, about)
         self._given("joint_names", "joint_types")
+        self._given("link_names", about="names in that file, of the base first")
         self._given("parents", about="the joint whose link carries each joint")
         self._given("flange_on", about="the joint whose link carries the flange")
         self._frame("flange_frame", f"of the link '{flange}' of the URDF")

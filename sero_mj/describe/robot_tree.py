@@ -212,6 +212,7 @@ class TreeTables:
         if not revolute.all():
             self.tables["joint_types"] = [joint.kind for joint in self.joints]
         self.tables["joint_names"] = self._names
+        self.tables["link_names"] = [links[0] for links in self.bodies]
         around = ["base", *self._names]
         if not is_chain:
             self.tables["parents"] = [around[body.parent] for body in bodies]

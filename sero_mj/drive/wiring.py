@@ -413,8 +413,9 @@ class _RouteChecker:
         self, problems: list[Problem], item: Input | Problem | None, name: str
     ) -> FrameRoute | None:
         is_fwd_kin = self._is_fwd_kin(name)
+        given, name = name, self._scene.frame_name(name)
         if not is_fwd_kin and name not in self._frames:
-            if (problem := self._no_frame(name)) is not None:
+            if (problem := self._no_frame(given)) is not None:
                 problems.append(problem)
             return None
         if not isinstance(item, Input):
@@ -422,9 +423,9 @@ class _RouteChecker:
         received = self._scene.frames.get(item.name)
         if received is not None and received.relative_to != WORLD and not is_fwd_kin:
             fix = f"set relative_to of {received.name} to 'world'"
-            problems.append(Problem("", f"{name} is a pose in the world; {fix}"))
+            problems.append(Problem("", f"{given} is a pose in the world; {fix}"))
         if item.shape != (4, 4):
-            message = f"{name} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+            message = f"{given} is a 4 x 4 frame; {item.target} takes {item.meaning}"
             problems.append(Problem("", message))
         return FrameRoute(item, name.partition(".")[0] if is_fwd_kin else name, is_fwd_kin)
 
@@ -437,7 +438,7 @@ class _RouteChecker:
     def _no_number(self, name: str) -> Problem | None:
         """Says that a name is a frame's; None where its robot is declared wrongly."""
         message = f"{name} is a 4 x 4 frame, which cannot be indexed or combined"
-        is_known = name in self._frames or self._is_fwd_kin(name)
+        is_known = self._scene.frame_name(name) in self._frames or self._is_fwd_kin(name)
         return Problem("", message) if is_known else self._no_frame(name)
 
     def _numbers(self, name: str) -> Value | Problem | None:

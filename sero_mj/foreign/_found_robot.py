@@ -156,6 +156,11 @@ class FoundPart(RobotPart):
         return [f"{self.robot.name}/{label}" for label in self.labels]
 
     @property
+    def own_link_names(self) -> list[str]:
+        """As `link_names`."""
+        return self.link_names
+
+    @property
     def chain(self) -> Ints:
         """Indices of its joints up to the first branch of its tree; empty if the root branches."""
         return self.tree.chain

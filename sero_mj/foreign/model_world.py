@@ -48,6 +48,10 @@ class FoundScene(Scene):
         self._frames = dict(frames)  # needed while the base class checks the rest
         super().__init__(floor=False, **fields)
 
+    def frame_name(self, name: str) -> str:
+        """Returns the name as it is: the frames have those of the model."""
+        return name
+
     def named_frames(self) -> dict[str, NamedFrame]:
         """Returns the named frames of the model."""
         return self._frames

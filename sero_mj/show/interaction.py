@@ -206,7 +206,7 @@ def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
         pixel: x to the right and y up from the lower left corner of the picture.
     """
     # A billboard shows its name already, and the label would hide its values.
-    name = "" if picked is None or picked.kind == "billboard" else picked.name
+    name = "" if picked is None or picked.kind == "billboard" else picked.own_name
     toggles.hover = (name, pixel) if name else None
 
 

@@ -55,6 +55,7 @@ class Picked:
         index: joint of the world for links, doubles, arrows and billboards, frame for axes and
             names, smart arrow for vectors and cards, robot for checks; -1 for objects and paths.
         distance: from the camera, m.
+        own_name: of a link, with its name in the robot's own file; as `name` else.
     """
 
     kind: PickedKind
@@ -62,6 +63,11 @@ class Picked:
     owner: str
     index: int
     distance: float
+    own_name: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.own_name:
+            object.__setattr__(self, "own_name", self.name)
 
 
 def pick(
@@ -294,15 +300,18 @@ def _pick_solid(
         if (double.bodies == body).any():
             link = int((double.bodies == body).nonzero()[1][0])
             label = f"{name}/link{link}" if link else f"{name}/base"
+            own = double.of.robot.link_names
+            shown = label if own is None else f"{name}/{own[link]}"
             joint = -1 if name not in world.owners else double.joints.start + max(link - 1, 0)
-            return Picked("double", label, name, joint, distance)
+            return Picked("double", label, name, joint, distance, shown)
     number = int(robots_of_bodies(model, world.robots)[body])
     if number >= 0:
         name, part = list(world.robots.items())[number]
         of_robot = _link_of(world, part, body)
         if of_robot is not None:
             label, joint = of_robot
-            return Picked("link", label, name, part.joints.start + joint, distance)
+            shown = dict(zip(part.link_names, part.own_link_names, strict=True)).get(label, label)
+            return Picked("link", label, name, part.joints.start + joint, distance, shown)
     return Picked("object", model.geom(hit).name, "", -1, distance)
 
 

@@ -78,9 +78,10 @@ def _three(name: str, value: ArrayLike) -> Array:
 
 
 def _site(world: World, frame: str) -> int:
-    if frame not in world.frames.names:
-        raise UnknownName("frame", frame, [*world.frames.names, "world"])
-    return int(world.frames.site[world.frames.names.index(frame)])
+    try:
+        return world.frame_site(frame)
+    except UnknownName:
+        raise UnknownName("frame", frame, [*world.frames.names, "world"]) from None
 
 
 _STEEL = 7800.0  # kg/m3

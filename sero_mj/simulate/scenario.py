@@ -262,7 +262,8 @@ class Scenario:
             known = [("robot", "robot", [*self.scene.robots]), ("object", "object", objects)]
         for key, what, names in known:
             value = getattr(disturbance, key)
-            if value is not None and value not in names:
+            known_as = self.scene.frame_name(value) if what == "frame" and value else value
+            if value is not None and known_as not in names:
                 message = f"no {what} '{value}'{did_you_mean(value, names)}"
                 self.problems.append(Problem(f"{place}.{key}", message))
 
