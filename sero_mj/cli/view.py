@@ -175,12 +175,12 @@ class Session:
             raise UsageError("--set is for a scene; name one: sero-mj view SCENE --set ...")
         return None
 
-    def _begin(self, scene: Scene) -> Scene:
+    def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Scene:
         """Returns what is shown of a scene that was read: it, or its simulation."""
+        is_simulated = self.options.simulate and not is_replayed
+        shown = _simulated(scene, self.options.control or "joint") if is_simulated else scene
         self.plain, self._last = scene, None
-        if not self.options.simulate:
-            return scene
-        return _simulated(scene, self.options.control or "joint")
+        return shown
 
     def choose(self) -> Scene | None:
         """Shows the start page; returns the scene that was chosen there."""
@@ -231,11 +231,12 @@ class Session:
             replay_instead(scene, Path(view.replay), None)
         wire(scene).check(scene)
         World(scene)
+        shown = self._begin(scene, is_replayed=bool(view.replay))
         vars(self.options).update(
             scene=view.scene, replay=Path(view.replay) if view.replay else None, settings=[],
             start=None, camera=None, over=None,
         )  # fmt: skip
-        return self._begin(scene)
+        return shown
 
     def show(self, scene: Scene) -> Scene | None:
         """Shows a scene until it is closed; returns what is to be shown then, if anything."""

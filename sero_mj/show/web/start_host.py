@@ -59,11 +59,19 @@ class StartHost:
     """
 
     def __init__(
-        self, opener: Opener, listening: Listening, host: str, port: int = 0, *, token: bool = False
+        self,
+        opener: Opener,
+        listening: Listening,
+        host: str,
+        port: int = 0,
+        *,
+        token: bool | str = False,
     ) -> None:
         self._opener = opener
         self._is_private = is_loopback(check_address(host))
-        self.token = make_token() if token or not self._is_private else None
+        self.token: str | None = None
+        if token or not self._is_private:
+            self.token = token if isinstance(token, str) else make_token()
         try:
             self._socket = web_server.bind_public_socket(host, port)
             self._socket.listen()
