@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from source_slots import set_source
 
 from sero_mj import Mirror, Scene, SerialRobot, World
 from sero_mj.load import load_scene
@@ -298,6 +299,28 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     assert mirror.data.qpos[0] == pytest.approx(clock.time, abs=0.04)
     moments.go(1)
     assert moments.go(1) == "3.10 s: mark"
+
+
+def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -> None:
+    scene = Scene(
+        robots=[lwr], sources={"arm": {"kind": "udp", "structure": "7F1I"}},
+        routes={"lwr.joint_angles": "arm.values0"},
+    )  # fmt: skip
+    world = World(scene)
+    data = world.make_data()
+    mirror: Any = SimpleNamespace(world=world, data=data, sources={"arm": None})
+    clock: Any = SimpleNamespace(begin=0.0)
+    moments = Moments(mirror, clock)
+    counts = {"age": 0.0, "lost": 0, "malformed": 0}
+    for step in range(400):
+        data.time = 0.01 * step
+        counts["lost"] += 100 <= step < 150 or step == 320
+        counts["malformed"] += step == 200
+        set_source(data, world, "arm", **counts)
+        moments.watch()
+    assert [(moment.time, moment.text) for moment in moments.all()] == [
+        (1.0, "arm: packets lost"), (2.0, "arm: packets not applied"), (3.2, "arm: packets lost"),
+    ]  # fmt: skip
 
 
 def test_what_a_monitor_finds_is_gone_to() -> None:

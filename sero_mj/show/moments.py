@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..assemble.inputs import SOURCE_FIELDS
 from ..decor.quantities import joint_values
 from ..drive.mirror import LiveWorld
 from ..errors import SeroError
@@ -21,7 +22,10 @@ from .torque_history import joint_name
 _MOST = 1000  # of each kind
 _APART = 0.5  # s between two of the same kind at a joint, below which they are one
 _SAME = 1e-3  # s
-_AGE = 2  # of `SOURCE_FIELDS`: the column of the last packet's age, s
+_AGE = SOURCE_FIELDS.index("age")
+# What counters of a source mean when they grow.
+_LOSSES = {"lost": "lost", "dropped": "dropped", "malformed": "not applied"}
+_COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
 
 
 class Moment(NamedTuple):
@@ -42,7 +46,8 @@ class Moments:
     """Marks of the user, and faults: of simulations and recordings what a monitor finds in them.
 
     What is live is watched as it comes: joints beyond their limits of torque or angle, torque
-    errors above the monitor's share of the limit, sources that fall silent.
+    errors above the monitor's share of the limit, sources that fall silent, packets that are lost
+    or not applied.
 
     Args:
         mirror: what is shown.
@@ -66,6 +71,8 @@ class Moments:
         self._was: Bools = np.zeros((3, len(joints.names)), bool)
         self._last: Array = np.full((3, len(joints.names)), -np.inf)  # when each was found, s
         self._silent: set[str] = set()
+        # By source: how many packets were lost and so on, and when that was seen last, s.
+        self._counts: dict[str, tuple[Array, Array]] = {}
 
     def mark(self) -> str:
         """Marks what is shown; returns what to tell the user."""
@@ -76,7 +83,9 @@ class Moments:
         """Looks for faults in the live state that the data has now."""
         world, data = self._mirror.world, self._mirror.data
         for name in self._mirror.sources:
-            last = data.userdata[world.slots[f"sources.{name}"]][_AGE]
+            slot = data.userdata[world.slots[f"sources.{name}"]]
+            self._watch_counts(name, slot[_COLUMNS], data.time)
+            last = slot[_AGE]
             if last > QUIET_AFTER and name not in self._silent:
                 self._silent.add(name)
                 self._found(f"{name} is silent", data.time - last)
@@ -97,6 +106,16 @@ class Moments:
         for kind, joint in np.argwhere(new):
             value = (torque, error, angle)[kind][joint]
             self._found(f"{self._names[joint]}: {kinds[kind].format(f'{value:.3g}')}", data.time)
+
+    def _watch_counts(self, name: str, counts: Array, time: float) -> None:
+        """Finds where packets begin to be lost, dropped, or not applied."""
+        never = np.full(len(counts), -np.inf)
+        before, seen = self._counts.get(name, (np.zeros_like(counts), never))
+        grown = counts > before
+        for what, more in zip(_LOSSES.values(), grown & (time > seen + _APART), strict=True):
+            if more:
+                self._found(f"{name}: packets {what}", time)
+        self._counts[name] = counts, np.where(grown, time, seen)
 
     def _found(self, text: str, time: float) -> None:
         self._watched.append(Moment(float(time), text, is_mark=False))
