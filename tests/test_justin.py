@@ -112,6 +112,23 @@ def test_frames_are_products_of_the_tables_in_the_files(model: str) -> None:
             np.testing.assert_allclose(flange, expected[-1], atol=2e-6)
 
 
+@pytest.mark.parametrize("model", ["dlr_hand2", "hit_hand2"])
+def test_the_fingers_of_a_hand_that_stands_alone_do_not_touch_its_palm(model: str) -> None:
+    world = World(load_scene(model), dynamic=True)
+    data = world.make_data()
+    before = data.qpos.copy()
+    for _ in range(20):
+        mujoco.mj_step(world.model, data)
+        assert data.ncon == 0
+    assert np.abs(data.qpos - before).max() < 0.01
+    # Farther out they do: a link with three joints between is no neighbour.
+    robots = [part for part in world.robots.values() if part.robot.mount is None]
+    near, far = (world.model.body(f"{robots[1].robot.name}/link{i}").id for i in (2, 3))
+    excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in world.model.exclude_signature}
+    base = int(robots[0].bodies[0])
+    assert {(base, near), (near, base)} & excluded and not {(base, far), (far, base)} & excluded
+
+
 def test_joints_are_as_many_as_are_published() -> None:
     counts = {
         model: np.sum([(r.n, r.coupled.k) for r in load_scene(model).robots.values()], axis=0)

@@ -95,7 +95,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     if problems:
         raise DeclarationError(scene.located(problems))
     if dynamics is not None:
-        exclude_mounted(root, scene.robots)
+        exclude_mounted(root, scene.robots, _standing_together(scene))
     bases = base_frames(scene.robots)
     for double in scene.doubles.values():
         _add_double(root, double, scene.robots[double.of], bases[double.of])
@@ -128,6 +128,12 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
     if dynamics is not None:
         set_inertia(base, dynamics, 0)
         exclude_neighbours(root, robot)
+
+
+def _standing_together(scene: Scene) -> list[list[str]]:
+    """Returns the robots that stand in the world, of each group that is one model."""
+    models = [scene.members(name) or [] for name, group in scene.groups.items() if group._declared]
+    return [[name for name in robots if scene.robots[name].mount is None] for robots in models]
 
 
 def _mount_site(mount: str) -> str:

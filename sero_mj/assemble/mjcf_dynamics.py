@@ -6,7 +6,7 @@ with non-adjacent links. The display variant of the scene has none of this.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
 
@@ -236,11 +236,18 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
                 root.add_exclude(bodyname1=one, bodyname2=other)
 
 
-def exclude_mounted(root: mujoco.MjSpec, robots: Mapping[str, SerialRobot]) -> None:
+def exclude_mounted(
+    root: mujoco.MjSpec, robots: Mapping[str, SerialRobot], together: Sequence[Sequence[str]]
+) -> None:
     """Excludes collisions between links that mounts make neighbours.
 
     As within one robot these are links with up to two joints between them, here over a mount: of
     the robot that carries and of the carried one, or of two that the same link carries.
+
+    Args:
+        root: gets the exclusions.
+        robots: by name.
+        together: names of robots that stand in the world, on one body each: fingers on a palm.
     """
     # By carrying link: robots there, their links near it, and how many joints away these are.
     ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}
@@ -250,6 +257,8 @@ def exclude_mounted(root: mujoco.MjSpec, robots: Mapping[str, SerialRobot]) -> N
         below, link = carrying_link(robots, name)
         here = ways.setdefault((below, link), [(below, _links_beside(robots[below], link))])
         here.append((name, _links_beside(robot, 0)))
+    for k, names in enumerate(together):
+        ways["", k] = [(name, _links_beside(robots[name], 0)) for name in names]
     pairs = {
         (first, second)
         for here in ways.values()
