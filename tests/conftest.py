@@ -108,6 +108,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     )
 
 
+def pytest_collection_finish() -> None:
+    # Modules and thousands of tests stay; looking for garbage among them takes 0.15 s each time.
+    gc.collect()
+    gc.freeze()
+
+
 def _is_exact(nodeid: str) -> bool:
     return nodeid.rpartition("/")[2].startswith(_EXACT)
 
