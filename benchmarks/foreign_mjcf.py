@@ -12,7 +12,6 @@ fewer than 95 % load and agree to 1e-6.
 
 from __future__ import annotations
 
-import gc
 import logging
 import os
 import sys
@@ -27,7 +26,7 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 import numpy as np
-from foreign import OUT, POSES, SIZE, WITHIN, contact_sheet, seconds_of_mujoco
+from foreign import OUT, POSES, SIZE, WITHIN, contact_sheet, forget, seconds_of_mujoco
 
 from sero_mj import HeadlessRenderer, World
 from sero_mj.describe.mjcf_robot import tree_of
@@ -127,7 +126,7 @@ def differences(tree: MjcfTree, world: World, robot: Any) -> tuple[float, float]
 
 def seconds_to_picture(path: Path) -> float:
     """Time from the file to our first picture."""
-    gc.collect()
+    forget()
     begin = time.perf_counter()
     world = World(load_scene(path))
     with HeadlessRenderer(world, *SIZE, quality="draft") as renderer:
