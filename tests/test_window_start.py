@@ -15,7 +15,7 @@ from window_tools import MISSING, screen
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}")
 
-SIZE = (640, 480)
+SIZE = (900, 600)  # files and data are beside the tiles
 _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"

@@ -147,14 +147,17 @@ class StartWindow:
         imgui.set_cursor_pos(ImVec2(0.0, top))
         if imgui.begin_child("tiles", ImVec2(width - side, height - top), child):
             if not side:
-                self._side()
+                self._files()
             for section in self._sections:
                 self._section(section)
+            if not side:
+                self._data()
         imgui.end_child()
         if side:
             imgui.set_cursor_pos(ImVec2(width - side, top))
             if imgui.begin_child("side", ImVec2(side, height - top), child):
-                self._side()
+                self._files()
+                self._data()
             imgui.end_child()
         imgui.pop_style_var()
         self._layer.end()
@@ -226,7 +229,7 @@ class StartWindow:
                 self._textures[picture] = None
         return self._textures[picture]
 
-    def _side(self) -> None:
+    def _files(self) -> None:
         unit = self._layer.text_height
         _text("Open a file", 1.25 * unit, TITLE_COLOUR)
         corner, wide = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
@@ -253,6 +256,9 @@ class StartWindow:
         draw = imgui.get_window_draw_list()
         draw.add_rect(corner, end, _packed((0.30, 0.36, 0.43)), 0.4 * unit, 1.0)
         imgui.dummy(ImVec2(0.0, 0.5 * unit))
+
+    def _data(self) -> None:
+        unit = self._layer.text_height
         _text("Data", 1.25 * unit, TITLE_COLOUR)
         for awaited in self._listening.awaited():
             self._awaited(awaited)
