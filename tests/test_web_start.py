@@ -18,7 +18,7 @@ import pytest
 import trimesh
 from driver import ROOT
 from test_web_guard import get
-from web_tools import ARGUMENTS, CHROMIUM, MISSING, SIZE
+from web_tools import MISSING, SIZE
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -173,24 +173,20 @@ _DROP = """(files) => {
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}")
-def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(tmp_path: Path, home: None) -> None:
-    from playwright.sync_api import sync_playwright
-
+def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
+    browser: Any, tmp_path: Path, home: None
+) -> None:
     program = "from sero_mj.show import start_page\n"  # without the ports of shipped scenes
     program += "start_page.listening = lambda: start_page.Listening([])\n"
     program += "from sero_mj.cli import main\nmain(['view', '--web', '--fresh'])"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(tmp_path)}
-    with (
-        subprocess.Popen(
-            [sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, text=True
-        ) as command,
-        sync_playwright() as playwright,
-    ):
+    with subprocess.Popen(
+        [sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, text=True
+    ) as command:
         try:
             assert command.stdout is not None
             found = re.search(r"start page is at (http://\S+)", command.stdout.readline())
             assert found is not None
-            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
             page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             page.goto(found[1])
             tile = page.locator(".tiles button", has=page.locator("strong", has_text="scara"))
@@ -208,15 +204,15 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(tmp_path: Path, home
             mesh = trimesh.creation.box((0.1, 0.1, 0.3)).export(file_type="stl")
             files = {"r/pair.urdf": URDF.encode(), "r/meshes/arm.stl": mesh}
             encoded = {path: base64.b64encode(data).decode() for path, data in files.items()}
-            run = page.evaluate("RUN")
+            run = page.evaluate("SCENE")
             with page.expect_navigation(timeout=60_000):
                 page.evaluate(_DROP, encoded)
             page.wait_for_selector("canvas", timeout=60_000)
-            assert page.evaluate("RUN") != run
+            assert page.evaluate("SCENE") != run
             assert "<title>pair - sero-mj</title>" in page.evaluate(
                 "() => fetch(location.href).then(found => found.text())"
             )
-            browser.close()
+            page.close()
         finally:
             command.send_signal(2)
             assert command.wait(30) == 0

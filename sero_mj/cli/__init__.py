@@ -64,7 +64,9 @@ def main(arguments: list[str] | None = None) -> None:
     choose_backend()
     logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
     given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(join_negative_values(given or ["view"]))
+    if not given or (given[0].startswith("--") and given[0] not in ("--help", "--version")):
+        given = ["view", *given]  # the start page
+    options = _parser().parse_args(join_negative_values(given))
     try:
         status = options.run(options)
         sys.stdout.flush()

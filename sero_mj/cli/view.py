@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import copy
+import logging
 import os
 import sys
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
     from ..show.camera_feed import CameraFeed, VideoFeed
     from ..show.live import LiveHost
+    from ..show.view_state import ViewState
 
 Control = Literal["gravity", "joint", "cartesian"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
@@ -160,15 +162,18 @@ class Session:
     def __init__(self, options: argparse.Namespace, *, on_page: bool) -> None:
         self.options, self.on_page = options, on_page
         self.plain = Scene()
-        self.is_at_start = self._began_there = options.scene is None
-        self._last: tuple[mujoco.MjvCamera, bool] | None = None  # camera and panel, to be kept
+        self.is_at_start = options.scene is None
+        # Camera, panel and switches, to be kept while the same scene is shown.
+        self._last: tuple[mujoco.MjvCamera, bool, ViewState] | None = None
         self._is_announced = False
+        self._warnings: list[str] = []  # of the files of what is shown next
 
     def first(self) -> Scene | None:
         """Returns the scene of the command; None for the start page."""
         options = self.options
         if not self.is_at_start:
-            return self._begin(read_shown_scene(options, by_hand=not options.simulate))
+            with self._noting_warnings():
+                return self._begin(read_shown_scene(options, by_hand=not options.simulate))
         of_scene = ("camera", "replay", "start", "over", "offset")
         refuse(options, of_scene, " is for a scene; name one: sero-mj view SCENE")
         if options.settings:
@@ -224,14 +229,15 @@ class Session:
         if isinstance(view, Path):
             is_shown = self.options.scene is not None
             view = view_of_file(view, self.options.scene if is_shown else None)
-        scene = read_scene(view.scene, by_hand=not (self.options.simulate or view.replay))
-        if self.options.look is not None:
-            scene.view.look = self.options.look
-        if view.replay:
-            replay_instead(scene, Path(view.replay), None)
-        wire(scene).check(scene)
-        World(scene)
-        shown = self._begin(scene, is_replayed=bool(view.replay))
+        with self._noting_warnings():
+            scene = read_scene(view.scene, by_hand=not (self.options.simulate or view.replay))
+            if self.options.look is not None:
+                scene.view.look = self.options.look
+            if view.replay:
+                replay_instead(scene, Path(view.replay), None)
+            wire(scene).check(scene)
+            World(scene)
+            shown = self._begin(scene, is_replayed=bool(view.replay))
         vars(self.options).update(
             scene=view.scene, replay=Path(view.replay) if view.replay else None, settings=[],
             start=None, camera=None, over=None,
@@ -242,8 +248,22 @@ class Session:
         """Shows a scene until it is closed; returns what is to be shown then, if anything."""
         return self._serve(scene) if self.on_page else self._open_window(scene)
 
+    @contextmanager
+    def _noting_warnings(self) -> Iterator[None]:
+        """Keeps what is logged of a scene's files, for who does not look at the terminal."""
+        handler = logging.Handler(logging.WARNING)
+        self._warnings = []
+        handler.emit = lambda record: self._warnings.append(record.getMessage())  # type: ignore[method-assign]
+        log = logging.getLogger("sero_mj")
+        log.addHandler(handler)
+        try:
+            yield
+        finally:
+            log.removeHandler(handler)
+
     def _offer(self, host: LiveHost) -> None:
         """Offers to simulate the robots that are shown, to show them without, and to go back."""
+        host.offers["start page"] = self._go_back
         if host.steering.robots:
             host.offers["end the simulation"] = lambda: self.plain
         elif not host.pulling.can_pull and host.world.robots:
@@ -254,13 +274,29 @@ class Session:
                 return _simulated(self.plain, self.options.control or "joint", angles)
 
             host.offers["simulate"] = simulate
-        if self._began_there:
-            host.offers["start page"] = self._go_back
         host.opener = self.open
+        if self._warnings:
+            more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
+            host.say(self._warnings.pop(0) + more, is_bad=True)
+            self._warnings.clear()
         host.command = command_of(self.options)
 
     def _go_back(self) -> None:
         self.is_at_start = True
+
+    def _show_as_before(
+        self, host: LiveHost, camera: mujoco.MjvCamera, has_panel: bool, state: ViewState
+    ) -> None:
+        """Shows the same robots as they were seen a moment ago, simulated or not."""
+        from ..show.camera import copy_camera
+        from ..show.view_state import apply_state
+
+        copy_camera(camera, host.view_camera)
+        # What is new, the doubles at targets, is as declared.
+        _, joint, _ = apply_state(host.world, host.toggles, state._replace(camera=""))
+        if joint is not None:
+            host.select(joint)
+        host.show_layout({**host.layout, "panel": has_panel})
 
     def _run(self, host: LiveHost) -> None:
         """Shows it until it is closed, and remembers how it was left."""
@@ -276,11 +312,11 @@ class Session:
             is_pictured = self.on_page and (view.picture.is_file() or view.is_shipped)
             remember_view(view, None if is_pictured else host.picture())
         if self.plain is plain:  # else another one is shown next
-            self._last = copy.copy(host.view_camera), getattr(host, "has_panel", False)
+            panel = host.layout.get("panel", False)
+            self._last = copy.copy(host.view_camera), panel, host.view_state()
 
     def _open_window(self, scene: Scene) -> Scene | None:
         from ..drive.mirror import Mirror
-        from ..show.camera import copy_camera
         from ..show.window.host import Window
 
         options = self.options
@@ -305,10 +341,7 @@ class Session:
             stack.enter_context(window)
             self._offer(window)
             if self._last is not None:
-                camera, has_panel = self._last
-                copy_camera(camera, window.view_camera)
-                if has_panel:
-                    window.toggle_panel()
+                self._show_as_before(window, *self._last)
             elif not options.fresh:
                 window.restore_view(with_camera=options.camera is None)
             self._run(window)
@@ -316,7 +349,6 @@ class Session:
 
     def _serve(self, scene: Scene) -> Scene | None:
         from ..drive.mirror import Mirror
-        from ..show.camera import copy_camera
         from ..show.viewer import open_page
 
         options = self.options
@@ -335,7 +367,7 @@ class Session:
             self._offer(page)
             self._announce(scene.name, page.urls, host, is_private=page.is_private)
             if self._last is not None:
-                copy_camera(self._last[0], page.view_camera)
+                self._show_as_before(page, *self._last)
             elif not options.fresh:
                 page.restore_view(with_camera=options.camera is None)
             options.port, options.token = page.port, page.token or False  # as browsers know it

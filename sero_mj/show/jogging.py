@@ -65,6 +65,11 @@ class Jogging:
         self._dragged: tuple[str, int, Array] | None = None  # robot, link, point in its frame
         self._at: Pixel = (0.0, 0.0)
 
+    @property
+    def torques(self) -> dict[str, Array]:
+        """Torques of the model that are shown, (n,), Nm or N, by robot."""
+        return {name: each for name, each in self._modelled.items() if each is not None}
+
     def _shown(self, name: str) -> Array:
         return np.array(self._mirror.data.qpos[self._mirror.world.robots[name].qpos])
 

@@ -71,16 +71,17 @@ class Keeping:
         if math.isnan(event.ended):
             return
         text = f"kept {event.ended - event.began:.1f} s, {event.packets} packets: {event.path.name}"
-        film = self._make_film(event.path)
+        film = self._make_film(event)
         self._said.put((f"{text}; its film is being made" if film else text, False))
 
-    def _make_film(self, recording: Path) -> bool:
-        """Begins to render a recording in another process, if its scene is in a file."""
+    def _make_film(self, event: RecordedEvent) -> bool:
+        """Begins to render what was kept in another process, if its scene is in a file."""
         if self._mirror.world.scene.file is None:
             return False
-        path = recording.with_suffix(".mp4")
-        command = [sys.executable, "-m", "sero_mj", "render", *self._view, "--replay",
-                   str(recording), "-o", str(path)]  # fmt: skip
+        path, seconds = event.path.with_suffix(".mp4"), max(event.ended - event.began, 0.1)
+        command = [sys.executable, "-m", "sero_mj", "render", *self._view,
+                   "--replay", str(event.path), "--duration", f"{seconds:.2f}",
+                   "-o", str(path)]  # fmt: skip
         self._films.append((
             subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True),
             path,

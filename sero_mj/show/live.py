@@ -27,6 +27,7 @@ from .headless.film import Pixels
 from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
 from .jogging import Jogging
+from .joint_goal import JointGoal
 from .keeping import Keeping
 from .kept_views import find_view, keep_view
 from .moments import Moments
@@ -398,10 +399,21 @@ class LiveHost(ABC):
 
     def _seen(self) -> Seen:
         """What the user can take back."""
-        return Seen.of(self.view_camera, self.toggles, follows=self.is_following)
+        seen = Seen.of(self.view_camera, self.toggles, follows=self.is_following)
+        poses = ((name, goal.angles.tobytes()) for name, goal in self._goals.items())
+        return seen._replace(poses=tuple(poses))
+
+    @property
+    def _goals(self) -> dict[str, JointGoal]:
+        """Where robots are wanted by hand: those without data, and targets of simulated ones."""
+        return {**self.jogging.goals, **self.steering.own_goals}
 
     def _show(self, seen: Seen) -> None:
         seen.show(self.view_camera, self.toggles)
+        goals = self._goals
+        for name, pose in seen.poses:
+            if name in goals and goals[name].angles.tobytes() != pose:
+                goals[name].set_all(np.frombuffer(pose))
         if self.toggles.selected is not None:
             self.joint = self.toggles.selected
 
@@ -413,7 +425,7 @@ class LiveHost(ABC):
             camera_text(self.world, camera),
             switches_text(self.world, self.toggles),
             "" if selected is None else joint_name(self.world, selected),
-            None if self.clock.is_live else round(self.clock.time, 6),
+            None if self.clock.is_live or not self.mirror.sources else round(self.clock.time, 6),
         )
 
     @property
@@ -480,8 +492,13 @@ class LiveHost(ABC):
         for name, goal in self.jogging.goals.items():
             if not np.array_equal(goal.angles, goal.robot.home):
                 words += ["--set", setting(name, goal.angles)]
+        for name, torques in self.jogging.torques.items():
+            words += ["--set", setting(name, torques, "torques")]
         words += ["--camera", state.camera]
-        for name, digits in state.switches.items():
+        switches = dict(state.switches)
+        if self.jogging.torques:
+            switches["modelled"] = "".join(map(str, self.toggles.modelled.astype(int).tolist()))
+        for name, digits in switches.items():
             words += ["--show", f"{name}={digits}"]
         return words
 

@@ -105,7 +105,11 @@ class Moments:
                  "angle {} beyond its limit")  # fmt: skip
         for kind, joint in np.argwhere(new):
             value = (torque, error, angle)[kind][joint]
-            self._found(f"{self._names[joint]}: {kinds[kind].format(f'{value:.3g}')}", data.time)
+            text = kinds[kind].format(f"{value:.3g}")
+            if kind == 2:
+                limit = (self._low if value < self._low[joint] else self._high)[joint]
+                text += f" of {limit:.3g} {'rad' if world.joints.revolute[joint] else 'm'}"
+            self._found(f"{self._names[joint]}: {text}", data.time)
 
     def _watch_counts(self, name: str, counts: Array, time: float) -> None:
         """Finds where packets begin to be lost, dropped, or not applied."""

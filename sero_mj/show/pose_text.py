@@ -29,9 +29,9 @@ def as_command(scene: Scene, robot: str, angles: Array) -> str:
     return f"sero-mj view {shlex.quote(scene_argument(scene))} --set {given}\n"
 
 
-def setting(robot: str, angles: Array) -> str:
-    """Returns what `--set` takes for a robot's joint angles, rad or m."""
-    return f"{robot}.joint_angles={_listed(angles, ',')}"
+def setting(robot: str, values: Array, field: str = "joint_angles") -> str:
+    """Returns what `--set` takes for a field of a robot with a number for each joint."""
+    return f"{robot}.{field}={_listed(values, ',')}"
 
 
 def scene_argument(scene: Scene) -> str:

@@ -145,15 +145,18 @@ class Pulling:
             self._toggles.cards[self._card], self._card = False, None
 
     def keep(self, folder: Path) -> str:
-        """Saves what was pulled, see `save_pushes`; returns what to tell.
+        """Saves what was pulled, see `save_pushes`, or the run alone; returns what to tell.
 
         Raises:
             SeroError: nothing was pulled, or it cannot be written.
         """
         if self._hand is None:
             return "nothing is simulated here; only pushes of simulated robots can be kept"
-        from ..simulate.save_pushes import save_pushes
+        from ..simulate.save_pushes import save_pushes, save_run
 
+        if self._source.end is None or self._source.run.scenario.file is None:
+            path = save_run(self._source.run, folder)
+            return f"kept: {path.name}; sero-mj plot {path.name} draws it"
         path = save_pushes(self._source.run, folder)
         return f"kept: {path.name} repeats the pushes, {path.stem}.mcap is the run"
 

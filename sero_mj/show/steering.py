@@ -71,6 +71,12 @@ class Steering:
         self.goals = {name: JointGoal(each.robot, each.goal) for name, each in self.robots.items()}
 
     @property
+    def own_goals(self) -> dict[str, JointGoal]:
+        """Those that do not follow their robots, by name."""
+        return {name: each for name, each in self.goals.items()
+                if self.robots[name].control != "gravity"}  # fmt: skip
+
+    @property
     def is_past(self) -> bool:
         """Whether a moment of the past is shown."""
         return self.source is not None and self._clock.time < self.source.newest - _PAST

@@ -123,8 +123,9 @@ class TorqueHistory:
         ends = np.append(begins[1:], len(times)) - 1
         rows = bins % self._count
         self._times[rows] = np.fmax(self._times[rows], times[ends])
-        self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
-        self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
+        with np.errstate(over="ignore"):  # nonsense that was received is beyond float32
+            self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
+            self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
 
     def of(self, joint: int, points: int = 2 * _SHOWN) -> tuple[Array, Array]:
         """Returns the torques of a joint, oldest first.

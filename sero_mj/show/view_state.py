@@ -21,6 +21,8 @@ SWITCH_NAMES = (
     "arrows", "arrow_quantity", "billboards", "details", "axes", "frame_names", "vectors", "cards",
     "doubles", "legend", "status", "flange_checks",
 )  # fmt: skip
+# Also taken, but set by nobody: whether torques are those of the model, which the legend tells.
+_MODELLED = "modelled"
 _DECIMALS = 4  # of degrees and m
 _MOST_CHARACTERS = 20_000  # of a state as text
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
@@ -114,7 +116,7 @@ def apply_switches(
     if selected is not None:
         toggles.selected = _find_joint(world, selected)
     for name, digits in given.items():
-        if name not in SWITCH_NAMES:
+        if name not in (*SWITCH_NAMES, _MODELLED):
             raise UsageError(f"no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
         most = len(ARROW_QUANTITIES) - 1 if name == "arrow_quantity" else 1
         if not digits or any(digit not in "0123456789"[: most + 1] for digit in digits):
@@ -179,12 +181,14 @@ class Seen(NamedTuple):
         lookat: (3,), m; None where the camera goes along with something.
         switches: of `SWITCH_NAMES`, then which billboards were clicked on, as bytes.
         selected: joint.
+        poses: names of the robots that are moved by hand, and their joint angles as bytes.
     """
 
     camera: tuple[float, ...]
     lookat: tuple[float, ...] | None
     switches: tuple[bytes, ...]
     selected: int | None
+    poses: tuple[tuple[str, bytes], ...] = ()
 
     @classmethod
     def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> Seen:

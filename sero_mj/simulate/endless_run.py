@@ -73,7 +73,7 @@ def endless_scene(
 
     Physics and controllers run at 1 kHz; where all robots declare a torque loop, joint torque
     control between them at 3 kHz. Sources and routes of the scene have no part in it; of a scenario
-    its scene and gravity are taken.
+    its scene and gravity are taken. Arrows are shown, unless a robot declares that they are not.
 
     Args:
         scene: with robots.
@@ -91,7 +91,11 @@ def endless_scene(
     starts = angles or {}
     shown.robots = {
         name: robot.model_copy(
-            update={"joint_angles": starts.get(name, robot.home), "torques": None}
+            update={
+                "joint_angles": starts.get(name, robot.home),
+                "torques": None,
+                "show_arrows": robot.show_arrows or "show_arrows" not in robot.model_fields_set,
+            }
         )
         for name, robot in shown.robots.items()
     }

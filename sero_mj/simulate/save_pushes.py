@@ -1,4 +1,4 @@
-"""Saves what was pulled by hand: the run as a recording, and a scenario that repeats it."""
+"""Saves what was done by hand: the run as a recording, and a scenario that repeats its pushes."""
 
 from __future__ import annotations
 
@@ -62,6 +62,18 @@ def save_pushes(simulation: Simulation, folder: Path) -> Path:
         path.write_text(toml_text(tables), "utf-8")
     except OSError as error:
         raise SeroError(f"{path}: cannot be written: {error.strerror}") from error
+    return path
+
+
+def save_run(simulation: Simulation, folder: Path) -> Path:
+    """Saves a run as far as its log goes back: `NAME.mcap`; a name that is taken gets a number.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+    path = _unused(folder, simulation.scenario.name).with_suffix(".mcap")
+    with RunRecorder(simulation, path) as recorder:
+        recorder.write(0, simulation.step + 1)
     return path
 
 

@@ -43,6 +43,7 @@ class Browsers:
         self._presses = collections.deque[tuple[int, float]](maxlen=_MOST_PRESSES)
         self._is_held = False
         self._presser: Any = None  # the connection of the last press: of who has control
+        self._has_left = False
         self._copied: str | None = None  # for its clipboard
         self._view: str | None = None  # that a link leads to
         self._dropped: Path | None = None  # that is to be opened
@@ -104,6 +105,7 @@ class Browsers:
         self._connections.discard(connection)
         with self._lock:
             self._sizes.pop(connection, None)
+            self._has_left |= connection is self._presser
 
     def sizes_beside(self, own: Size, most: int) -> list[Size]:
         """Returns other sizes than `own`, those of most browsers first, at most `most`."""
@@ -126,6 +128,11 @@ class Browsers:
                 if pressed == button:
                     return at
         return time.monotonic()
+
+    def take_left(self) -> bool:
+        """Returns whether the browser that has pressed last has gone since; once."""
+        left, self._has_left = self._has_left, False
+        return left
 
     def take_hold(self) -> bool:
         """Returns whether a finger has been held still since the last press; once."""

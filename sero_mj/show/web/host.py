@@ -109,6 +109,7 @@ class WebHost(LiveHost):
         self._app.press_time = self.viewer.server.browsers.press_time
         self._panels.widgets.to_clipboard = self.viewer.server.browsers.copy
         self._app.take_hold = self.viewer.server.browsers.take_hold
+        self._app.take_left = self.viewer.server.browsers.take_left
         self._time = TimeControl(self.clock)
         self._time.is_held = waits and not self.clock.is_live
         self._handle = viewer_handle.ViewerHandle(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import hashlib
 import html
 import io
 import logging
-import secrets
 import socket
 import threading
 import time
@@ -183,7 +183,7 @@ class StudioViewer(web_viewer.WebViewer):
     ) -> None:
         self.address, self._wanted_port = address, port
         self._token = token
-        self._page = read_page(title)
+        self._page = read_page(title, fingerprint(model, title))
         config = viewer_protocol.ViewerConfig(title=title, http_port=port)
         with suppress_output():  # of Studio's banner, which has not the right address
             super().__init__(config, endpoint, model=model, plugins=plugins, camera=camera)
@@ -322,12 +322,31 @@ def suppress_output() -> Any:
         yield
 
 
-def with_head(page: str, title: str) -> str:
-    """Returns Studio's page with title and additions, where its head matches the expected text."""
+def fingerprint(model: mujoco.MjModel, title: str) -> str:
+    """Returns the same text for the same scene, so that its page can go on when it is served again.
+
+    Args:
+        model: of the scene.
+        title: of the page.
+    """
+    digest = hashlib.sha256(title.encode())
+    for part in (model.names, model.geom_size.tobytes(), model.body_pos.tobytes()):
+        digest.update(part)
+    return digest.hexdigest()[:16]
+
+
+def with_head(page: str, title: str, scene: str = "") -> str:
+    """Returns Studio's page with title and additions, where its head matches the expected text.
+
+    Args:
+        page: Studio's.
+        title: of the browser's tab.
+        scene: its `fingerprint`.
+    """
     start, found, rest = page.partition("<title>")
     if found:
         page = start + found + html.escape(title) + rest[rest.find("</title>") :]
-    head = _HEAD.replace('"RUN"', f'"{secrets.token_hex(8)}"')
+    head = _HEAD.replace('"SCENE"', f'"{scene}"')
     return page.replace("  </head>", head, 1)
 
 
@@ -346,13 +365,14 @@ def find_files() -> Path:
     return Path(found)
 
 
-def read_page(title: str) -> bytes:
+def read_page(title: str, scene: str = "") -> bytes:
     """Returns the page, which refers to Studio's files.
 
     Args:
         title: of the browser's tab.
+        scene: its `fingerprint`.
 
     Raises:
         RenderError: this MuJoCo has no page.
     """
-    return with_head((find_files() / "index.html").read_text("utf-8"), title).encode()
+    return with_head((find_files() / "index.html").read_text("utf-8"), title, scene).encode()

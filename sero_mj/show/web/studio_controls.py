@@ -53,6 +53,7 @@ class StudioApp(studio_app.App):
 
     Attributes:
         press_time: returns when a button was pressed that is seen to be pressed now, s.
+        take_left: returns whether the browser that was pressing has gone, once.
         take_hold: returns whether a finger has been held still, once for every time.
         docked: width of what is docked to the left and the right edge of the page, pixels.
     """
@@ -70,6 +71,7 @@ class StudioApp(studio_app.App):
         self._mouse = Mouse()
         self._is_on_handle = False  # whether the pointer is
         self._pulls = False  # whether the drag that goes on pulls, and the camera stays
+        self.take_left: Callable[[], bool] = lambda: False
         self.take_hold: Callable[[], bool] = lambda: False
         self.press_time: Callable[[int], float] = lambda button: time.monotonic()
         self.docked = (0.0, 0.0)
@@ -117,6 +119,8 @@ class StudioApp(studio_app.App):
             shift, control = io.KeyShift or io.KeyCtrl, io.KeyCtrl
             return Event(kind, *at, when, button, shift=shift, control=control)  # type: ignore[arg-type]
 
+        if self.take_left():  # and its button is no longer down
+            self._mouse = Mouse()
         found = [self._mouse.take(event("move"))]
         for button, studio_button in _BUTTONS:
             if imgui.IsMouseClicked(int(studio_button)):

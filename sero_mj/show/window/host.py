@@ -359,7 +359,8 @@ class Window(LiveHost):
         if self.shows_status:
             hud.status(pieces, _HINT, width)
         if self.notice.is_shown:
-            hud.message(self.notice.text, picture, is_bad=self.notice.is_bad)
+            covered = self._panel.covered if self._panel is not None else 0.0
+            hud.message(self.notice.text, picture, covered=covered, is_bad=self.notice.is_bad)
         if self.has_panel and self._panel is not None:
             self._panel.draw()
         else:

@@ -199,15 +199,23 @@ class Hud:
                      _MARK if is_mark else _FAULT)  # fmt: skip
         self.box(x - half, line.bottom - half, 2 * half, line.height + 2 * half, _HANDLE)
 
-    def message(self, text: str, rect: mujoco.MjrRect, *, is_bad: bool = False) -> None:
+    def message(
+        self, text: str, rect: mujoco.MjrRect, *, covered: float = 0.0, is_bad: bool = False
+    ) -> None:
         """Shows a message in the upper part of the picture's rectangle; red for an error.
 
         The legend, and what is said of a robot, are below.
+
+        Args:
+            text: the message.
+            rect: of the picture.
+            covered: width of what covers its left edge, pixels.
+            is_bad: whether it is an error.
         """
         h = self.font.height
-        text = shortened(text, self.font, rect.width - 4 * h)
+        text = shortened(text, self.font, rect.width - covered - 4 * h)
         wide = self.font.width(text) + 1.4 * h
-        left = (rect.width - wide) / 2
+        left = covered + (rect.width - covered - wide) / 2
         lines = [Text(0.7 * h, 0.35 * h, text, TEXT)]
         bottom = rect.bottom + rect.height - 4.2 * h  # below that a film is recorded
         self.panel((left, bottom, wide, 1.7 * h), lines, BAD if is_bad else PANEL)

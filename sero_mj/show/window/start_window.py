@@ -174,6 +174,8 @@ class StartWindow:
             imgui.push_text_wrap_pos(self.gl.size[0] - margin)
             _text(self.notice.text, unit, MOODS["bad" if self.notice.is_bad else "good"])
             imgui.pop_text_wrap_pos()
+        # One line has its place whether there is one or not, so that nothing moves.
+        imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), 5.0 * unit))
 
     def _section(self, section: Section) -> None:
         unit = self._layer.text_height
