@@ -414,3 +414,6 @@ def test_without_a_command_the_start_page_is_shown(monkeypatch: pytest.MonkeyPat
             main(arguments)
         assert ended.value.code == 0
     assert shown == [None, None]
+    with pytest.raises(SystemExit):
+        main(["--web", "--port", "8177"])
+    assert shown == [None] * 3

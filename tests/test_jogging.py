@@ -339,3 +339,28 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
         assert np.linalg.norm(np.subtract(moved, [x, y, bottom])[:2]) > 20
         camera = window.ask("w.navigator.following")
         assert camera is None
+
+
+@pytest.mark.gl
+@pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+def test_a_pose_is_taken_back_and_copied_with_what_holds_it(tmp_path: Path) -> None:
+    with screen() as display, Driven(display, tmp_path, "lwr") as window:
+        window.ask("w.jogging.goals['lwr'].set_joint(1, 0.5)")
+        window.until("abs(w.data.qpos[1] - 0.5) < 1e-9")
+        window.key("a")
+        window.until("w.toggles.modelled.all()")
+        words = window.ask("w._render_words(w.view_state())")
+        torques = next(word for word in words if word.startswith("lwr.torques="))
+        found = [float(each) for each in torques.partition("=")[2].split(",")]
+        held = window.ask("w.data.userdata[w.world.slots['lwr.torques']]")
+        assert found == pytest.approx(held, abs=1e-4)
+        assert abs(found[1]) > 5.0
+        assert "modelled=1111111" in words
+        window.until("len(w._undo._past) == 2 and w._undo._kept == w._seen()")
+        window.key("ctrl+z")
+        window.until("not w.toggles.arrows.any()")
+        assert window.ask("w.data.qpos[1]") == 0.5
+        window.key("ctrl+z")
+        window.until("w.data.qpos[1] == 0.0")
+        window.key("ctrl+y")
+        window.until("w.data.qpos[1] == 0.5")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import DeclarationError, SimulationError
 from sero_mj.frames import frame, rotation_angle, rotation_from_rpy
+from sero_mj.runs.run_recording import read_run
 from sero_mj.show.clock import Clock
 from sero_mj.show.handle_drag import dragged
 from sero_mj.show.panels.steering_panel import SteeringPanel
@@ -207,7 +209,9 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert played.clock.time > newest and not played.steering.is_past
 
 
-def test_pushes_are_kept_where_the_log_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pushes_are_kept_where_the_log_is_cut(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(endless_run, "KEPT", 0.6)
     monkeypatch.setattr(endless_run, "_LONGEST", 0.9)
     played = Played("joint")
@@ -223,6 +227,12 @@ def test_pushes_are_kept_where_the_log_is_cut(monkeypatch: pytest.MonkeyPatch) -
     assert pull.first + len(pull.forces) == len(rows) - 1
     assert np.array(pull.forces) == pytest.approx(logged[pull.first : -1])
     assert np.linalg.norm(logged[-1]) > 1
+    said = pulling.keep(tmp_path)
+    assert said == "kept: lwr.mcap; sero-mj plot lwr.mcap draws it"
+    kept = read_run(tmp_path / "lwr.mcap")
+    assert len(kept.times) == len(rows)
+    assert kept.times[-1] - kept.times[0] == pytest.approx(rows[-1, 0] - rows[0, 0])
+    assert pulling.keep(tmp_path).startswith("kept: lwr_2.mcap")
 
 
 def test_after_an_error_it_starts_again() -> None:

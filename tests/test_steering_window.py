@@ -109,9 +109,11 @@ def framed(window, **options):
         window.jogging.goals["lwr"].set_all(np.array([0.5, 0.5, 0, -1, 0, 0.5, 0]))
     if frames > 3 and len(shown) == 1 and abs(window.data.qpos[0] - 0.5) < 1e-9:
         window.navigator.camera.distance = 1.25
+        window.toggles.billboards[:7] = True
         window._go_on_with(window.offers["simulate"])
     if frames == 12 and len(shown) == 2:
-        print(window.navigator.camera.distance, window.steering.robots["lwr"].control, flush=True)
+        print(window.navigator.camera.distance, window.steering.robots["lwr"].control,
+              window.toggles.arrows[:7].all(), window.toggles.billboards[:7].all(), flush=True)
         window._go_on_with(window.offers["end the simulation"])
     if frames == 3 and len(shown) == 3:
         window.gl.request_close()
@@ -125,8 +127,8 @@ sys.exit(main(["view", "lwr", "--window", "--size", "320x240"]))
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
-        "1 ['simulate'] [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
-        "2 ['end the simulation'] [0.5, 0.5, 0.0, -1.0, 0.0, 0.5, 0.0]",
-        "1.25 joint",
-        "3 ['simulate'] [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
+        "1 ['start page', 'simulate'] [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
+        "2 ['start page', 'end the simulation'] [0.5, 0.5, 0.0, -1.0, 0.0, 0.5, 0.0]",
+        "1.25 joint True True",
+        "3 ['start page', 'simulate'] [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
     ]

@@ -326,7 +326,15 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
         '<limit lower="-1" upper="1" effort="5" velocity="1"/></joint></robot>',
         encoding="utf-8",
     )
+    urdf_text = urdf.read_text()
+    mesh = '<visual><geometry><mesh filename="gone.stl"/></geometry></visual>'
+    urdf.write_text(urdf_text.replace('<link name="b"/>', f'<link name="b">{mesh}</link>'))
+    session.open(urdf)
+    warning, *_ = session._warnings
+    assert "gone.stl" in warning  # which the window or page then says, too
+    urdf.write_text(urdf_text)
     scene = session.open(urdf)
+    assert not any("gone" in each for each in session._warnings)
     assert list(scene.robots) == ["two"]
     assert (options.scene, session.plain) == (str(urdf), scene)
 

@@ -69,6 +69,15 @@ def test_sizes_of_most_browsers_come_first() -> None:
     assert known.sizes_beside((1, 1), 9) == [(10, 10), (30, 30), (20, 20)]
 
 
+def test_who_pressed_and_has_left_is_told_once() -> None:
+    known = Browsers()
+    known.hear(0, "sero-mj press 0")
+    known.forget(1)
+    assert not known.take_left()
+    known.forget(0)
+    assert [known.take_left(), known.take_left()] == [True, False]
+
+
 def test_clicks_are_stamped_when_they_were_made(clock: list[float]) -> None:
     known = Browsers()
     known.hear(0, "sero-mj press 0")

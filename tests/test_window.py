@@ -341,7 +341,9 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             assert run.times[-1] > 2.5 and len(run.times) > 100
             assert film[3:6] == ["render", scene.name, "--camera"]
             assert film[6] == window.ask("w.view_state().camera")
-            assert film[-4:-2] == ["--replay", str(kept.relative_to(tmp_path))]
+            assert film[-6:-4] == ["--replay", str(kept.relative_to(tmp_path))]
+            assert film[-4] == "--duration"
+            assert float(film[-3]) == pytest.approx(run.times[-1] - run.times[0], abs=0.3)
             window.key("End")
             assert window.ask("[w.clock.is_past, w.clock.is_paused]") == [False, False]
             window.until("w.data.time == w.clock.end")

@@ -288,7 +288,7 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     ]  # fmt: skip
     assert [moment.time for moment in moments.all()] == pytest.approx([1.0, 2.0], abs=0.03)
     mirror.goes_on(clock, 0.2)
-    assert moments.all()[-1].text == "lwr/A1: angle 2.97 beyond its limit"
+    assert moments.all()[-1].text == "lwr/A1: angle 2.97 beyond its limit of 2.97 rad"
     assert moments.mark().startswith("marked 3.10 s")
     assert [is_mark for _, is_mark in sorted(moments.ticks())] == [False, False, False, True]
     assert moments.go(-1).startswith("2.97 s: lwr/A1: angle")

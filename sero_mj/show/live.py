@@ -425,7 +425,7 @@ class LiveHost(ABC):
             camera_text(self.world, camera),
             switches_text(self.world, self.toggles),
             "" if selected is None else joint_name(self.world, selected),
-            None if self.clock.is_live or not self.mirror.sources else round(self.clock.time, 6),
+            None if self.clock.is_live else round(self.clock.time, 6),  # arrows turn with it
         )
 
     @property
