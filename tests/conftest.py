@@ -56,6 +56,7 @@ _PORTS = (
 _EXACT = (
     "test_ahead.py::test_an_lwr_is_played_at_an_exact_rate",
     "test_ahead.py::test_packets_are_numbered_and_stamped_and_counters_wrap",
+    "test_fri_controller.py::test_a_client_that_answers_has_a_perfect_link",
     "test_film.py::test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is",
     "test_send.py::test_a_thousand_packets_a_second_leave_at_that_rate",
     "test_timing.py::test_a_steady_sender_at_1_khz",

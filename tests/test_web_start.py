@@ -18,7 +18,7 @@ import pytest
 import trimesh
 from driver import ROOT
 from test_web_guard import get
-from web_tools import MISSING, SIZE
+from web_tools import MISSING, Visitor
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -187,8 +187,7 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             assert command.stdout is not None
             found = re.search(r"start page is at (http://\S+)", command.stdout.readline())
             assert found is not None
-            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
-            page.goto(found[1])
+            page = Visitor(browser, None, url=found[1]).page
             tile = page.locator(".tiles button", has=page.locator("strong", has_text="scara"))
             tile.scroll_into_view_if_needed()
             loaded = "element => element.complete && element.naturalWidth"
