@@ -129,7 +129,8 @@ class StudioApp(studio_app.App):
                     found.append(self._mouse.take(event("press", button, when)))
             if imgui.IsMouseReleased(int(studio_button)):
                 found.append(self._mouse.take(event("release", button)))
-        if self.take_hold() and self._mouse.hold(self._host.hold):
+        # A slow browser may tell of a hold before its press is seen here.
+        if self._mouse.is_down and self.take_hold() and self._mouse.hold(self._host.hold):
             self._pulls = True
         for each in found:
             if isinstance(each, Clicked):
