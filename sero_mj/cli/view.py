@@ -251,15 +251,13 @@ class Session:
     @contextmanager
     def _noting_warnings(self) -> Iterator[None]:
         """Keeps what is logged of a scene's files, for who does not look at the terminal."""
-        handler = logging.Handler(logging.WARNING)
-        self._warnings = []
-        handler.emit = lambda record: self._warnings.append(record.getMessage())  # type: ignore[method-assign]
-        log = logging.getLogger("sero_mj")
-        log.addHandler(handler)
+        kept, log = _KeptWarnings(), logging.getLogger("sero_mj")
+        log.addHandler(kept)
         try:
             yield
+            self._warnings = kept.texts
         finally:
-            log.removeHandler(handler)
+            log.removeHandler(kept)
 
     def _offer(self, host: LiveHost) -> None:
         """Offers to simulate the robots that are shown, to show them without, and to go back."""
@@ -387,6 +385,18 @@ class Session:
                 file=sys.stderr,
                 flush=True,
             )
+
+
+class _KeptWarnings(logging.Handler):
+    """Keeps the texts of what is logged as a warning or an error."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keeps a text."""
+        self.texts.append(record.getMessage())
 
 
 def _absolute(name: Path | str | None) -> str:
