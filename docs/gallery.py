@@ -221,12 +221,12 @@ def start_shots() -> dict[str, Shot]:
     groups = {name: shot for shot in SHOTS for name in paths.list_group_models()
               if f'model = "{name}"' in shot.scene}  # fmt: skip
     simulated = dict.fromkeys(paths.list_scenarios(), 2.0) | {"drive_home": 1.0, "payload": 3.0}
-    found = {}
-    for name in [*paths.list_models(), *paths.list_group_models(), *paths.list_scenes()]:
-        found[name] = named.get(name) or groups.get(name) or Shot(name, "", name, holds_itself=True)
-    for name, at in simulated.items():
-        found[name] = named.get(name) or Shot(name, "", name, at=at)
-    return found
+    return {
+        name: named.get(name)
+        or groups.get(name)
+        or Shot(name, "", name, at=simulated.get(name, 0.0), holds_itself=name not in simulated)
+        for name in paths.list_all()
+    }
 
 
 def start_scene_of(shot: Shot) -> Scene:

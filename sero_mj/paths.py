@@ -9,7 +9,9 @@ import errno
 import os
 import re
 import stat
+import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -64,6 +66,20 @@ def list_scenes() -> list[str]:
 def list_all() -> list[str]:
     """Names of all that is shipped: robots, groups of robots, scenes and scenarios."""
     return [*list_models(), *list_group_models(), *list_scenes(), *list_scenarios()]
+
+
+def shipped_file(name: str) -> Path | None:
+    """Returns the file of a shipped scene, scenario, robot or group; None where there is none.
+
+    Of several of that name it is the one that `load_scene` takes.
+    """
+    candidates = (
+        scenes_dir() / f"{name}.toml",
+        scenarios_dir() / f"{name}.toml",
+        models_dir() / name / ROBOT_FILE,
+        models_dir() / name / GROUP_FILE,
+    )
+    return next((file for file in candidates if file.is_file()), None)
 
 
 def find_model(name: str, beside: Path | None = None) -> Path:
@@ -198,6 +214,23 @@ def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) 
             return candidate
     _refuse_path(name)
     raise UnknownName(kind, name, shipped(), file_hint(name))
+
+
+@cache
+def _temporary() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="sero-mj-")
+
+
+def make_temporary_folder() -> Path:
+    """Makes a folder that ends with this process."""
+    return Path(tempfile.mkdtemp(dir=_temporary().name)).resolve()
+
+
+def is_temporary(path: Path | str) -> bool:
+    """Whether a file is in a folder that ends with this process."""
+    if not _temporary.cache_info().currsize:  # nobody has made one
+        return False
+    return Path(path).is_relative_to(Path(_temporary().name).resolve())
 
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:

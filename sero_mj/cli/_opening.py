@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 from .. import paths
@@ -54,7 +52,7 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         yield shown
     with Recording(path) as recording:
         name = recording.about.get("scene", "")
-        files = {each: recording.read_attachment(each) for each in recording.attachments}
+        own = [each for each in recording.attachments if Path(each).stem == name]
     if not name:
         return
     for view in recent_views():
@@ -62,11 +60,12 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
             yield view.scene
     if (beside := path.parent / f"{name}.toml").is_file():
         yield str(beside)
-    if name in paths.list_all():
+    if paths.shipped_file(name) is not None:
         yield name
-    own = [each for each in files if Path(each).stem == name]
     if own:
-        folder = Path(tempfile.mkdtemp(dir=_folder().name))
+        with Recording(path) as recording:
+            files = {each: recording.read_attachment(each) for each in recording.attachments}
+        folder = paths.make_temporary_folder()
         for each, contents in files.items():
             file = folder / Path(each).parent.name / Path(each).name
             file.parent.mkdir(exist_ok=True)
@@ -74,12 +73,6 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         yield str(folder / Path(own[0]).parent.name / Path(own[0]).name)
 
 
-@cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder for what recordings have of their scenes, until this process ends."""
-    return tempfile.TemporaryDirectory(prefix="sero-mj-recorded-")
-
-
 def is_temporary(view: RecentView) -> bool:
     """Whether files of a view end with this process: they were dropped on a page, say."""
-    return any(name.startswith(tempfile.gettempdir() + "/sero-mj-") for name in view)
+    return any(paths.is_temporary(name) for name in view)

@@ -43,6 +43,7 @@ from .steering import Steering
 from .torque_history import SPAN, TorqueHistory, joint_name
 from .undo import Undo
 from .view_state import (
+    MODELLED,
     Seen,
     ViewState,
     apply_state,
@@ -497,7 +498,7 @@ class LiveHost(ABC):
         words += ["--camera", state.camera]
         switches = dict(state.switches)
         if self.jogging.torques:
-            switches["modelled"] = "".join(map(str, self.toggles.modelled.astype(int).tolist()))
+            switches[MODELLED] = "".join(map(str, self.toggles.modelled.astype(int).tolist()))
         for name, digits in switches.items():
             words += ["--show", f"{name}={digits}"]
         return words

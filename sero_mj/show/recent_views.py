@@ -38,7 +38,7 @@ class RecentView(NamedTuple):
     @property
     def is_shipped(self) -> bool:
         """Whether the scene is shipped with sero-mj."""
-        return self.scene in paths.list_all()
+        return paths.shipped_file(self.scene) is not None
 
     @property
     def is_there(self) -> bool:

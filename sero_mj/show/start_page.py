@@ -88,7 +88,7 @@ def sections() -> list[Section]:
 
 def _tile(name: str) -> Tile:
     picture = _shipped_picture(name)
-    return Tile(RecentView(name), name, _about(_shipped_file(name)), picture)
+    return Tile(RecentView(name), name, _about(paths.shipped_file(name)), picture)
 
 
 def _group_tile(name: str, *, is_hidden: bool) -> Tile:
@@ -102,23 +102,13 @@ def _recent_tile(view: RecentView) -> Tile:
     picture = view.picture if view.picture.is_file() else _shipped_picture(view.scene)
     if view.replay:
         return Tile(view, Path(view.replay).name, f"recording, shown by {view.scene}", picture)
-    file = _shipped_file(view.scene)
+    file = paths.shipped_file(view.scene)
     if file is not None:
         return Tile(view, view.scene, _about(file), picture)
     path = Path(view.scene)
     is_model = path.name in (paths.ROBOT_FILE, paths.GROUP_FILE)
     title = model_name(path) if is_model else path.name
     return Tile(view, title, str(path.parent), picture)
-
-
-def _shipped_file(name: str) -> Path | None:
-    for folder in (paths.scenes_dir(), paths.scenarios_dir()):
-        if (file := folder / f"{name}.toml").is_file():
-            return file
-    for file_name in (paths.ROBOT_FILE, paths.GROUP_FILE):
-        if (file := paths.models_dir() / name / file_name).is_file():
-            return file
-    return None
 
 
 def _shipped_picture(name: str) -> Path | None:
@@ -272,7 +262,7 @@ def listening() -> Listening:
 
 def _sources(scene: str) -> list[Source]:
     """What a scene's file declares; nothing where it is wrong, which opening it says."""
-    path = _shipped_file(scene) or Path(scene)
+    path = paths.shipped_file(scene) or Path(scene)
     if path.suffix != ".toml" or path.suffix in SCENE_ENDINGS:
         return []
     try:

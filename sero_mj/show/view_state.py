@@ -22,7 +22,7 @@ SWITCH_NAMES = (
     "doubles", "legend", "status", "flange_checks",
 )  # fmt: skip
 # Also taken, but set by nobody: whether torques are those of the model, which the legend tells.
-_MODELLED = "modelled"
+MODELLED = "modelled"
 _DECIMALS = 4  # of degrees and m
 _MOST_CHARACTERS = 20_000  # of a state as text
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
@@ -116,7 +116,7 @@ def apply_switches(
     if selected is not None:
         toggles.selected = _find_joint(world, selected)
     for name, digits in given.items():
-        if name not in (*SWITCH_NAMES, _MODELLED):
+        if name not in (*SWITCH_NAMES, MODELLED):
             raise UsageError(f"no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
         most = len(ARROW_QUANTITIES) - 1 if name == "arrow_quantity" else 1
         if not digits or any(digit not in "0123456789"[: most + 1] for digit in digits):

@@ -7,9 +7,7 @@ a folder, or together with them. What was dropped is kept until this process end
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable, Sequence
-from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -17,18 +15,19 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
 
 from ...errors import UsageError
-from ...paths import GROUP_FILE, ROBOT_ENDINGS, ROBOT_FILE, SCENE_ENDINGS
+from ...paths import (
+    GROUP_FILE,
+    ROBOT_ENDINGS,
+    ROBOT_FILE,
+    SCENE_ENDINGS,
+    make_temporary_folder,
+)
 
 FILES = "/sero-mj/files"  # where the script sends them
 SCRIPT = Path(__file__).with_name("uploads.html").read_text("utf-8").rstrip("\n")
 MOST_BYTES, MOST_FILES = 500_000_000, 2000
 _LONGEST_PATH = 400
 _OPENED = (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS, ".mcap")
-
-
-@cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="sero-mj-dropped-")
 
 
 def is_for_files(request: Request) -> bool:
@@ -58,7 +57,7 @@ async def take_files(connection: Any, on_file: Callable[[Path], None]) -> None:
 async def _take(connection: Any) -> Path:
     sizes = read_list(await connection.recv())
     main = main_file(list(sizes))
-    folder = Path(tempfile.mkdtemp(dir=_folder().name))
+    folder = make_temporary_folder()
     for name, size in sizes.items():
         file = folder / name
         file.parent.mkdir(parents=True, exist_ok=True)
