@@ -46,6 +46,13 @@ _MAY_BE_SKIPPED = (
 # Browsers and windows take both cores; of several workers one runs them all.
 _SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer")
 _LIVE = (*_SCREENS, "test_docs")
+# These simulate whole runs, or start many processes: half of the time of all tests of logic.
+_SLOW = (
+    "test_biped", "test_calibrate", "test_dlr_models", "test_environment", "test_explain",
+    "test_gallery", "test_identify", "test_justin", "test_live_control", "test_many_environments",
+    "test_mutations", "test_plot", "test_scenarios", "test_shm", "test_simulate_command",
+    "test_torque_loop", "test_trigger",
+)  # fmt: skip
 # These open the ports of shipped scenes; another worker runs them all.
 _PORTS = (
     "test_ahead", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
@@ -103,6 +110,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.name.startswith(_LIVE):
             item.add_marker(pytest.mark.live)
+        if item.path.name.startswith(_SLOW):
+            item.add_marker(pytest.mark.slow)
     # Longest first, while browsers are busy.
     items.sort(
         key=lambda item: (_is_exact(item.nodeid), not item.path.name.startswith("test_docs"))
