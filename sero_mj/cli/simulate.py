@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +96,8 @@ def run(options: argparse.Namespace) -> int:
         scenario = read_scenario(options.scenario, given)
     simulation = Simulation(scenario, options.seed)
     begin = time.perf_counter()
-    error = _simulate(simulation, options)
+    with _compiling(simulation, quiet=options.quiet):
+        error = _simulate(simulation, options)
     seconds = time.perf_counter() - begin
     if options.csv is not None:
         from ..runs.run_csv import write_run_csv
@@ -142,6 +145,22 @@ def _check_options(options: argparse.Namespace) -> None:
         raise UsageError("--at is for a picture: --render OUT.png")
     if is_picture and options.fps:
         raise UsageError("--fps is for a film: --render OUT.mp4")
+
+
+@contextmanager
+def _compiling(simulation: Simulation, *, quiet: bool) -> Iterator[None]:
+    """Says what `run.jit` does, where that is not just faster."""
+    if simulation.in_python and not quiet:
+        why = ", ".join(simulation.in_python)
+        print(f"sero-mj: run.jit: steps are made in Python, since {why}", file=sys.stderr)
+    if not simulation.is_compiled or quiet:
+        yield
+        return
+    from ..control.jit import when_compiling
+
+    text = "sero-mj: compiling controllers and physics, once for this machine; takes half a minute"
+    with when_compiling(lambda: print(text, file=sys.stderr)):
+        yield
 
 
 def _simulate(simulation: Simulation, options: argparse.Namespace) -> SimulationError | None:

@@ -33,6 +33,7 @@ class LimitedController:
     Attributes:
         controller: what is limited.
         asked: (n,), what the controller asked for in the last step; the same array at every step.
+        limits: (n,), as given.
 
     Raises:
         DeclarationError: a limit is not positive, or there is not one for every joint.
@@ -58,8 +59,8 @@ class LimitedController:
         self.asked: Array = np.zeros(n)
         self._given: Array = self.asked
         self._robot, self._names = robot, list(joint_names)
-        self._high: Array = np.array(limits, float)
-        self._low: Array = -self._high
+        self.limits: Array = np.array(limits, float)
+        self._low: Array = -self.limits
         self._step: Array | None = None if rates is None else np.multiply(rates, timestep)
         self._last: Array | None = None
         self._from: Array = np.zeros(n)
@@ -83,7 +84,7 @@ class LimitedController:
         # One number tells of NaN and inf in any joint.
         if not asked.dot(asked) < math.inf:
             raise self.not_finite(sensed)
-        np.minimum(np.maximum(asked, self._low, out=out), self._high, out=out)
+        np.minimum(np.maximum(asked, self._low, out=out), self.limits, out=out)
         if self._step is not None:
             if self._last is None:
                 self._last = out.copy()
@@ -92,6 +93,11 @@ class LimitedController:
             np.minimum(np.maximum(out, self._from, out=out), self._to, out=out)
             self._last[...] = out
         self._given = out
+
+    @property
+    def has_rate_limits(self) -> bool:
+        """Whether changes are limited as well."""
+        return self._step is not None
 
     @property
     def saturated(self) -> Bools:

@@ -148,6 +148,8 @@ class TorqueLoop:
         motor_torques: (n,), Nm or N, what the drives gave last.
         sensed: (2n,), velocities of the motors, rad/s or m/s, then what the torque sensors read of
             the step that led there, Nm or N; to be written before `step`.
+        matrix: (4n, 7n), see `loop_matrix`.
+        terms: (7n,), what it is multiplied by: what is remembered, commanded, and sensed.
     """
 
     def __init__(self, gains: LoopGains, timestep: float, limits: Array) -> None:
@@ -156,11 +158,11 @@ class TorqueLoop:
         self._high, self._low = np.array(limits), -np.array(limits)
         self.matrix = loop_matrix(gains, timestep)
         # [motor torques, friction, friction and momentum, filtered torques; u; dtheta, tau]
-        self._terms: Array = np.zeros(7 * n)
+        self.terms: Array = np.zeros(7 * n)
         self._next: Array = np.zeros(4 * n)
-        self._own = self._terms[: 4 * n]
+        self._own = self.terms[: 4 * n]
         self.motor_torques, self.friction, self._momentum, self._filtered = self._own.reshape(4, n)
-        self._commanded, self.sensed = self._terms[4 * n : 5 * n], self._terms[5 * n :]
+        self._commanded, self.sensed = self.terms[4 * n : 5 * n], self.terms[5 * n :]
         self._momentum_of = _momentum_per_velocity(gains, timestep)
 
     def reset(self, torques: Array, velocities: Array) -> None:
@@ -186,7 +188,7 @@ class TorqueLoop:
             out: (n,), to be written: torques of the motors in the next step, Nm or N.
         """
         motors = self.motor_torques
-        self.matrix.dot(self._terms, self._next)
+        self.matrix.dot(self.terms, self._next)
         self._own[...] = self._next
         np.maximum(motors, self._low, out=motors)
         np.minimum(motors, self._high, out=motors)

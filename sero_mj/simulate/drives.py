@@ -30,26 +30,30 @@ class Drives:
     Attributes:
         loop: the joint torque control; None where a run has none.
         gains: of the loop, by robot.
+        substeps: of the plant in one of the controllers.
+        limits: (n,), of the motors' torques, Nm or N.
+        late: (delay + 1, n), torques that do not act yet, in a ring.
+        place: (1,), in it, of the next.
 
     Raises:
         DeclarationError: a loop that the step cannot hold, or that a robot cannot have.
     """
 
     def __init__(self, plant: Plant, robots: dict[str, SerialRobot], run: Run) -> None:
-        self.plant, self._steps = plant, run.substeps
-        self._high: Array = np.concatenate([robot.torque_bounds for robot in robots.values()])
-        self._low: Array = -self._high
+        self.plant, self.substeps = plant, run.substeps
+        self.limits: Array = np.concatenate([robot.torque_bounds for robot in robots.values()])
+        self._low: Array = -self.limits
         self.gains: dict[str, LoopGains] = {}
         self.loop: TorqueLoop | None = None
         if run.torque_control:
             self._find_gains(robots)
             joined = LoopGains.joined([*self.gains.values()])
-            self.loop = TorqueLoop(joined, plant.timestep, self._high)
+            self.loop = TorqueLoop(joined, plant.timestep, self.limits)
         # Motors of elastic joints have encoders of their own, without errors; others the links'.
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
         self._measured = plant.measured[1:].reshape(-1)
-        self._late: Array = np.zeros((round(run.drive_delay / plant.timestep) + 1, plant.n))
-        self._k = 0
+        self.late: Array = np.zeros((round(run.drive_delay / plant.timestep) + 1, plant.n))
+        self.place = np.zeros(1, np.intp)
         self.reset()
 
     def _find_gains(self, robots: dict[str, SerialRobot]) -> None:
@@ -100,7 +104,7 @@ class Drives:
         def shaken(share: float) -> int | None:
             # Damping is designed with the root of the stiffness.
             scaled = share * stiffness, (np.sqrt(share) if has_springs else share) * damping
-            return unstable_loop(gains, mass, timestep, *scaled, self._steps)
+            return unstable_loop(gains, mass, timestep, *scaled, self.substeps)
 
         joint = shaken(1.0)
         if joint is not None:
@@ -108,7 +112,7 @@ class Drives:
             what = "stiffness" if has_springs else "damping"
             message = (
                 f"joint {joints[joint]} is unstable with a torque loop of {1 / timestep:.0f} Hz "
-                f"and a time step of {1e3 * timestep * self._steps:g} ms; expected at most "
+                f"and a time step of {1e3 * timestep * self.substeps:g} ms; expected at most "
                 f"{99 * share:.2g} % of all {what}, a shorter run.timestep, or a larger "
                 "torque_control.inertia_ratio"
             )
@@ -117,12 +121,12 @@ class Drives:
     @property
     def delay(self) -> int:
         """Steps of the plant until a motor's torque acts."""
-        return len(self._late) - 1
+        return len(self.late) - 1
 
     def reset(self) -> None:
         """Begins anew with a plant at rest, which the motors hold."""
-        self._k = 0
-        self._late[:] = self.plant.actual[2]
+        self.place[0] = 0
+        self.late[:] = self.plant.actual[2]
         if self.loop is not None:
             velocities = self.plant.measured[1] if self._velocities is None else self._velocities
             self.loop.reset(self.plant.measured[2], velocities)
@@ -138,13 +142,13 @@ class Drives:
         """
         plant, loop = self.plant, self.loop
         if loop is None:
-            given = np.minimum(np.maximum(commanded, self._low), self._high)
-            for _ in range(self._steps):
+            given = np.minimum(np.maximum(commanded, self._low), self.limits)
+            for _ in range(self.substeps):
                 plant.step(self._delayed(given))
             return
         loop.command(commanded)
         given, sensed, late = plant.joints.given, loop.sensed, self.delay
-        for _ in range(self._steps):
+        for _ in range(self.substeps):
             sensed[...] = self._measured
             if self._velocities is not None:
                 sensed[: plant.n] = self._velocities
@@ -155,10 +159,10 @@ class Drives:
 
     def _delayed(self, torques: Array) -> Array:
         """What acts while `torques` are asked for."""
-        late = self._late
+        late = self.late
         if len(late) == 1:
             return torques
-        late[self._k % len(late)] = torques
-        self._k += 1
-        acting: Array = late[self._k % len(late)]
+        late[self.place[0] % len(late)] = torques
+        self.place += 1
+        acting: Array = late[self.place[0] % len(late)]
         return acting

@@ -24,6 +24,7 @@ Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007, eq. 1-3
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -35,7 +36,8 @@ from ..frames import Array, Ints
 
 Index = slice | Ints
 
-_POSITION, _VELOCITY, _ACCELERATION = (
+# Of MuJoCo's warnings those of a motion that is unstable.
+POSITION, VELOCITY, ACCELERATION = (
     int(kind)
     for kind in (
         mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -53,6 +55,50 @@ def as_slice(indices: Ints) -> Index:
     if len(steps) <= 1 and (steps > 0).all():
         return slice(int(indices[0]), int(indices[-1]) + 1, int(steps[0]) if len(steps) else 1)
     return indices
+
+
+class JointArrays(NamedTuple):
+    """MuJoCo's model and data of a `JointModel` and arrays of both, for compiled steps.
+
+    Attributes:
+        model: `MjModel`; in compiled code its address, and that of the data.
+        data: its `MjData`.
+        positions: `qpos`.
+        velocities: `qvel`.
+        applied: `qfrc_applied`.
+        warned: how often MuJoCo has warned, by kind.
+        motor_dofs: index of every motor in `qvel`, (n,).
+        motor_positions: likewise in `qpos`.
+        given: see `JointModel`.
+        positions_before: (nq,), in `terms`, as are all up to `friction`.
+        velocities_before: (nv,).
+        positions_after: (nq,).
+        velocities_after: (nv,).
+        coupling_rows: of the constraints whose forces are those of couplings.
+        coupling: (couplings,).
+        friction: (dofs with Coulomb friction,).
+        terms: of which the readings are.
+        readings_of: (3n, terms).
+    """
+
+    model: Any
+    data: Any
+    positions: Array
+    velocities: Array
+    applied: Array
+    warned: Ints
+    motor_dofs: Ints
+    motor_positions: Ints
+    given: Array
+    positions_before: Array
+    velocities_before: Array
+    positions_after: Array
+    velocities_after: Array
+    coupling_rows: Ints
+    coupling: Array
+    friction: Array
+    terms: Array
+    readings_of: Array
 
 
 class JointModel:
@@ -79,6 +125,7 @@ class JointModel:
         sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
             together with the motor, or the deflection.
         given: (n,), torques of the motors in the next step, Nm; to be written before `advance`.
+        arrays: what a step is computed with; other ones after `refresh`.
     """
 
     def __init__(self, world: World, data: mujoco.MjData) -> None:
@@ -180,6 +227,30 @@ class JointModel:
         self._readings_of: Array = np.zeros((3 * n, len(self._terms)))
         self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
         self._states = q_before, dq_before, q_after, dq_after
+        self.arrays = self._as_arrays()
+
+    def _as_arrays(self) -> JointArrays:
+        data = self._data
+        return JointArrays(
+            model=self._model,
+            data=data,
+            positions=self._qpos,
+            velocities=self._qvel,
+            applied=self._applied,
+            warned=data.warning.number,
+            motor_dofs=np.array(np.arange(self._model.nv)[self.motor_dofs]),
+            motor_positions=self._motor_q,
+            given=self.given,
+            positions_before=self._states[0],
+            velocities_before=self._states[1],
+            positions_after=self._states[2],
+            velocities_after=self._states[3],
+            coupling_rows=self._coupling_rows,
+            coupling=self._coupling,
+            friction=self._friction,
+            terms=self._terms,
+            readings_of=self._readings_of,
+        )
 
     def _fill(self, readings: Array, first: Sequence[int]) -> None:
         """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""
@@ -229,7 +300,7 @@ class JointModel:
             self._applied += pushes
         (mj_step2 if self.is_ahead else mj_step)(model, data)
         warned = self._warned
-        if warned[_ACCELERATION] or warned[_VELOCITY] or warned[_POSITION]:
+        if warned[ACCELERATION] or warned[VELOCITY] or warned[POSITION]:
             return False
         q_after[...], dq_after[...] = self._qpos, self._qvel
         if len(self._coupling):

@@ -20,7 +20,7 @@ from .sensors import Sensors
 
 P = TypeVar("P", bound=Push)
 
-_MAX_TORQUE = 1e9  # Nm, norm of all motor torques; a comparison with it refuses NaN as well
+MAX_TORQUE = 1e9  # Nm, norm of all motor torques; a comparison with it refuses NaN as well
 
 
 class Plant:
@@ -146,7 +146,7 @@ class Plant:
         """
         given = self.joints.given
         given[...] = motor_torques
-        if not hypot(*given.tolist()) < _MAX_TORQUE:
+        if not hypot(*given.tolist()) < MAX_TORQUE:
             self._stop_for_torque()
         return self.step_given()
 
@@ -161,7 +161,7 @@ class Plant:
         """
         joints = self.joints
         if not joints.advance(self._gather_pushes() if self._pushed else None):
-            self._stop_for_motion()
+            self.stop_for_motion()
         sensors = self.sensors
         if sensors.is_perfect:
             joints.read(self._measured_readings)
@@ -170,6 +170,16 @@ class Plant:
         joints.read(self._readings)
         self._is_measured = False
         return sensors.measure(self._actual)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing pushes, and sensors read the truth."""
+        return self.sensors.is_perfect and not self._pushed
+
+    def take_compiled_steps(self) -> None:
+        """Takes note of steps that compiled code has made: it has written `measured`."""
+        self.joints.is_ahead = False
+        self._is_measured = True
 
     @property
     def actual(self) -> Array:
@@ -328,11 +338,12 @@ class Plant:
     def _stop_for_torque(self) -> NoReturn:
         torques = self.joints.given.copy()
         self.joints.given[:] = 0.0
-        row = int(np.argmax(~(np.abs(torques) < _MAX_TORQUE / np.sqrt(self.n))))
+        row = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
         reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
         raise SimulationError(self.time, self._joint_name(row), reason)
 
-    def _stop_for_motion(self) -> NoReturn:
+    def stop_for_motion(self) -> NoReturn:
+        """Raises the `SimulationError` of a motion that has become unstable."""
         acceleration = self.data.qacc[self._motor_dofs]
         broken = ~(np.abs(acceleration) < mujoco.mjMAXVAL)
         parts = self.world.robots.values()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from itertools import product
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..control.cartesian_control import CartesianImpedance
 from ..control.compiler import Compiler
-from ..control.controller import ControllerDeclaration, Sensed, Target
+from ..control.controller import ControllerDeclaration, LawController, Sensed, Target
 from ..control.joint_control import GravityCompensation
 from ..control.make_controller import LimitedController, make_controller
 from ..control.observer import MomentumObserver
@@ -37,12 +37,16 @@ from .live_control import LiveControl, LiveRobot
 from .plant import Plant
 from .scenario import Scenario
 
+if TYPE_CHECKING:
+    from .compiled_steps import CompiledSteps
+
 T = TypeVar("T")
 
 # s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
 OBSERVED_EVERY = 0.01
 _ROUNDS = 30  # of `HangingLinks`: what is left of the first is less than 0.2 %
 _MOVE = 1e-5  # rad and rad/s, between which controllers are linear
+_IN_CONTACT = 100  # steps in Python after a contact, which seldom ends at once
 # rad/s and m/s, what counts as the velocity limit of a joint that has none: as fast as any drives.
 _UNDECLARED_SPEED = {"revolute": 20.0, "prismatic": 5.0}
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
@@ -70,6 +74,7 @@ class Simulation:
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
         live: changes targets and controllers; None without.
+        in_python: where `run.jit` is wanted, why no step can be compiled; empty if some can.
 
     Raises:
         DeclarationError: what only shows when robots are compiled and targets computed: unstable
@@ -118,6 +123,7 @@ class Simulation:
         self._limit_speeds()
         self.hand = Hand(self.plant, scenario) if by_hand else None
         self.live = LiveControl() if is_live else None
+        self.in_python: list[str] = []
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
@@ -247,8 +253,51 @@ class Simulation:
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, 0] = self.plant.actual[2]  # what holds it at rest
         self._write_free(0)
+        self._compiled = self._compile() if run.jit else None
         if self.live is not None:
             self.live.begin({robot.robot.name: self._live_robot(robot) for robot in self._robots})
+
+    def _compile(self) -> CompiledSteps | None:
+        """Steps as machine code; None where all have to be made in Python, see `in_python`."""
+        try:
+            from .compiled_steps import CompiledSteps, LogArrays
+        except ModuleNotFoundError as error:
+            message = (
+                f"found true, but no {error.name}; expected pip install 'sero-mj[jit]', or false"
+            )
+            problems = self.scenario.scene.located([Problem("run.jit", message)])
+            raise DeclarationError(problems) from None
+        self.in_python = CompiledSteps.obstacles(self._robots)
+        self.in_python += [
+            what
+            for what, needed in {
+                "controllers and targets are changed while it runs": self.live is not None,
+                "robots can be pulled by hand": self.hand is not None,
+                "sensors have errors": not self.plant.sensors.is_perfect,
+                "robots carry robots, or stand on what moves": self.whole_body is not None,
+                "bases or objects are free to move": bool(self._free),
+            }.items()
+            if needed
+        ]
+        if self.in_python:
+            return None
+        log = LogArrays(
+            self._measured,
+            self._actual,
+            self._driven,
+            self.plant.measured.reshape(-1),
+            self._drive,
+            self._surely_slow,
+        )
+        has_contacts = self._contacts is not None
+        return CompiledSteps(
+            self.plant, self.drives, self._robots, log, stops_at_contacts=has_contacts
+        )
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether steps are machine code, where nothing needs Python."""
+        return self._compiled is not None
 
     def _live_robot(self, controlled: ControlledRobot) -> LiveRobot:
         """What targets and controllers of a robot are changed by."""
@@ -368,6 +417,19 @@ class Simulation:
             SimulationError: it cannot go on, and the log ends with the step before; or a joint has
                 run away, and the log ends there.
         """
+        first, stop = self.step + 1, min(to_step, self.steps) + 1
+        try:
+            while self.step + 1 < stop:
+                if self._compiled is None:
+                    self._advance_in_python(stop)
+                else:
+                    self._advance_compiled(self._compiled, stop)
+        finally:
+            written = self._driven[first : self.step + 1]
+            written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
+
+    def _advance_in_python(self, stop: int) -> None:
+        """Makes the steps up to the row before `stop`."""
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
         whole_body, free = self.whole_body, self._free
         acting = [each for each in (schedule, self.hand) if each is not None]
@@ -377,39 +439,64 @@ class Simulation:
         (commanded, _), every = self._drive, self._observed_every
         slow, motor_speeds = self._surely_slow, self._motor_speeds
         move = plant.step if self.drives is None else self.drives.step
-        first, stop = self.step + 1, min(to_step, self.steps) + 1
+        first = self.step + 1
         times = self.rows[first - 1 : stop - 1, 0].tolist()
-        try:
-            for k, time in zip(range(first, stop), times, strict=True):
-                for act in before:
-                    act(k - 1)
-                if whole_body is not None:
-                    whole_body.update(measured[k - 1, 0], plant.data)
-                for robot in self._robots:
-                    robot.command(k - 1, time)
-                move(commanded * schedule.gains)
-                measured[k], actual[k], driven[k] = plant.measured, plant.actual, self._drive
-                if free:
-                    self._write_free(k)
-                if contacts is not None and plant.data.ncon:
-                    self._write_contacts(k, contacts.update())
-                for act in after:
-                    act(k)
-                if k % every == 0:
-                    if whole_body is not None:
-                        whole_body.update(measured[k, 0], plant.data)
-                    for robot in self._robots:
-                        estimate = robot.observe(measured[k - every + 1 : k + 1])
-                        self._estimated[k : k + every, robot.joints] = estimate
-                self.step = k
-                speeds = actual[k, 1]
-                if speeds.dot(speeds) > slow or (
-                    motor_speeds is not None and motor_speeds.dot(motor_speeds) > slow
-                ):
-                    self._stop_runaway(k)
-        finally:
-            written = driven[first : self.step + 1]
-            written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
+        for k, time in zip(range(first, stop), times, strict=True):
+            for act in before:
+                act(k - 1)
+            if whole_body is not None:
+                whole_body.update(measured[k - 1, 0], plant.data)
+            for robot in self._robots:
+                robot.command(k - 1, time)
+            move(commanded * schedule.gains)
+            measured[k], actual[k], driven[k] = plant.measured, plant.actual, self._drive
+            if free:
+                self._write_free(k)
+            if contacts is not None and plant.data.ncon:
+                self._write_contacts(k, contacts.update())
+            for act in after:
+                act(k)
+            if k % every == 0:
+                self._observe(k)
+            self.step = k
+            speeds = actual[k, 1]
+            if speeds.dot(speeds) > slow or (
+                motor_speeds is not None and motor_speeds.dot(motor_speeds) > slow
+            ):
+                self._stop_runaway(k)
+
+    def _advance_compiled(self, compiled: CompiledSteps, stop: int) -> None:
+        """Makes steps up to the row before `stop`, or fewer: by machine code where that can be."""
+        k, every, schedule = self.step, self._observed_every, self._schedule
+        schedule.before(k)
+        stop = min(stop, max(schedule.next_row, k + 1) + 1)
+        if schedule.is_busy or not self.plant.is_plain:
+            self._advance_in_python(stop)
+            return
+        last, end = compiled.run(k + 1, stop, schedule.gains)
+        for row in range(k + every - k % every, last + 1, every):
+            self._observe(row)
+        self.step = last
+        if end == compiled.REFUSED:  # in Python it is told why
+            self._advance_in_python(last + 2)
+        elif end == compiled.UNSTABLE:
+            self.plant.stop_for_motion()
+        elif end == compiled.NOTEWORTHY:
+            touches = self._contacts is not None and self.plant.data.ncon > 0
+            if self._contacts is not None and touches:
+                self._write_contacts(last, self._contacts.update())
+            self._stop_runaway(last)
+            if touches:
+                self._advance_in_python(min(stop, last + 1 + _IN_CONTACT))
+
+    def _observe(self, k: int) -> None:
+        """Estimates the external torques of row k and those after it."""
+        every, measured = self._observed_every, self._measured
+        if self.whole_body is not None:
+            self.whole_body.update(measured[k, 0], self.plant.data)
+        for robot in self._robots:
+            estimate = robot.observe(measured[k - every + 1 : k + 1])
+            self._estimated[k : k + every, robot.joints] = estimate
 
     def drop_oldest(self, keep: int) -> int:
         """Forgets all rows of the log but the last ones, so that as many can be simulated anew.
@@ -530,7 +617,7 @@ class ControlledRobot:
         self.joints = joints = plant.world.robots[name].joints
         self._timestep = timestep
         self.robot = robot
-        self._commanded, self._asked = drive[:, joints]
+        self.commanded, self._asked = drive[:, joints]
         # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
         motor_state = np.zeros(2 * robot.n) if robot.elastic_joints else None
         # What is measured of the only robot is used in place.
@@ -589,6 +676,28 @@ class ControlledRobot:
     def controller(self) -> LimitedController:
         """The controller, behind its torque limits."""
         return self.in_use[1]
+
+    @property
+    def law_controller(self) -> LawController:
+        """The controller without limits, of a robot whose steps can be compiled."""
+        return cast(LawController, self.controller.controller)
+
+    @property
+    def sensed(self) -> Sensed:
+        """What its controller sees."""
+        return self._sensed
+
+    @property
+    def plan(self) -> tuple[Array, Array]:
+        """What of the target is planned, to be written into, and its rows: one for all, or each."""
+        return self._planned, self._planned_rows
+
+    def prepare(self, k: int) -> int:
+        """Designs what is due before the step that leads on from row k; see `LawController`."""
+        self._sense()
+        if self._moves:
+            self._planned[...] = self._planned_rows[k]
+        return self.law_controller.prepare(self._sensed, self._target)
 
     @property
     def target(self) -> Target:
@@ -668,7 +777,7 @@ class ControlledRobot:
         self._sensed.time = time
         if self._moves:
             self._planned[...] = self._planned_rows[k]
-        self.in_use[1].torques(self._sensed, self._target, self._commanded)
+        self.in_use[1].torques(self._sensed, self._target, self.commanded)
 
     def observe(self, measured: Array) -> Array:
         """Estimates the external torques after further steps, (n,), Nm or N.

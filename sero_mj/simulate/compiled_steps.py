@@ -1,0 +1,456 @@
+"""`CompiledSteps`: many steps of a simulation in one call of machine code, see `run.jit`.
+
+What a step costs in Python is mostly the way between calls. Here controllers, limits, drives,
+physics, sensors and log of many steps are one function, which numba compiles. The laws are those
+that run in Python; what surrounds them says the same as `Simulation`, `Drives` and `JointModel`
+say for one step, and a test compares both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from functools import cache
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from mujoco import mj_fwdKinematics, mj_step, mj_step2
+from numba import literal_unroll, types
+from numba.extending import overload
+
+from ..control import cartesian_control, joint_control, robot_model
+from ..control.cartesian_control import CartesianWork, cartesian_torques, write_spring_wrench
+from ..control.jit import address_of, compiled
+from ..control.joint_control import GravityWork, JointWork, gravity_torques, joint_torques
+from ..control.robot_model import ModelArrays, write_inverse_dynamics
+from ..frames import Array, Ints
+from .constraint_arrays import ConstraintArrays
+from .joint_model import ACCELERATION, POSITION, VELOCITY, JointArrays
+from .plant import MAX_TORQUE, Plant
+
+if TYPE_CHECKING:
+    from .drives import Drives
+    from .simulation import ControlledRobot
+
+LAWS: dict[type, Any] = {
+    GravityWork: gravity_torques,
+    JointWork: joint_torques,
+    CartesianWork: cartesian_torques,
+}
+DONE, FAST, NOTEWORTHY, UNSTABLE, REFUSED = range(5)  # why steps have come to an end
+
+
+class RobotArrays(NamedTuple):
+    """A robot and its controller.
+
+    Attributes:
+        model: what the controller knows of the robot.
+        work: of its law.
+        sensed: of `Sensed` what laws look at.
+        target: of `Target` likewise.
+        planned: the target's array of that name, as long as the rows are.
+        rows: (steps or 1, ...), of the plan.
+        motors: (n,), which of the plant's joints are the robot's.
+        asked: (n,), what the controller asks for.
+        commanded: (n,), within the limits.
+        limits: (n,).
+    """
+
+    model: ModelArrays
+    work: Any
+    sensed: SensedArrays
+    target: TargetArrays
+    planned: Array
+    rows: Array
+    motors: Ints
+    asked: Array
+    commanded: Array
+    limits: Array
+
+
+class SensedArrays(NamedTuple):
+    """See `Sensed`."""
+
+    motor_state: Array
+    motor_angles: Array
+    motor_velocities: Array
+
+
+class TargetArrays(NamedTuple):
+    """See `Target`."""
+
+    has_torques: bool
+    state: Array
+    velocities: Array
+    accelerations: Array
+    position: Array
+    rotation: Array
+    twist: Array
+    posture: Array
+    wrench: Array
+    torques: Array
+
+
+class DriveArrays(NamedTuple):
+    """What is between controllers and motors, see `Drives`.
+
+    Attributes:
+        substeps: of the physics in one of the controllers.
+        limits: (N,), of the motors; infinite where `Drives` do not take part.
+        late: (delay + 1, N), torques that do not act yet.
+        place: (1,), in `late`, of the next.
+        has_loop: whether joint torque is controlled.
+        matrix: of the loop, see `TorqueLoop`.
+        terms: likewise.
+        is_elastic: whether the loop gets the motors' velocities, instead of the links'.
+    """
+
+    substeps: int
+    limits: Array
+    late: Array
+    place: Ints
+    has_loop: bool
+    matrix: Array
+    terms: Array
+    is_elastic: bool
+
+
+class LogArrays(NamedTuple):
+    """The log, (steps + 1, signals, N), and what it is written from.
+
+    Attributes:
+        measured: angles, velocities, torques.
+        actual: likewise.
+        driven: torques that are commanded and asked for.
+        readings: (3N,), what the sensors read.
+        drive: (2, N), as `driven`.
+        slow: square of the speed of all joints together at which none runs away.
+    """
+
+    measured: Array
+    actual: Array
+    driven: Array
+    readings: Array
+    drive: Array
+    slow: float
+
+
+def torques_of(robot: Any, work: Any, sensed: Any, target: Any, out: Any) -> None:
+    """The law that a type of work belongs to, in compiled code."""
+    raise NotImplementedError
+
+
+def _compile_law(kind: type, law: Any) -> None:
+    def choose(robot: Any, work: types.NamedTuple, sensed: Any, target: Any, out: Any) -> Any:
+        return law if work.instance_class is kind else None
+
+    choose.__signature__ = inspect.signature(law)  # type: ignore[attr-defined]
+    overload(torques_of)(choose)
+
+
+for _kind, _law in LAWS.items():
+    _compile_law(_kind, _law)
+
+
+def command(robot: RobotArrays, joints: JointArrays, row: int) -> bool:
+    """Computes the torques of one robot in a step; returns whether all are finite."""
+    n, sensed, asked = len(robot.asked), robot.sensed, robot.asked
+    for i in range(n):
+        motor = robot.motors[i]
+        sensed.motor_angles[i] = joints.positions[joints.motor_positions[motor]]
+        sensed.motor_velocities[i] = joints.velocities[joints.motor_dofs[motor]]
+    if len(robot.rows) > 1:
+        robot.planned[:] = robot.rows[row]
+    robot.model.angles[:] = sensed.motor_angles
+    mj_fwdKinematics(robot.model.model, robot.model.data)
+    torques_of(robot.model, robot.work, sensed, robot.target, asked)
+    is_finite = True
+    for i in range(n):
+        is_finite &= np.isfinite(asked[i])
+        robot.commanded[i] = min(max(asked[i], -robot.limits[i]), robot.limits[i])
+    return is_finite
+
+
+def move(joints: JointArrays, constraints: ConstraintArrays, is_ahead: bool) -> bool:
+    """Makes a step of the physics, see `JointModel.advance`; returns whether it is stable."""
+    joints.positions_before[:] = joints.positions
+    joints.velocities_before[:] = joints.velocities
+    for i in range(len(joints.given)):
+        joints.applied[joints.motor_dofs[i]] = joints.given[i]
+    if is_ahead:
+        mj_step2(joints.model, joints.data)
+    else:
+        mj_step(joints.model, joints.data)
+    warned = joints.warned
+    if warned[ACCELERATION] or warned[VELOCITY] or warned[POSITION]:
+        return False
+    joints.positions_after[:] = joints.positions
+    joints.velocities_after[:] = joints.velocities
+    first = (constraints.force_pointer[0] - constraints.arena_address) // 8
+    for i in range(len(joints.coupling)):
+        joints.coupling[i] = constraints.arena[first + joints.coupling_rows[i]]
+    first += constraints.counts[1]  # behind equality constraints
+    for i in range(len(joints.friction)):
+        joints.friction[i] = constraints.arena[first + i]
+    return True
+
+
+def drive(
+    drives: DriveArrays,
+    joints: JointArrays,
+    constraints: ConstraintArrays,
+    readings: Array,
+    commanded: Array,
+    is_ahead: bool,
+) -> int:
+    """Moves the plant by one step of the controllers, see `Drives.step`; returns how it ended."""
+    n, given, limits, late = len(joints.given), joints.given, drives.limits, drives.late
+    for i in range(n):
+        if not abs(commanded[i]) < MAX_TORQUE / n:
+            return REFUSED
+    for substep in range(drives.substeps):
+        if drives.has_loop:
+            control_torque(drives, joints, readings, commanded)
+        else:
+            for i in range(n):
+                given[i] = min(max(commanded[i], -limits[i]), limits[i])
+        if len(late) > 1:
+            late[drives.place[0] % len(late)] = given
+            drives.place[0] += 1
+            given[:] = late[drives.place[0] % len(late)]
+        if not move(joints, constraints, is_ahead and substep == 0):
+            return UNSTABLE
+        np.dot(joints.readings_of, joints.terms, readings)
+    return DONE
+
+
+def control_torque(
+    drives: DriveArrays, joints: JointArrays, readings: Array, commanded: Array
+) -> None:
+    """Makes a step of the torque loop, see `TorqueLoop.step`."""
+    n, terms = len(joints.given), drives.terms
+    terms[4 * n : 5 * n] = commanded
+    terms[5 * n :] = readings[n:]
+    if drives.is_elastic:
+        for i in range(n):
+            terms[5 * n + i] = joints.velocities[joints.motor_dofs[i]]
+    terms[: 4 * n] = drives.matrix.dot(terms)
+    for i in range(n):
+        terms[i] = min(max(terms[i], -drives.limits[i]), drives.limits[i])
+        joints.given[i] = terms[i]
+
+
+def run_steps(
+    first: int,
+    stop: int,
+    is_ahead: bool,
+    stops_at_contacts: bool,
+    gains: Array,
+    robots: tuple[RobotArrays, ...],
+    joints: JointArrays,
+    constraints: ConstraintArrays,
+    drives: DriveArrays,
+    log: LogArrays,
+) -> tuple[int, int]:
+    """Makes the steps that lead to rows of the log.
+
+    Args:
+        first: row.
+        stop: the one behind the last.
+        is_ahead: whether what follows from the state has been computed.
+        stops_at_contacts: whether it ends where something touches something.
+        gains: (N,), by which commanded torques are multiplied.
+        robots: that are controlled.
+        joints: of all of them.
+        constraints: on them.
+        drives: of their motors.
+        log: that is written.
+
+    Returns:
+        the last row that has been written, and why it is the last: all are `DONE`; something in it
+        is `NOTEWORTHY`, a contact or a high speed; the step after it is `UNSTABLE`; or that has
+        been `REFUSED` for its torques, and nothing has moved.
+    """
+    for k in range(first, stop):
+        end = make_step(k, is_ahead and k == first, gains, robots, joints, constraints, drives, log)
+        if end in (REFUSED, UNSTABLE):
+            return k - 1, end
+        if end == FAST or (stops_at_contacts and constraints.counts[0] > 0):
+            return k, NOTEWORTHY
+    return stop - 1, DONE
+
+
+def make_step(
+    k: int,
+    is_ahead: bool,
+    gains: Array,
+    robots: tuple[RobotArrays, ...],
+    joints: JointArrays,
+    constraints: ConstraintArrays,
+    drives: DriveArrays,
+    log: LogArrays,
+) -> int:
+    """Makes the step that leads to row k; see `run_steps`.
+
+    A function of its own: what `literal_unroll` puts on the stack is there until it returns.
+    """
+    for robot in literal_unroll(robots):
+        if not command(robot, joints, k - 1):
+            return REFUSED
+    end = drive(drives, joints, constraints, log.readings, log.drive[0] * gains, is_ahead)
+    if end != DONE:
+        return end
+    n, speed = len(joints.given), 0.0
+    for i in range(n):
+        motor = joints.velocities[joints.motor_dofs[i]]
+        speed += max(log.readings[n + i] ** 2, motor**2)
+        for signal in range(3):
+            log.measured[k, signal, i] = log.readings[signal * n + i]
+            log.actual[k, signal, i] = log.readings[signal * n + i]
+        log.driven[k, 0, i], log.driven[k, 1, i] = log.drive[0, i], log.drive[1, i]
+    return DONE if speed <= log.slow else FAST
+
+
+# What `run_steps` calls, innermost first.
+_CALLS = (
+    write_inverse_dynamics,
+    write_spring_wrench,
+    gravity_torques,
+    joint_torques,
+    cartesian_torques,
+    command,
+    move,
+    control_torque,
+    drive,
+    make_step,
+)
+
+
+@cache
+def _compiled() -> Any:
+    """`run_steps` as machine code.
+
+    numba keeps it until this file changes. Of a function in another it keeps what this function
+    encloses as well: the sources of the laws.
+    """
+    modules = robot_model, joint_control, cartesian_control
+    sources = hashlib.sha256("".join(map(inspect.getsource, modules)).encode()).hexdigest()
+    steps = FunctionType(run_steps.__code__, run_steps.__globals__)
+    steps.__qualname__ = f"run_steps_{sources[:12]}"
+    return compiled(steps, *_CALLS)
+
+
+class CompiledSteps:
+    """The steps of a simulation as machine code.
+
+    Args:
+        plant: that is simulated.
+        drives: of its motors; None where commanded torques are those of the motors.
+        robots: with their controllers.
+        log: what is written.
+        stops_at_contacts: whether steps end where something touches something.
+    """
+
+    NOTEWORTHY, UNSTABLE, REFUSED = NOTEWORTHY, UNSTABLE, REFUSED
+
+    def __init__(
+        self,
+        plant: Plant,
+        drives: Drives | None,
+        robots: list[ControlledRobot],
+        log: LogArrays,
+        *,
+        stops_at_contacts: bool,
+    ) -> None:
+        self._plant, self._robots, self._log = plant, robots, log
+        self._stops_at_contacts = stops_at_contacts
+        self._run = _compiled()
+        self._joints: JointArrays | None = None  # as they were last, with addresses next to them
+        self._constraints = ConstraintArrays.of(plant.data)
+        self._model, self._data = address_of(plant.model), address_of(plant.data)
+        self._drives = _drive_arrays(plant, drives)
+        self._of_robots = tuple(_robot_arrays(robot) for robot in robots)
+
+    @staticmethod
+    def obstacles(robots: list[ControlledRobot]) -> list[str]:
+        """Why controllers have to run in Python; nothing where they need not."""
+        found = []
+        for robot in robots:
+            _, limited, hanging = robot.in_use
+            if type(getattr(limited.controller, "work", None)) not in LAWS:
+                found.append(f"the controller of {robot.robot.name} is not one of sero-mj's")
+            elif limited.has_rate_limits:
+                found.append(f"controllers.{robot.robot.name}.torque_rate_limits")
+            elif hanging is not None:
+                found.append(f"elastic joints of {robot.robot.name} behind a torque loop")
+        return found
+
+    def run(self, first: int, stop: int, gains: Array) -> tuple[int, int]:
+        """Makes steps, see `run_steps`.
+
+        Args:
+            first: row of the log.
+            stop: the one behind the last; it ends before it where a controller has to be designed.
+            gains: (N,), by which commanded torques are multiplied.
+        """
+        joints = self._plant.joints
+        if self._joints is not joints.arrays:
+            self._joints = joints.arrays
+            self._addressed = self._joints._replace(model=self._model, data=self._data)
+        for robot in self._robots:
+            stop = min(stop, first + robot.prepare(first - 1))
+        last, end = self._run(
+            first,
+            stop,
+            joints.is_ahead,
+            self._stops_at_contacts,
+            gains,
+            self._of_robots,
+            self._addressed,
+            self._constraints,
+            self._drives,
+            self._log,
+        )
+        for robot in self._robots:
+            robot.law_controller.pass_steps(last + 1 - first)
+        if last >= first:
+            self._plant.take_compiled_steps()
+        return last, end
+
+
+def _robot_arrays(robot: ControlledRobot) -> RobotArrays:
+    limited, sensed, target = robot.controller, robot.sensed, robot.target
+    controller = robot.law_controller
+    model = controller.model.arrays
+    handles = {key: address_of(getattr(model, key)) for key in _HANDLES}
+    planned, rows = robot.plan
+    return RobotArrays(
+        model=model._replace(**handles),  # type: ignore[arg-type]
+        work=controller.work,
+        sensed=SensedArrays(*(getattr(sensed, key) for key in SensedArrays._fields)),
+        target=TargetArrays(*(getattr(target, key) for key in TargetArrays._fields)),
+        planned=planned,
+        rows=rows,
+        motors=np.arange(robot.joints.start, robot.joints.stop),
+        asked=limited.asked,
+        commanded=robot.commanded,
+        limits=limited.limits,
+    )
+
+
+_HANDLES = ("model", "data", "weightless", "moving")
+
+
+def _drive_arrays(plant: Plant, drives: Drives | None) -> DriveArrays:
+    n, is_elastic = plant.n, plant.joints.elastic
+    matrix, terms = np.zeros((0, 0)), np.zeros(0)
+    if drives is None:
+        late, place = np.zeros((1, n)), np.zeros(1, np.intp)
+        return DriveArrays(1, np.full(n, np.inf), late, place, False, matrix, terms, is_elastic)
+    has_loop = drives.loop is not None
+    if drives.loop is not None:
+        matrix, terms = drives.loop.matrix, drives.loop.terms
+    late, place = drives.late, drives.place
+    limits, substeps = drives.limits, drives.substeps
+    return DriveArrays(substeps, limits, late, place, has_loop, matrix, terms, is_elastic)
