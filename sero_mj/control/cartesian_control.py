@@ -21,7 +21,7 @@ from pydantic import BeforeValidator, Field
 
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem
-from ..frames import Array
+from ..frames import Array, Matrix, Vector
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
@@ -284,51 +284,50 @@ class CartesianWork(NamedTuple):
     """
 
     in_flange: bool
-    least_pivot: Array  # (1,), of the mobility
-    per_length: Array  # (6, 1)
-    null_gains: Array  # (n, 2n)
-    null_terms: Array
-    posture_error: Array
-    null_velocities: Array
-    wrench_gains: Array  # (6, 18)
-    wrench_terms: Array
-    twist_error: Array
-    spring_wrench: Array
-    force: Array
-    moment: Array
-    taken: Array
-    torque_gains: Array  # (6 + 2n, n)
-    jacobian: Array
-    linear: Array
-    angular: Array
-    torque_terms: Array
-    wrench: Array
-    inner: Array
-    gravity: Array
-    scaled_jacobian: Array
-    jacobian_over_mass: Array
-    mass_under_jacobian: Array
-    mobility: Array
-    solved: Array
-    spring: Array  # (7, 7)
-    error: Array
-    way: Array
-    quaternion: Array
-    pull: Array
-    pull_of_way: Array
-    pull_of_turn: Array
-    torque: Array  # a quaternion
-    torque_vector: Array
-    back: Array  # R_target_world
-    turn: Array
-    turn_numbers: Array
+    least_pivot: Vector  # (1,), of the mobility
+    per_length: Matrix  # (6, 1)
+    null_gains: Matrix  # (n, 2n)
+    null_terms: Vector
+    posture_error: Vector
+    null_velocities: Vector
+    wrench_gains: Matrix  # (6, 18)
+    wrench_terms: Vector
+    twist_error: Vector
+    spring_wrench: Vector
+    force: Vector
+    moment: Vector
+    taken: Vector
+    torque_gains: Matrix  # (6 + 2n, n)
+    jacobian: Matrix
+    linear: Matrix
+    angular: Matrix
+    torque_terms: Vector
+    wrench: Vector
+    inner: Vector
+    gravity: Vector
+    scaled_jacobian: Matrix
+    jacobian_over_mass: Matrix
+    mobility: Matrix
+    solved: Vector
+    spring: Matrix  # (7, 7)
+    error: Vector
+    way: Vector
+    quaternion: Vector
+    pull: Vector
+    pull_of_way: Vector
+    pull_of_turn: Vector
+    torque: Vector  # a quaternion
+    torque_vector: Vector
+    back: Matrix  # R_target_world
+    turn: Matrix
+    turn_numbers: Vector
 
 
 def _workspace(n: int, in_flange: bool) -> CartesianWork:
     """That of a robot with n joints, without gains."""
     null_terms, wrench_terms, torque_terms = np.zeros(2 * n), np.zeros(18), np.zeros(6 + 2 * n)
     torque_gains: Array = np.vstack([np.zeros((6, n)), np.eye(n), np.eye(n)])
-    jacobian_over_mass, turn = np.zeros((6, n)), np.zeros((3, 3))
+    turn: Array = np.zeros((3, 3))
     error, pull, torque = np.zeros(7), np.zeros(7), np.zeros(4)
     return CartesianWork(
         in_flange=in_flange,
@@ -354,8 +353,7 @@ def _workspace(n: int, in_flange: bool) -> CartesianWork:
         inner=torque_terms[6 : 6 + n],
         gravity=torque_terms[6 + n :],
         scaled_jacobian=np.zeros((6, n)),
-        jacobian_over_mass=jacobian_over_mass,
-        mass_under_jacobian=jacobian_over_mass.T,
+        jacobian_over_mass=np.zeros((6, n)),
         mobility=np.zeros((6, 6)),
         solved=np.zeros(6),
         spring=np.zeros((7, 7)),
@@ -385,7 +383,7 @@ def cartesian_torques(
     mj_makeM(robot.model, robot.data)
     mj_factorM(robot.model, robot.data)
     mj_solveM(robot.model, robot.data, J_over_M, J)
-    dot(J, work.mass_under_jacobian, mobility)
+    dot(J, J_over_M.T, mobility)
     # L = (J M^-1 J^T)^-1 is only ever solved with
     mju_cholFactor(mobility, work.least_pivot[0])
 

@@ -4,7 +4,8 @@ A law is a function of arrays, in the part of Python and numpy that numba knows.
 as it stands; compiled, its calls of MuJoCo are calls in C, with addresses in place of model and
 data (`address_of`). Both compute the same, to rounding.
 
-numba keeps what it has compiled beside the module of the law, or in the user's cache folder.
+numba keeps what it has compiled beside the module of the law, or in the user's cache folder, where
+one of them can be written to.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any, TypeVar
 
 import mujoco
 import numba
+import numpy as np
 from llvmlite import binding
 from mujoco import (
     mj_comVel,
@@ -36,9 +38,12 @@ from mujoco import (
 )
 from numba import types
 from numba.core import event
-from numba.extending import overload, register_jitable
+from numba.extending import intrinsic, overload, register_jitable
+
+from ..frames import Ints
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 
 _VOID, _INT, _NUMBER = types.void, types.int32, types.float64
 _POINTER = types.intp  # an address
@@ -55,7 +60,11 @@ def compiled(law: F, *calls: Callable[..., Any]) -> F:
     """
     for function in calls:
         register_jitable(function)
-    machine_code: F = numba.njit(cache=True, nogil=True, error_model="numpy")(law)
+    machine_code: F
+    try:
+        machine_code = numba.njit(cache=True, nogil=True, error_model="numpy")(law)
+    except RuntimeError:  # no folder can be written to: then it is compiled every time
+        machine_code = numba.njit(nogil=True, error_model="numpy")(law)
     return machine_code
 
 
@@ -76,6 +85,44 @@ def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
 
     with event.install_listener("numba:compile", Listener()):
         yield
+
+
+def table_of(*groups: tuple[Any, ...]) -> Ints:
+    """What compiled code finds the values of tuples by, see `read`.
+
+    Compiled code takes a table in no time, but to take a hundred arrays lets numba compile for a
+    minute.
+
+    Args:
+        *groups: named tuples of arrays (of float64, without gaps), MuJoCo's models and data, and
+            whole numbers; all have to outlive the table.
+
+    Returns:
+        (values, 3): address or number, rows and columns.
+    """
+    table: list[tuple[int, int, int]] = []
+    for value in (value for group in groups for value in group):
+        if isinstance(value, np.ndarray):
+            if value.dtype != np.float64 or not value.flags.c_contiguous:
+                raise ValueError(f"found {value.dtype} {value.strides}; expected float64, no gaps")
+            columns = value.shape[1] if value.ndim > 1 else 1
+            table.append((value.ctypes.data, len(value), columns))
+        elif isinstance(value, mujoco.MjModel | mujoco.MjData):
+            table.append((int(value._address), 0, 0))
+        else:
+            table.append((int(value), 0, 0))
+    return np.array(table, np.int64)
+
+
+def read(kind: type[T], table: Ints) -> T:
+    """A named tuple from the front of its table, in compiled code.
+
+    Args:
+        kind: its class, whose annotations say which values are `Vector`, `Matrix` or bool; others
+            are whole numbers.
+        table: see `table_of`.
+    """
+    raise NotImplementedError
 
 
 def address_of(owner: mujoco.MjModel | mujoco.MjData) -> int:
@@ -137,6 +184,45 @@ _COMPILED: dict[Callable[..., Any], Callable[..., Any]] = {
     mju_mat2Quat: lambda result, matrix: _mat2Quat(result.ctypes.data, matrix.ctypes.data),
     mju_mulQuat: lambda result, a, b: _mulQuat(result.ctypes.data, a.ctypes.data, b.ctypes.data),
 }
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _numbers_at(_: Any, address: Any) -> Any:
+    """A pointer to numbers."""
+    pointer = types.CPointer(types.float64)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], context.get_value_type(pointer))
+
+    return pointer(address), generate
+
+
+def _vector(table: Ints, k: int) -> Any:
+    return numba.carray(_numbers_at(table[k, 0]), (table[k, 1],))
+
+
+def _matrix(table: Ints, k: int) -> Any:
+    return numba.carray(_numbers_at(table[k, 0]), (table[k, 1], table[k, 2]))
+
+
+_READ = {
+    "Vector": "_vector(table, {})",
+    "Matrix": "_matrix(table, {})",
+    "bool": "table[{}, 0] != 0",
+}
+
+
+@overload(read)  # type: ignore[untyped-decorator]
+def _choose_read(kind: Any, table: Any) -> Any:
+    made = kind.instance_class
+    kinds = [getattr(each, "__forward_arg__", each) for each in made.__annotations__.values()]
+    values = [_READ.get(each, "table[{}, 0]").format(k) for k, each in enumerate(kinds)]
+    names = {"made": made, "_vector": register_jitable(_vector)}
+    names["_matrix"] = register_jitable(_matrix)
+    exec(f"def read_it(kind, table): return made({', '.join(values)})", names)  # as namedtuple does
+    reading = names["read_it"]
+    reading.__signature__ = signature(_choose_read)
+    return reading
 
 
 def _compile_calls(function: Callable[..., Any], implementation: Callable[..., Any]) -> None:

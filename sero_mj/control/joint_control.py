@@ -11,7 +11,7 @@ from mujoco import mj_rne
 from pydantic import Field
 
 from ..errors import DeclarationError, Problem
-from ..frames import Array
+from ..frames import Array, Matrix, Vector
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
@@ -321,10 +321,10 @@ class GravityWork(NamedTuple):
     is_damped: bool
     has_own: bool
     holds_links: bool
-    damping: Array
-    own: Array
-    resisting: Array
-    rest: Array
+    damping: Vector
+    own: Vector
+    resisting: Vector
+    rest: Vector
 
 
 def gravity_torques(
@@ -350,12 +350,12 @@ class JointWork(NamedTuple):
     """What a step of a joint impedance is computed with; less and accelerations by feed-forward."""
 
     feeds_forward: bool
-    gains: Array  # (n, 3n or 5n)
-    terms: Array
-    errors: Array  # (2n,), of angles and velocities
-    own: Array
-    less: Array
-    accelerations: Array
+    gains: Matrix  # (n, 3n or 5n)
+    terms: Vector
+    errors: Vector  # (2n,), of angles and velocities
+    own: Vector
+    less: Vector
+    accelerations: Vector
 
 
 def joint_torques(

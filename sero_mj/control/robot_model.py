@@ -30,7 +30,7 @@ from mujoco import (
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World, dynamics_of
-from ..frames import Array, frame, inverse
+from ..frames import Array, Matrix, Vector, frame, inverse
 from .whole_body import Mounting
 
 
@@ -57,15 +57,15 @@ class ModelArrays(NamedTuple):
     data: Any
     weightless: Any
     moving: Any
-    angles: Array
-    cinert: Array
-    cdof: Array
-    moving_cinert: Array
-    moving_cdof: Array
-    moving_velocities: Array
-    moving_accelerations: Array
-    flange_position: Array
-    flange_rotation: Array
+    angles: Vector
+    cinert: Matrix
+    cdof: Matrix
+    moving_cinert: Matrix
+    moving_cdof: Matrix
+    moving_velocities: Vector
+    moving_accelerations: Vector
+    flange_position: Vector
+    flange_rotation: Matrix
 
 
 class RobotModel:

@@ -10,86 +10,81 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from collections.abc import Callable
 from functools import cache
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mujoco import mj_fwdKinematics, mj_step, mj_step2
-from numba import literal_unroll, types
-from numba.extending import overload
 
-from ..control import cartesian_control, joint_control, robot_model
+from ..control import cartesian_control, jit, joint_control, robot_model
 from ..control.cartesian_control import CartesianWork, cartesian_torques, write_spring_wrench
-from ..control.jit import address_of, compiled
+from ..control.jit import address_of, compiled, read, table_of
 from ..control.joint_control import GravityWork, JointWork, gravity_torques, joint_torques
 from ..control.robot_model import ModelArrays, write_inverse_dynamics
-from ..frames import Array, Ints
+from ..frames import Array, Ints, Matrix, Vector
+from . import joint_model, plant
 from .constraint_arrays import ConstraintArrays
+from .controlled_robot import ControlledRobot
+from .drives import Drives
 from .joint_model import ACCELERATION, POSITION, VELOCITY, JointArrays
 from .plant import MAX_TORQUE, Plant
 
-if TYPE_CHECKING:
-    from .drives import Drives
-    from .simulation import ControlledRobot
-
-LAWS: dict[type, Any] = {
+# By the type of what a law works with.
+LAWS: dict[type, Callable[..., None]] = {
     GravityWork: gravity_torques,
     JointWork: joint_torques,
     CartesianWork: cartesian_torques,
 }
-DONE, FAST, NOTEWORTHY, UNSTABLE, REFUSED = range(5)  # why steps have come to an end
+_GRAVITY, _JOINT = range(2)  # in that order
+DONE, NOTEWORTHY, UNSTABLE, REFUSED = range(4)  # why steps have come to an end
 
 
 class RobotArrays(NamedTuple):
-    """A robot and its controller.
+    """A robot and its plan. In its table follow its model, what is sensed, the target, and work.
 
     Attributes:
-        model: what the controller knows of the robot.
-        work: of its law.
-        sensed: of `Sensed` what laws look at.
-        target: of `Target` likewise.
-        planned: the target's array of that name, as long as the rows are.
+        law: its number among `LAWS`.
+        joint: which of the plant's joints is its first.
         rows: (steps or 1, ...), of the plan.
-        motors: (n,), which of the plant's joints are the robot's.
+        planned: of the target what is in a row.
         asked: (n,), what the controller asks for.
         commanded: (n,), within the limits.
         limits: (n,).
     """
 
-    model: ModelArrays
-    work: Any
-    sensed: SensedArrays
-    target: TargetArrays
-    planned: Array
-    rows: Array
-    motors: Ints
-    asked: Array
-    commanded: Array
-    limits: Array
+    law: int
+    joint: int
+    rows: Matrix
+    planned: Vector
+    asked: Vector
+    commanded: Vector
+    limits: Vector
 
 
 class SensedArrays(NamedTuple):
-    """See `Sensed`."""
+    """Of `Sensed` what laws look at."""
 
-    motor_state: Array
-    motor_angles: Array
-    motor_velocities: Array
+    motor_state: Vector
+    motor_angles: Vector
+    motor_velocities: Vector
 
 
 class TargetArrays(NamedTuple):
-    """See `Target`."""
+    """Of `Target` what laws look at."""
 
     has_torques: bool
-    state: Array
-    velocities: Array
-    accelerations: Array
-    position: Array
-    rotation: Array
-    twist: Array
-    posture: Array
-    wrench: Array
-    torques: Array
+    state: Vector
+    velocities: Vector
+    accelerations: Vector
+    pose: Matrix
+    position: Vector
+    rotation: Matrix
+    twist: Vector
+    posture: Vector
+    wrench: Vector
+    torques: Vector
 
 
 class DriveArrays(NamedTuple):
@@ -136,37 +131,37 @@ class LogArrays(NamedTuple):
     slow: float
 
 
-def torques_of(robot: Any, work: Any, sensed: Any, target: Any, out: Any) -> None:
-    """The law that a type of work belongs to, in compiled code."""
-    raise NotImplementedError
+_MODEL = len(RobotArrays._fields)
+_SENSED = _MODEL + len(ModelArrays._fields)
+_TARGET = _SENSED + len(SensedArrays._fields)
+_WORK = _TARGET + len(TargetArrays._fields)
 
 
-def _compile_law(kind: type, law: Any) -> None:
-    def choose(robot: Any, work: types.NamedTuple, sensed: Any, target: Any, out: Any) -> Any:
-        return law if work.instance_class is kind else None
-
-    choose.__signature__ = inspect.signature(law)  # type: ignore[attr-defined]
-    overload(torques_of)(choose)
-
-
-for _kind, _law in LAWS.items():
-    _compile_law(_kind, _law)
-
-
-def command(robot: RobotArrays, joints: JointArrays, row: int) -> bool:
+def command(table: Ints, joints: JointArrays, row: int) -> bool:
     """Computes the torques of one robot in a step; returns whether all are finite."""
-    n, sensed, asked = len(robot.asked), robot.sensed, robot.asked
-    for i in range(n):
-        motor = robot.motors[i]
+    robot, model = read(RobotArrays, table), read(ModelArrays, table[_MODEL:])
+    sensed: Any = read(SensedArrays, table[_SENSED:])
+    target: Any = read(TargetArrays, table[_TARGET:])
+    asked, work = robot.asked, table[_WORK:]
+    for i in range(len(asked)):
+        motor = robot.joint + i
         sensed.motor_angles[i] = joints.positions[joints.motor_positions[motor]]
         sensed.motor_velocities[i] = joints.velocities[joints.motor_dofs[motor]]
     if len(robot.rows) > 1:
         robot.planned[:] = robot.rows[row]
-    robot.model.angles[:] = sensed.motor_angles
-    mj_fwdKinematics(robot.model.model, robot.model.data)
-    torques_of(robot.model, robot.work, sensed, robot.target, asked)
+    # What of the pose is not without gaps has copies.
+    target.position[:] = target.pose[:3, 3]
+    target.rotation[:] = target.pose[:3, :3]
+    model.angles[:] = sensed.motor_angles
+    mj_fwdKinematics(model.model, model.data)
+    if robot.law == _GRAVITY:
+        gravity_torques(model, read(GravityWork, work), sensed, target, asked)
+    elif robot.law == _JOINT:
+        joint_torques(model, read(JointWork, work), sensed, target, asked)
+    else:
+        cartesian_torques(model, read(CartesianWork, work), sensed, target, asked)
     is_finite = True
-    for i in range(n):
+    for i in range(len(asked)):
         is_finite &= np.isfinite(asked[i])
         robot.commanded[i] = min(max(asked[i], -robot.limits[i]), robot.limits[i])
     return is_finite
@@ -247,7 +242,7 @@ def run_steps(
     is_ahead: bool,
     stops_at_contacts: bool,
     gains: Array,
-    robots: tuple[RobotArrays, ...],
+    robots: Ints,
     joints: JointArrays,
     constraints: ConstraintArrays,
     drives: DriveArrays,
@@ -261,7 +256,7 @@ def run_steps(
         is_ahead: whether what follows from the state has been computed.
         stops_at_contacts: whether it ends where something touches something.
         gains: (N,), by which commanded torques are multiplied.
-        robots: that are controlled.
+        robots: (robots, values, 3), tables of those that are controlled.
         joints: of all of them.
         constraints: on them.
         drives: of their motors.
@@ -272,44 +267,27 @@ def run_steps(
         is `NOTEWORTHY`, a contact or a high speed; the step after it is `UNSTABLE`; or that has
         been `REFUSED` for its torques, and nothing has moved.
     """
+    n, drive_torques, readings = len(joints.given), log.drive, log.readings
     for k in range(first, stop):
-        end = make_step(k, is_ahead and k == first, gains, robots, joints, constraints, drives, log)
-        if end in (REFUSED, UNSTABLE):
+        for robot in range(len(robots)):
+            if not command(robots[robot], joints, k - 1):
+                return k - 1, REFUSED
+        commanded = drive_torques[0] * gains
+        end = drive(drives, joints, constraints, readings, commanded, is_ahead and k == first)
+        if end != DONE:
             return k - 1, end
-        if end == FAST or (stops_at_contacts and constraints.counts[0] > 0):
+        speed = 0.0
+        for i in range(n):
+            motor = joints.velocities[joints.motor_dofs[i]]
+            speed += max(readings[n + i] ** 2, motor**2)
+            for signal in range(3):
+                log.measured[k, signal, i] = readings[signal * n + i]
+                log.actual[k, signal, i] = readings[signal * n + i]
+            for signal in range(2):
+                log.driven[k, signal, i] = drive_torques[signal, i]
+        if not speed <= log.slow or (stops_at_contacts and constraints.counts[0] > 0):
             return k, NOTEWORTHY
     return stop - 1, DONE
-
-
-def make_step(
-    k: int,
-    is_ahead: bool,
-    gains: Array,
-    robots: tuple[RobotArrays, ...],
-    joints: JointArrays,
-    constraints: ConstraintArrays,
-    drives: DriveArrays,
-    log: LogArrays,
-) -> int:
-    """Makes the step that leads to row k; see `run_steps`.
-
-    A function of its own: what `literal_unroll` puts on the stack is there until it returns.
-    """
-    for robot in literal_unroll(robots):
-        if not command(robot, joints, k - 1):
-            return REFUSED
-    end = drive(drives, joints, constraints, log.readings, log.drive[0] * gains, is_ahead)
-    if end != DONE:
-        return end
-    n, speed = len(joints.given), 0.0
-    for i in range(n):
-        motor = joints.velocities[joints.motor_dofs[i]]
-        speed += max(log.readings[n + i] ** 2, motor**2)
-        for signal in range(3):
-            log.measured[k, signal, i] = log.readings[signal * n + i]
-            log.actual[k, signal, i] = log.readings[signal * n + i]
-        log.driven[k, 0, i], log.driven[k, 1, i] = log.drive[0, i], log.drive[1, i]
-    return DONE if speed <= log.slow else FAST
 
 
 # What `run_steps` calls, innermost first.
@@ -323,7 +301,6 @@ _CALLS = (
     move,
     control_torque,
     drive,
-    make_step,
 )
 
 
@@ -331,10 +308,10 @@ _CALLS = (
 def _compiled() -> Any:
     """`run_steps` as machine code.
 
-    numba keeps it until this file changes. Of a function in another it keeps what this function
-    encloses as well: the sources of the laws.
+    numba keeps it by its name, and until this file changes; so the name has the sum of the others
+    that it is made of.
     """
-    modules = robot_model, joint_control, cartesian_control
+    modules = jit, robot_model, joint_control, cartesian_control, joint_model, plant
     sources = hashlib.sha256("".join(map(inspect.getsource, modules)).encode()).hexdigest()
     steps = FunctionType(run_steps.__code__, run_steps.__globals__)
     steps.__qualname__ = f"run_steps_{sources[:12]}"
@@ -370,7 +347,12 @@ class CompiledSteps:
         self._constraints = ConstraintArrays.of(plant.data)
         self._model, self._data = address_of(plant.model), address_of(plant.data)
         self._drives = _drive_arrays(plant, drives)
-        self._of_robots = tuple(_robot_arrays(robot) for robot in robots)
+        # Tables do not keep alive what they are of.
+        self._groups = [_groups_of(robot) for robot in robots]
+        tables = [table_of(*groups) for groups in self._groups]
+        self._tables = np.zeros((len(tables), max(map(len, tables)), 3), np.int64)
+        for all_values, table in zip(self._tables, tables, strict=True):
+            all_values[: len(table)] = table
 
     @staticmethod
     def obstacles(robots: list[ControlledRobot]) -> list[str]:
@@ -406,7 +388,7 @@ class CompiledSteps:
             joints.is_ahead,
             self._stops_at_contacts,
             gains,
-            self._of_robots,
+            self._tables,
             self._addressed,
             self._constraints,
             self._drives,
@@ -419,27 +401,23 @@ class CompiledSteps:
         return last, end
 
 
-def _robot_arrays(robot: ControlledRobot) -> RobotArrays:
-    limited, sensed, target = robot.controller, robot.sensed, robot.target
-    controller = robot.law_controller
-    model = controller.model.arrays
-    handles = {key: address_of(getattr(model, key)) for key in _HANDLES}
+def _groups_of(robot: ControlledRobot) -> list[tuple[Any, ...]]:
+    """All that is in a robot's table."""
+    limited, controller, target = robot.controller, robot.law_controller, robot.target
     planned, rows = robot.plan
-    return RobotArrays(
-        model=model._replace(**handles),  # type: ignore[arg-type]
-        work=controller.work,
-        sensed=SensedArrays(*(getattr(sensed, key) for key in SensedArrays._fields)),
-        target=TargetArrays(*(getattr(target, key) for key in TargetArrays._fields)),
+    own = RobotArrays(
+        law=list(LAWS).index(type(controller.work)),
+        joint=robot.joints.start,
+        rows=np.ascontiguousarray(rows),
         planned=planned,
-        rows=rows,
-        motors=np.arange(robot.joints.start, robot.joints.stop),
         asked=limited.asked,
         commanded=robot.commanded,
         limits=limited.limits,
     )
-
-
-_HANDLES = ("model", "data", "weightless", "moving")
+    sensed = SensedArrays(*(getattr(robot.sensed, key) for key in SensedArrays._fields))
+    values = {key: getattr(target, key) for key in TargetArrays._fields}
+    values |= {key: np.array(values[key]) for key in ("position", "rotation")}
+    return [own, controller.model.arrays, sensed, TargetArrays(**values), controller.work]
 
 
 def _drive_arrays(plant: Plant, drives: Drives | None) -> DriveArrays:
