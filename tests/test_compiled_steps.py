@@ -99,6 +99,23 @@ def difference(**fields: Any) -> float:
                 "finger": {"kind": "torque", "torques": [0.3, -0.1]},
             }
         },
+        {
+            "sensors": {
+                "lwr": {
+                    "torques": {"noise": 0.05, "resolution": 0.01, "gain": 1.02},
+                    "angles": {"resolution": 1e-5},
+                    "velocity_filter": 500.0,
+                },
+                "other": {"velocities": {"bias": 1e-3}},
+            },
+            "duration": 0.6,
+        },
+        {
+            "sensors": {"lwr": {"torques": {"noise": 0.1}, "velocity_filter": 300.0}},
+            "torque_control": True,
+            "elastic": False,
+        },
+        {"sensors": {"lwr": {"angles": {"noise": 1e-5}}}, "elastic": True},
     ],
     ids=" ".join,
 )
@@ -206,7 +223,7 @@ class Wave:
         ({"controllers": {"lwr": Wave()}}, "the controller of lwr is not one of sero-mj's"),
         ({"controllers": {"lwr": {"kind": "gravity_compensation", "torque_rate_limits": 100.0}}},
          "controllers.lwr.torque_rate_limits"),
-        ({"sensors": {"lwr": {"torques": {"noise": 0.1}}}}, "sensors have errors"),
+        ({"sensors": {"lwr": {"torques": {"delay": 3}}}}, "sensors are late"),
         ({"torque_control": True, "elastic": True},
          "elastic joints of lwr behind a torque loop"),
     ],
@@ -230,12 +247,12 @@ def test_the_command_says_what_is_in_python(
     file = tmp_path / "noisy.toml"
     file.write_text(
         '[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.05\njit = true\n'
-        "[sensors.lwr]\ntorques = { noise = 0.05 }\n"
+        "[sensors.lwr]\ntorques = { delay = 2 }\n"
     )
     with pytest.raises(SystemExit) as caught:
         main(["simulate", str(file), *quiet])
     assert caught.value.code == 0
-    said = "sero-mj: run.jit: steps are made in Python, since sensors have errors\n"
+    said = "sero-mj: run.jit: steps are made in Python, since sensors are late\n"
     assert capsys.readouterr().err == ("" if quiet else said)
 
 

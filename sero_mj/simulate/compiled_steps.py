@@ -30,6 +30,7 @@ from .controlled_robot import ControlledRobot
 from .drives import Drives
 from .joint_model import ACCELERATION, POSITION, VELOCITY, JointArrays
 from .plant import MAX_TORQUE, Plant
+from .sensors import SensorArrays
 
 # By the type of what a law works with.
 LAWS: dict[type, Callable[..., None]] = {
@@ -46,6 +47,7 @@ class RobotArrays(NamedTuple):
 
     Attributes:
         law: its number among `LAWS`.
+        is_elastic: whether its motors have encoders of their own, without errors.
         joint: which of the plant's joints is its first.
         rows: (steps or 1, ...), of the plan.
         planned: of the target what is in a row.
@@ -55,6 +57,7 @@ class RobotArrays(NamedTuple):
     """
 
     law: int
+    is_elastic: bool
     joint: int
     rows: Matrix
     planned: Vector
@@ -118,7 +121,7 @@ class LogArrays(NamedTuple):
         measured: angles, velocities, torques.
         actual: likewise.
         driven: torques that are commanded and asked for.
-        readings: (3N,), what the sensors read.
+        readings: (3N,), as `actual`.
         drive: (2, N), as `driven`.
         slow: square of the speed of all joints together at which none runs away.
     """
@@ -137,7 +140,7 @@ _TARGET = _SENSED + len(SensedArrays._fields)
 _WORK = _TARGET + len(TargetArrays._fields)
 
 
-def command(table: Ints, joints: JointArrays, row: int) -> bool:
+def command(table: Ints, joints: JointArrays, measured: Array, row: int) -> bool:
     """Computes the torques of one robot in a step; returns whether all are finite."""
     robot, model = read(RobotArrays, table), read(ModelArrays, table[_MODEL:])
     sensed: Any = read(SensedArrays, table[_SENSED:])
@@ -145,8 +148,12 @@ def command(table: Ints, joints: JointArrays, row: int) -> bool:
     asked, work = robot.asked, table[_WORK:]
     for i in range(len(asked)):
         motor = robot.joint + i
-        sensed.motor_angles[i] = joints.positions[joints.motor_positions[motor]]
-        sensed.motor_velocities[i] = joints.velocities[joints.motor_dofs[motor]]
+        if robot.is_elastic:
+            sensed.motor_angles[i] = joints.positions[joints.motor_positions[motor]]
+            sensed.motor_velocities[i] = joints.velocities[joints.motor_dofs[motor]]
+        else:
+            sensed.motor_angles[i] = measured[0, motor]
+            sensed.motor_velocities[i] = measured[1, motor]
     if len(robot.rows) > 1:
         robot.planned[:] = robot.rows[row]
     # What of the pose is not without gaps has copies.
@@ -195,6 +202,7 @@ def drive(
     drives: DriveArrays,
     joints: JointArrays,
     constraints: ConstraintArrays,
+    sensors: SensorArrays,
     readings: Array,
     commanded: Array,
     is_ahead: bool,
@@ -206,7 +214,7 @@ def drive(
             return REFUSED
     for substep in range(drives.substeps):
         if drives.has_loop:
-            control_torque(drives, joints, readings, commanded)
+            control_torque(drives, joints, sensors.measured, commanded)
         else:
             for i in range(n):
                 given[i] = min(max(commanded[i], -limits[i]), limits[i])
@@ -217,16 +225,47 @@ def drive(
         if not move(joints, constraints, is_ahead and substep == 0):
             return UNSTABLE
         np.dot(joints.readings_of, joints.terms, readings)
+        measure(sensors, readings)
     return DONE
 
 
+def measure(sensors: SensorArrays, readings: Array) -> None:
+    """Reads plain sensors, see `Sensors.measure`."""
+    n, k = len(sensors.speeds), sensors.state[0] % len(sensors.offsets)
+    for signal in range(3):
+        for i in range(n):
+            value = readings[signal * n + i]
+            if not sensors.is_perfect:
+                if signal == 1 and sensors.is_differentiated[i]:
+                    value = differentiated(sensors, i)
+                value = value * sensors.gain[signal, i] + sensors.offsets[k, signal, i]
+                grid = sensors.resolution[signal, i]
+                if grid > 0.0:
+                    value = np.rint(value / grid) * grid
+            sensors.measured[signal, i] = value
+    if not sensors.is_perfect:
+        sensors.state[0] += 1
+        if sensors.differentiates:
+            sensors.angles[:] = sensors.measured[0]
+            sensors.state[1] = 1
+
+
+def differentiated(sensors: SensorArrays, i: int) -> float:
+    """The velocity of a joint by the angles that are read, through its filter."""
+    if sensors.state[1]:
+        change = (sensors.measured[0, i] - sensors.angles[i]) / sensors.timestep
+        sensors.speeds[i] += sensors.new_share[i] * (change - sensors.speeds[i])
+    return float(sensors.speeds[i])
+
+
 def control_torque(
-    drives: DriveArrays, joints: JointArrays, readings: Array, commanded: Array
+    drives: DriveArrays, joints: JointArrays, measured: Array, commanded: Array
 ) -> None:
     """Makes a step of the torque loop, see `TorqueLoop.step`."""
     n, terms = len(joints.given), drives.terms
     terms[4 * n : 5 * n] = commanded
-    terms[5 * n :] = readings[n:]
+    terms[5 * n : 6 * n] = measured[1]
+    terms[6 * n :] = measured[2]
     if drives.is_elastic:
         for i in range(n):
             terms[5 * n + i] = joints.velocities[joints.motor_dofs[i]]
@@ -245,6 +284,7 @@ def run_steps(
     robots: Ints,
     joints: JointArrays,
     constraints: ConstraintArrays,
+    sensors: SensorArrays,
     drives: DriveArrays,
     log: LogArrays,
 ) -> tuple[int, int]:
@@ -259,6 +299,7 @@ def run_steps(
         robots: (robots, values, 3), tables of those that are controlled.
         joints: of all of them.
         constraints: on them.
+        sensors: in them.
         drives: of their motors.
         log: that is written.
 
@@ -270,10 +311,11 @@ def run_steps(
     n, drive_torques, readings = len(joints.given), log.drive, log.readings
     for k in range(first, stop):
         for robot in range(len(robots)):
-            if not command(robots[robot], joints, k - 1):
+            if not command(robots[robot], joints, sensors.measured, k - 1):
                 return k - 1, REFUSED
         commanded = drive_torques[0] * gains
-        end = drive(drives, joints, constraints, readings, commanded, is_ahead and k == first)
+        goes_on = is_ahead and k == first
+        end = drive(drives, joints, constraints, sensors, readings, commanded, goes_on)
         if end != DONE:
             return k - 1, end
         speed = 0.0
@@ -281,7 +323,7 @@ def run_steps(
             motor = joints.velocities[joints.motor_dofs[i]]
             speed += max(readings[n + i] ** 2, motor**2)
             for signal in range(3):
-                log.measured[k, signal, i] = readings[signal * n + i]
+                log.measured[k, signal, i] = sensors.measured[signal, i]
                 log.actual[k, signal, i] = readings[signal * n + i]
             for signal in range(2):
                 log.driven[k, signal, i] = drive_torques[signal, i]
@@ -299,6 +341,8 @@ _CALLS = (
     cartesian_torques,
     command,
     move,
+    differentiated,
+    measure,
     control_torque,
     drive,
 )
@@ -373,7 +417,8 @@ class CompiledSteps:
 
         Args:
             first: row of the log.
-            stop: the one behind the last; it ends before it where a controller has to be designed.
+            stop: the one behind the last; it ends before it where a controller has to be designed,
+                or noise to be drawn. It makes none where noise is drawn within a step.
             gains: (N,), by which commanded torques are multiplied.
         """
         joints = self._plant.joints
@@ -382,6 +427,8 @@ class CompiledSteps:
             self._addressed = self._joints._replace(model=self._model, data=self._data)
         for robot in self._robots:
             stop = min(stop, first + robot.prepare(first - 1))
+        readings, sensors = self._plant.sensors.prepare()
+        stop = min(stop, first + readings // self._drives.substeps)
         last, end = self._run(
             first,
             stop,
@@ -391,9 +438,11 @@ class CompiledSteps:
             self._tables,
             self._addressed,
             self._constraints,
+            sensors,
             self._drives,
             self._log,
         )
+        self._plant.sensors.take_compiled_readings(sensors.state)
         for robot in self._robots:
             robot.law_controller.pass_steps(last + 1 - first)
         if last >= first:
@@ -407,6 +456,7 @@ def _groups_of(robot: ControlledRobot) -> list[tuple[Any, ...]]:
     planned, rows = robot.plan
     own = RobotArrays(
         law=list(LAWS).index(type(controller.work)),
+        is_elastic=robot.robot.elastic_joints,
         joint=robot.joints.start,
         rows=np.ascontiguousarray(rows),
         planned=planned,

@@ -173,13 +173,18 @@ class Plant:
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing pushes, and sensors read the truth."""
-        return self.sensors.is_perfect and not self._pushed
+        """Whether nothing pushes, and no sensor is late, dead or frozen."""
+        return self.sensors.is_plain and not self._pushed
+
+    @property
+    def readings(self) -> Array:
+        """(3n,), `actual` after compiled steps, which write it."""
+        return self._readings
 
     def take_compiled_steps(self) -> None:
-        """Takes note of steps that compiled code has made: it has written `measured`."""
+        """Takes note of steps of compiled code, which has written `measured` and `actual`."""
         self.joints.is_ahead = False
-        self._is_measured = True
+        self._is_measured = False
 
     @property
     def actual(self) -> Array:

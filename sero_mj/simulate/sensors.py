@@ -10,8 +10,9 @@ differences through a first-order low pass of bandwidth w, exact for what is con
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy import add, copyto, divide, multiply, rint
@@ -62,6 +63,38 @@ class SensorErrors(Declaration):
     delay: int = Field(0, ge=0, le=100_000)
 
 
+class SensorArrays(NamedTuple):
+    """What plain sensors read by, for compiled steps; see `Sensors.measure`.
+
+    Attributes:
+        is_perfect: whether they read the truth.
+        differentiates: whether velocities of some joints are differences of angles.
+        measured: (3, n).
+        gain: (3, n).
+        resolution: (3, n); 0 for none.
+        offsets: (steps, 3, n), bias and noise of a block of steps.
+        is_differentiated: (n,), whose velocities are.
+        new_share: (n,), of a difference in what is read; zeros where none is.
+        speeds: (n,), as they were filtered last.
+        angles: (n,), as they were read last.
+        timestep: s between two readings.
+        state: (2,), readings until now, and whether angles have been read.
+    """
+
+    is_perfect: bool
+    differentiates: bool
+    measured: Array
+    gain: Array
+    resolution: Array
+    offsets: Array
+    is_differentiated: Bools
+    new_share: Array
+    speeds: Array
+    angles: Array
+    timestep: float
+    state: Ints
+
+
 class Sensors:
     """Sensors of n joints for three signals: angles, velocities and torques, in that order.
 
@@ -105,12 +138,12 @@ class Sensors:
         self._grid_steps = np.zeros(n)
         self._joints = np.arange(n)
         self._differentiated: Bools | None = None
+        self._new_share, self._timestep = np.zeros(n), timestep
         if velocity_filter is not None and np.any(velocity_filter):
             if not timestep > 0:
                 raise ValueError(f"timestep: found {timestep:g} s; expected more than 0")
             self._differentiated = np.array(velocity_filter) > 0
             self._new_share = -np.expm1(-np.array(velocity_filter) * timestep)
-            self._timestep = timestep
         self._speeds, self._read_angles = np.zeros((2, n))
         self._past = [np.zeros((1, n)) for _ in SIGNALS]  # what was read without its delay
         self._k = 0
@@ -274,6 +307,44 @@ class Sensors:
         multiply(self._noise, self._errors["noise"], self._offsets)
         add(self._offsets, self._errors["bias"], self._offsets)
 
+    def _draw(self) -> None:
+        """Draws the noise of a block of steps."""
+        self._rng.standard_normal(out=self._noise)
+        self._drawn = True
+        self._offset_all()
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether none is late, dead or frozen."""
+        return not (self._late or self._faulty)
+
+    def prepare(self) -> tuple[int, SensorArrays]:
+        """For how many readings compiled code can go on, and with what; plain ones only."""
+        readings, differentiated = sys.maxsize, self._differentiated
+        if self._noisy:
+            k = self._k % _BLOCK
+            if k == 0 or not self._drawn:
+                self._draw()
+            readings = _BLOCK - k
+        return readings, SensorArrays(
+            is_perfect=self.is_perfect,
+            differentiates=differentiated is not None,
+            measured=self.measured,
+            gain=self._gain,
+            resolution=self._errors["resolution"],
+            offsets=self._offsets,
+            is_differentiated=np.zeros(self.n, bool) if differentiated is None else differentiated,
+            new_share=self._new_share,
+            speeds=self._speeds,
+            angles=self._read_angles,
+            timestep=self._timestep,
+            state=np.array([self._k, self._has_read], np.intp),
+        )
+
+    def take_compiled_readings(self, state: Ints) -> None:
+        """Takes note of what compiled code has read, see `SensorArrays`."""
+        self._k, self._has_read = int(state[0]), bool(state[1])
+
     def measure(self, actual: Array) -> Array:
         """Reads all sensors.
 
@@ -289,9 +360,7 @@ class Sensors:
         if self._shifted:
             k = self._k % _BLOCK
             if self._noisy and (k == 0 or not self._drawn):
-                self._rng.standard_normal(out=self._noise)
-                self._drawn = True
-                self._offset_all()
+                self._draw()
             source = add(source, self._offset_rows[k], measured)
         if source is actual:
             copyto(measured, actual)

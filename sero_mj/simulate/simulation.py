@@ -277,7 +277,7 @@ class Simulation:
             for what, needed in {
                 "controllers and targets are changed while it runs": self.live is not None,
                 "robots can be pulled by hand": self.hand is not None,
-                "sensors have errors": not self.plant.sensors.is_perfect,
+                "sensors are late": not self.plant.sensors.is_plain,
                 "robots carry robots, or stand on what moves": self.whole_body is not None,
                 "bases or objects are free to move": bool(self._free),
             }.items()
@@ -289,7 +289,7 @@ class Simulation:
             self._measured,
             self._actual,
             self._driven,
-            self.plant.measured.reshape(-1),
+            self.plant.readings,
             self._drive,
             self._surely_slow,
         )
@@ -481,10 +481,10 @@ class Simulation:
         for row in range(k + every - k % every, last + 1, every):
             self._observe(row)
         self.step = last
-        if end == compiled.REFUSED:  # in Python it is told why
-            self._advance_in_python(last + 2)
-        elif end == compiled.UNSTABLE:
+        if end == compiled.UNSTABLE:
             self.plant.stop_for_motion()
+        elif end == compiled.REFUSED or last == k:  # in Python it is told why, or noise is drawn
+            self._advance_in_python(last + 2)
         elif end == compiled.NOTEWORTHY:
             touches = self._contacts is not None and self.plant.data.ncon > 0
             if self._contacts is not None and touches:
