@@ -347,6 +347,7 @@ def test_a_pose_is_taken_back_and_copied_with_what_holds_it(tmp_path: Path) -> N
     with screen() as display, Driven(display, tmp_path, "lwr") as window:
         window.ask("w.jogging.goals['lwr'].set_joint(1, 0.5)")
         window.until("abs(w.data.qpos[1] - 0.5) < 1e-9")
+        window.until("len(w._undo._past) == 1 and w._undo._kept == w._seen()")
         window.key("a")
         window.until("w.toggles.modelled.all()")
         words = window.ask("w._render_words(w.view_state())")

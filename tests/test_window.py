@@ -316,7 +316,7 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
     )
     try:
         with Driven(display, tmp_path, str(scene)) as window:
-            window.until("w.clock.end and w.clock.end > 2.5")
+            window.until("w.clock.end and w.clock.end - w.clock.begin > 2.5")
             window.key("m")
             left, bottom, width, tall = window.until(
                 "[w._line.left, w._line.bottom, w._line.width, w.gl.size[1]]"
