@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 # s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
 OBSERVED_EVERY = 0.01
-_IN_CONTACT = 100  # steps in Python after a contact, which seldom ends at once
+_IN_PYTHON = 100  # steps after which it is seen whether what needs Python has ended
 # rad/s and m/s, what counts as the velocity limit of a joint that has none: as fast as any drives.
 _UNDECLARED_SPEED = {"revolute": 20.0, "prismatic": 5.0}
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
@@ -475,7 +475,7 @@ class Simulation:
         schedule.before(k)
         stop = min(stop, max(schedule.next_row, k + 1) + 1)
         if schedule.is_busy or not self.plant.is_plain:
-            self._advance_in_python(stop)
+            self._advance_in_python(min(stop, k + 1 + _IN_PYTHON))
             return
         last, end = compiled.run(k + 1, stop, schedule.gains)
         for row in range(k + every - k % every, last + 1, every):
@@ -491,7 +491,7 @@ class Simulation:
                 self._write_contacts(last, self._contacts.update())
             self._stop_runaway(last)
             if touches:
-                self._advance_in_python(min(stop, last + 1 + _IN_CONTACT))
+                self._advance_in_python(min(stop, last + 1 + _IN_PYTHON))
 
     def _observe(self, k: int) -> None:
         """Estimates the external torques of row k and those after it."""
