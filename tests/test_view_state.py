@@ -164,6 +164,25 @@ def test_a_view_is_kept_for_its_scene(
     keep_view(scene, state, {})  # is no reason to fail
 
 
+def test_what_the_user_did_not_change_is_no_step() -> None:
+    state = [0.25]
+    undo = Undo(lambda: state[0], lambda value: state.__setitem__(0, value))
+    state[0] = 0.2  # rounded, say
+    undo.overlook()
+    undo.watch(1.0)
+    undo.watch(2.0)
+    assert undo.undo() == "nothing to undo"
+    state[0] = 7.25
+    undo.watch(3.0)
+    state[0] = 7.2
+    undo.overlook()
+    undo.watch(3.1)
+    undo.watch(4.0)
+    assert undo.undo() == "undone; Ctrl+Y does it again" and state == [0.2]
+    assert undo.redo() == "done again" and state == [7.2]
+    assert undo.redo() == "nothing to do again"
+
+
 def test_what_changes_without_a_rest_is_one_step() -> None:
     state = [0]
     undo = Undo(lambda: state[0], lambda value: state.__setitem__(0, value))

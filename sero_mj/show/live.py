@@ -421,7 +421,9 @@ class LiveHost(ABC):
     def view_state(self) -> ViewState:
         """What the user has set of the view, as text; of a free camera to 0.1 mm and 1e-4 deg."""
         camera, selected = self.view_camera, self.toggles.selected
+        self._undo.watch()
         rounded_camera(camera)
+        self._undo.overlook()
         return ViewState(
             camera_text(self.world, camera),
             switches_text(self.world, self.toggles),

@@ -40,6 +40,13 @@ class Undo(Generic[State]):
         elif state != self._kept and now - self._changed > _RESTS:
             self._settle()
 
+    def overlook(self) -> None:
+        """Takes the state as it is now for that of the last frame: the user did not change it."""
+        is_settled = self._seen == self._kept
+        self._seen = self._read()
+        if is_settled:
+            self._kept = self._seen
+
     def _settle(self) -> None:
         """Makes a step of what has changed since the last one."""
         if self._seen != self._kept:
