@@ -120,7 +120,7 @@ def main() -> None:
     console.print(
         f"recording costs {share:.0f} % more, most of it in the mcap package (goal: under 50 %)"
     )
-    console.print("goals: at most 4 times bare (Cartesian with run.jit), at least 25 times real time")
+    console.print("goals: at most 4 times bare (Cartesian: run.jit), at least 25 times real time")
 
 
 if __name__ == "__main__":
