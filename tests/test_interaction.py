@@ -19,7 +19,7 @@ from sero_mj.decor.pen import Kind
 from sero_mj.drive.place import Placer
 from sero_mj.show.headless.render import HeadlessRenderer
 from sero_mj.show.interaction import KEYS, click
-from sero_mj.show.picking import Picked, pick, ray_boxes
+from sero_mj.show.picking import Picked, pick, ray_boxes, ray_triangles
 from sero_mj.show.scene_decor import SceneDecor
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
@@ -58,8 +58,8 @@ def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], 
         geom.transparent = 0
         owners.append(owner)
     # Leaders lie between eye and robot and cannot be clicked; the oracle must not see them.
-    for i in range(scene.ngeom):
-        if scene.geoms[i].type == int(mujoco.mjtGeom.mjGEOM_TRIANGLE):
+    for i in range(first, scene.ngeom):
+        if scene.geoms[i].type == mujoco.mjtGeom.mjGEOM_TRIANGLE and not pen.kinds[i - first]:
             scene.geoms[i].segid = -1
     flags = scene.flags.copy()
     scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = 1
@@ -170,6 +170,28 @@ def test_rays_meet_boxes_where_mujoco_says(seed: int) -> None:
         assert got == np.inf
     else:
         assert got == pytest.approx(expected, abs=1e-9)
+
+
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 0.05, 0.3]))
+def test_rays_meet_triangles_where_planes_do_and_pass_beside_by_the_margin(seed, margin) -> None:
+    rng = np.random.default_rng(seed)
+    corner, edges, origin = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, (3, 2)), rng.uniform(-3, 3, 3)
+    direction = corner + edges @ rng.uniform(-0.3, 0.9, 2) - origin
+    direction /= np.linalg.norm(direction)
+    (got,) = ray_triangles(origin, direction, corner[None], edges[None], np.array([margin]))
+    u, v, expected = np.linalg.solve(np.column_stack([edges, -direction]), origin - corner)
+    if u > 1e-9 and v > 1e-9 and u + v < 1 - 1e-9 and expected > 1e-9 and not margin:
+        assert got == pytest.approx(expected, abs=1e-6)
+    if min(u, v, 1 - u - v) < -1e-9 and not margin:
+        assert got == np.inf
+    # By points all over it: the nearest to the ray is within the margin, or none is.
+    steps = np.linspace(0, 1, 60)
+    points = corner + [edges @ (a, b) for a in steps for b in steps if a + b <= 1 + 1e-9]
+    along = (points - origin) @ direction
+    beside = np.linalg.norm(points - origin - along[:, None] * direction, axis=1)
+    gap, between = beside.min(), np.linalg.norm(edges, axis=0).sum() / 59
+    if margin and along.min() > 0 and abs(gap - margin) > between:
+        assert (got < np.inf) == (gap < margin)
 
 
 def scene_of_frame(world: World, toggles, view, data):

@@ -43,7 +43,7 @@ def test_arrows_stand_at_the_joints_and_turn_about_their_axes() -> None:
     pen = drawn(overlay)
     radius = overlay.world.joints.arrow_radius
     for item, name in enumerate(("turn", "lift", "elbow")):
-        boxes = belonging(pen, Kind.ARROW, item)
+        boxes = of_kind(belonging(pen, Kind.ARROW, item), GEOM.mjGEOM_BOX)
         joint = data.joint(name)
         out = boxes["pos"] - joint.xanchor
         assert np.linalg.norm(out, axis=1) == pytest.approx(radius[item], rel=1e-5)
@@ -164,7 +164,8 @@ def test_every_robot_of_a_model_has_its_own_joints() -> None:
     overlay.set("jaco1.torques", {"joint_2": 20.0})
     pen = drawn(overlay)
     assert set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]) == {9 + 1}
-    at = belonging(pen, Kind.ARROW, 10)["pos"].astype(float)
+    boxes = of_kind(belonging(pen, Kind.ARROW, 10), GEOM.mjGEOM_BOX)
+    at = boxes["pos"].astype(float)
     distance = np.linalg.norm(at - data.joint("jaco1/joint_2").xanchor, axis=1)
     assert distance == pytest.approx(overlay.world.joints.arrow_radius[10], rel=1e-5)
 

@@ -13,7 +13,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.shapes import housing_radii
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind
+from sero_mj.decor.pen import CAPACITY, MAX_GEOMS, Kind
 from sero_mj.decor.round_arrows import (
     NEGATIVE_RGBA,
     POSITIVE_RGBA,
@@ -28,16 +28,16 @@ BAND = np.array([0.002])  # the default dead band
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 
 
-def ribbons(world: World, data=None, toggles=None):
-    """Boxes of every arrow, (arrows, segments)."""
+def ribbons(world: World, data=None, toggles=None, part=GEOM.mjGEOM_BOX):
+    """Boxes of every arrow, or the triangles of its heads, (arrows, geoms)."""
     decor = Decor(world)
     data = world.make_data() if data is None else data
     toggles = toggles or toggles_of(world)
     toggles.status = False  # its panel is a box as well
     pen = decor.draw(data, toggles, view_at())
-    boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
+    rows = of_kind(pen.rows[: pen.count], part)
     arrows = len(set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW].tolist()))
-    return boxes.reshape(arrows, -1 if arrows else 1)
+    return rows.reshape(arrows, -1 if arrows else 1)
 
 
 def one_arrow(torque: float, joint: int = 3, **fields):
@@ -45,6 +45,14 @@ def one_arrow(torque: float, joint: int = 3, **fields):
     torques[joint] = torque
     world = world_of(torques=torques, show_arrows=True, joint_angles=POSE, **fields)
     return world, ribbons(world)
+
+
+def heads_of(world: World, **of_what) -> np.ndarray:
+    """Corners of the triangles of the heads of every arrow, (arrows, triangles, 3 corners, 3)."""
+    rows = ribbons(world, **of_what, part=GEOM.mjGEOM_TRIANGLE)
+    edges = (rows["mat"] * rows["size"][..., None, :]).astype(float)[..., :2]
+    first = rows["pos"].astype(float)
+    return first[..., None, :] + np.stack([0 * first, edges[..., 0], edges[..., 1]], axis=-2)
 
 
 def in_joint_frame(world: World, data, joint: int, points):
@@ -98,22 +106,63 @@ def test_the_speed_does_not_depend_on_the_joints_own_motion() -> None:
 @pytest.mark.parametrize("torque", [20.0, -20.0])
 def test_the_head_runs_ahead_of_the_tail(torque: float) -> None:
     world, arrows = one_arrow(torque)
-    data = world.make_data()
+    data, sign = world.make_data(), np.sign(torque)
     local = in_joint_frame(world, data, 3, arrows["pos"][0].astype(float))
-    along = np.unwrap(np.arctan2(local[:, 1], local[:, 0])) * np.sign(torque)
+    along = np.unwrap(np.arctan2(local[:, 1], local[:, 0])) * sign
     assert (np.diff(along) > 0).all()  # tail to tip, in the direction of turning
     assert np.ptp(along) < 2 * np.pi
-    width = arrows["size"][0][:, 2]
-    widest = int(np.argmax(width))
-    assert widest > len(width) / 2  # the widest box begins the head
-    assert (np.diff(width[widest:]) < 0).all()  # from there it tapers to the tip
-    assert width[-1] < 0.25 * width[widest]
+    last = in_joint_frame(world, data, 3, heads_of(world)[0, -22:].reshape(-1, 3))
+    ahead = np.arctan2(last[:, 1], last[:, 0]) * sign
+    ahead = (ahead - along[-1]) % (2 * np.pi)  # from the middle of the last box
+    assert 0 < ahead.min() < np.deg2rad(10)
+    assert np.ptp(ahead) == pytest.approx(np.deg2rad(46), abs=1e-5)
+    # It tapers from twice the ribbon's width to a point.
+    steps = np.unique(ahead.round(5))
+    widths = [np.ptp(last[np.abs(ahead - step) < 1e-4, 2]) for step in steps]
+    thick = [np.ptp(np.hypot(*last[np.abs(ahead - step) < 1e-4, :2].T)) for step in steps]
+    assert len(steps) == 4
+    ribbon = 2 * arrows["size"][0, 0, 2]
+    assert widths[0] > 1.5 * ribbon + 0.02
+    assert widths == pytest.approx(widths[0] * np.array([1, 2 / 3, 1 / 3, 0]), abs=1e-5)
+    assert thick == pytest.approx(thick[0] * np.array([1, 2 / 3, 1 / 3, 0]), abs=1e-5)
+
+
+@pytest.mark.parametrize("torque", [20.0, -20.0])
+@pytest.mark.parametrize("joint", [1, 4])
+def test_heads_are_solids_that_are_seen_from_outside(torque: float, joint: int) -> None:
+    world, _ = one_arrow(torque, joint)
+    triangles = heads_of(world)[0]
+    rows = ribbons(world, part=GEOM.mjGEOM_TRIANGLE)[0]
+    u, v = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    normals = np.cross(u, v)
+    areas = np.linalg.norm(normals, axis=1)
+    assert areas.min() > 1e-7
+    # Drawn is the side from which x turns to y anticlockwise.
+    assert rows["mat"][..., 2] == pytest.approx(normals / areas[:, None], abs=1e-4)
+    heads = np.split(triangles, [26, 52])
+    assert [len(head) for head in heads] == [26, 26, 22]
+    for head in heads:
+        points = head.reshape(-1, 3)
+        same = np.linalg.norm(points[:, None] - points, axis=2) < 1e-5
+        corner = same.argmax(axis=1).reshape(-1, 3).tolist()
+        sides = [pair for a, b, c in corner for pair in ((a, b), (b, c), (c, a))]
+        assert len(set(sides)) == len(sides)
+        # Every side of a triangle is that of another one as well, passed in the other direction,
+        # but at the neck, where the ribbon goes on.
+        open_sides = {(a, b) for a, b in sides if (b, a) not in sides}
+        assert len(open_sides) == (0 if head is heads[-1] else 4)
+        # Volume by the divergence theorem: outside is outside.
+        middle = head.reshape(-1, 3).mean(axis=0)
+        corners = head - middle
+        volume = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum()
+        box = np.ptp(head.reshape(-1, 3), axis=0)
+        assert 0.01 * box.prod() < volume / 6 < box.prod()
 
 
 def test_neighbouring_boxes_touch_so_that_the_ribbon_has_no_gaps() -> None:
     _, arrows = one_arrow(50.0)
-    boxes = arrows[0]
-    for a, b in pairwise(boxes):
+    between_heads = np.split(arrows[0], 3)
+    for a, b in (pair for boxes in between_heads for pair in pairwise(boxes)):
         ahead = a["pos"] + a["mat"][:, 1] * a["size"][1]
         behind = b["pos"] - b["mat"][:, 1] * b["size"][1]
         if ahead @ b["mat"][:, 1] < behind @ b["mat"][:, 1]:
@@ -220,9 +269,11 @@ def test_arrows_of_51_joints_stay_within_their_budget() -> None:
         show_axes=True,
     )
     world = World(Scene(robots=[robot], floor=False))
-    pen = Decor(world).draw(world.make_data(), toggles_of(world), view_at(distance=12))
-    assert pen.dropped == 0
-    assert pen.count < 1024
+    for capacity, most in ((MAX_GEOMS, MAX_GEOMS), (CAPACITY, 2 * MAX_GEOMS)):
+        decor = Decor(world, capacity)
+        pen = decor.draw(world.make_data(), toggles_of(world), view_at(distance=12))
+        assert pen.dropped == 0
+        assert 0.8 * most < pen.count <= most
 
 
 def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None:
@@ -235,20 +286,33 @@ def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None
 
 
 def test_an_arrow_beyond_its_limit_is_striped_and_one_at_it_is_not() -> None:
-    for torque, stripes in ((100.0, 0), (101.0, 22), (-150.0, 22)):
-        _, arrows = one_arrow(torque)
+    for torque, stripes, of_heads in ((100.0, 0, 0), (101.0, 9, 24), (-150.0, 9, 24)):
+        world, arrows = one_arrow(torque)
         dark = (arrows["rgba"][0][:, :3] < 0.2).all(axis=1)
         assert dark.sum() == stripes
         assert not dark[0]
+        heads = ribbons(world, part=GEOM.mjGEOM_TRIANGLE)[0]
+        assert (heads["rgba"][:, :3] < 0.2).all(axis=1).sum() == of_heads  # the middle of each
 
 
-@pytest.mark.parametrize("segments", [6, 10, 18, 27, 45])
-def test_direction_marks_are_spread_over_the_ribbon(segments: int) -> None:
-    middle, half_angle, is_head, taper = ribbon_shape(segments)
-    assert (middle[1:] - half_angle[1:]) == pytest.approx(middle[:-1] + half_angle[:-1])
-    tips = middle[is_head & ~np.append(is_head[1:], False) | (np.diff(taper, append=9.0) > 0)]
-    count = min(max(segments // 9, 1), 3)
-    assert tips == pytest.approx((np.arange(count) + 1) * np.deg2rad(315) / count, abs=0.2)
+@pytest.mark.parametrize("budget", [*range(6, 100)])
+def test_a_ribbon_has_as_many_geoms_as_it_may_and_heads_spread_over_it(budget: int) -> None:
+    shape = ribbon_shape(budget)
+    boxes, triangles = len(shape.middle), len(shape.triangles)
+    assert shape.geoms == boxes + triangles == budget
+    tips = shape.rings[np.diff(shape.own, append=9.0) > 0]
+    count = 3 if budget >= 58 else 2 if budget >= 24 else 1
+    assert tips == pytest.approx((np.arange(count) + 1) * np.deg2rad(315) / count)
+    assert shape.triangles.max() < 4 * len(shape.rings)
+    # Boxes meet each other, and the barbs and necks of heads.
+    begin, end = shape.middle - shape.half_angle, shape.middle + shape.half_angle
+    barbs = shape.rings[np.diff(shape.own, prepend=0.0) > 0]
+    ends = np.sort(np.concatenate([begin, end, barbs, tips]))
+    if boxes >= count:
+        assert ends == pytest.approx(np.sort(np.concatenate([end, barbs, begin, tips])))
+        assert begin[0] == 0.0
+        met = np.concatenate([begin[1:], barbs])
+        assert all(np.abs(met - angle).min() < 1e-9 for angle in end)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from polling import until
 from shm_tools import block, make, needs_posix, remove
 
 from sero_mj.drive.record_sources import record_sources
-from sero_mj.receive import shm_block
+from sero_mj.receive import shm, shm_block
 from sero_mj.receive.report import describe, report
 from sero_mj.receive.shm import ShmReader
 from sero_mj.receive.shm_block import Block
@@ -29,6 +29,12 @@ __all__ = ["block"]  # a fixture
 pytestmark = needs_posix
 LINUX = sys.platform == "linux"
 LOCKED: dict[str, Any] = {"structure": "lock:1Q v:2d", "lock": "lock"}
+
+
+@pytest.fixture(autouse=True)
+def patient_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that a busy machine holds up in its read is waited for, else nothing new is seen."""
+    monkeypatch.setattr(shm, "_BUSY", 5.0)
 
 
 def locked(lock: int, *values: float) -> bytes:

@@ -14,7 +14,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import Kind, Pen
-from sero_mj.decor.round_arrows import ribbon_shape
+from sero_mj.decor.round_arrows import ARROW_GEOMS
 from sero_mj.decor.smart_arrows import frames_along
 from sero_mj.drive.place import Placer
 
@@ -86,10 +86,11 @@ def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
     world = world_with(arrow)
     pen = draw(world)
     rows = belonging(pen, Kind.VECTOR, 0)
-    assert len(rows) == pen.count == (1 if kind == "force" else 45)
+    assert len(rows) == pen.count == (1 if kind == "force" else ARROW_GEOMS)
     start = np.array(at) if isinstance(at, list) else frame_by_hand(world, at)[:3, 3]
     default = "world" if isinstance(at, list) else at
     direction = frame_by_hand(world, expressed_in or default)[:3, :3] @ VECTOR / 13.0
+    rows = rows[rows["type"] != GEOM.mjGEOM_TRIANGLE]
     for row in rows:
         assert row["mat"][:, 2] == pytest.approx(direction, abs=1e-6)
         assert row["mat"].T @ row["mat"] == pytest.approx(np.eye(3), abs=1e-5)
@@ -99,7 +100,7 @@ def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
         return
     out = rows["pos"] - start
     assert np.abs(out @ direction).max() < 1e-6
-    assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(45, 0.12), abs=1e-6)
+    assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(18, 0.12), abs=1e-6)
     assert rows["mat"][:, :, 0] * 0.12 == pytest.approx(out, abs=1e-6)  # thickness outward
 
 
@@ -116,9 +117,9 @@ def test_every_kind_has_its_colour_scale_and_shape(kind: str, scale: float, rgba
     vector = np.array([0.0, 0.03, 0.04]) / scale  # shown 50 mm long or wide
     rows = belonging(draw(world_with(SmartArrow(name="v", kind=kind, at=POINT, vector=vector))), 5)
     turns = kind in ("torque", "angular_velocity")
-    assert len(rows) == (45 if turns else 1)
-    shape = GEOM.mjGEOM_BOX if turns else GEOM.mjGEOM_ARROW
-    assert (rows["type"] == int(shape)).all()
+    assert len(rows) == (ARROW_GEOMS if turns else 1)
+    shapes = {GEOM.mjGEOM_BOX, GEOM.mjGEOM_TRIANGLE} if turns else {GEOM.mjGEOM_ARROW}
+    assert set(rows["type"].tolist()) == {int(shape) for shape in shapes}
     assert rows["rgba"] == pytest.approx(np.tile(rgba, (len(rows), 1)))
     # MuJoCo draws an arrow half as long as its size says.
     drawn = 2 * rows["size"][0, 2] if turns else rows["size"][0, 2] / 2
@@ -152,24 +153,22 @@ def test_a_straight_arrow_is_no_longer_than_longest_and_then_dark(longest: float
 
 @pytest.mark.parametrize(("longest", "limit"), [(None, 0.25), (0.125, 0.125)])
 def test_a_round_arrow_is_no_wider_than_longest_and_then_striped(longest, limit) -> None:
-    for size, width, stripes in ((0.5, 0.5, 0), (1.0, 1.0, 0), (1.01, 1.0, 22), (9.0, 1.0, 22)):
+    for size, width, stripes in ((0.5, 0.5, 0), (1.0, 1.0, 0), (1.01, 1.0, 9), (9.0, 1.0, 9)):
         arrow = SmartArrow(
             name="turn", kind="torque", at=POINT, radius=0.25, scale=0.5, longest=longest,
             vector=[2 * size * limit, 0, 0],
         )  # fmt: skip
         rows = belonging(draw(world_with(arrow)), Kind.VECTOR)
-        is_head = ribbon_shape(45)[2]
-        tail = rows[~is_head]
-        assert 2 * tail["size"][:, 2] == pytest.approx(np.full(len(tail), width * limit), rel=1e-5)
-        for head in np.split(rows[is_head]["size"][:, 2], 3):
-            assert head[0] > tail["size"][0, 2]
-            assert (np.diff(head) < 0).all()
-        dark = (rows["rgba"][:, :3] < 0.1).all(axis=1)
+        tail, heads = of_kind(rows, GEOM.mjGEOM_BOX), of_kind(rows, GEOM.mjGEOM_TRIANGLE)
+        assert 2 * tail["size"][:, 2] == pytest.approx(np.full(18, width * limit), rel=1e-5)
+        backs = np.linalg.norm(heads["size"][[0, 26, 52], :2], axis=1)  # over the barbs
+        assert (backs > width * limit).all()
+        dark = (tail["rgba"][:, :3] < 0.1).all(axis=1)
         assert dark.sum() == stripes
         assert not dark[::2].any()  # every other box
-        assert np.linalg.norm(rows["pos"] - POINT, axis=1) == pytest.approx(
-            np.full(45, 0.25), abs=1e-6
-        )
+        assert (heads["rgba"][:, :3] < 0.1).all(axis=1).sum() == (24 if stripes else 0)
+        out = tail["pos"] - POINT
+        assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(18, 0.25), abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["force", "torque"])
@@ -251,8 +250,10 @@ def test_force_and_torque_of_any_direction_are_drawn_by_the_right_hand_rule(
     assert straight["pos"] == pytest.approx(frame[:3, 3], abs=1e-6)
     assert straight["mat"][:, 2] == pytest.approx(axis, abs=1e-6)
     assert straight["size"][2] / 2 == pytest.approx(min(0.1 * size, 0.5), rel=1e-5)
-    first = belonging(pen, Kind.VECTOR, 1)["pos"].astype(float) - frame[:3, 3]
-    later = belonging(draw(both, data, time=time + 0.1), Kind.VECTOR, 1)["pos"] - frame[:3, 3]
+    first, later = (
+        of_kind(belonging(pen, Kind.VECTOR, 1), GEOM.mjGEOM_BOX)["pos"].astype(float) - frame[:3, 3]
+        for pen in (pen, draw(both, data, time=time + 0.1))
+    )
     for out, then in zip(first, later, strict=True):
         assert np.linalg.norm(out) == pytest.approx(0.2, abs=1e-6)
         assert abs(out @ axis) < 1e-6
@@ -272,11 +273,11 @@ def test_what_is_switched_off_is_not_drawn_and_a_packet_switches_it() -> None:
     assert draw(world, data, toggles=toggles).count == 1
     toggles.vectors[:] = (False, True)
     pen = draw(world, data, toggles=toggles)
-    assert (pen.count, set(pen.items[: pen.count])) == (45, {1})
+    assert (pen.count, set(pen.items[: pen.count])) == (ARROW_GEOMS, {1})
     toggles.vectors[:] = False
     assert draw(world, data, toggles=toggles).count == 0
     world.set_input(data, "second.show", 1.0)
-    assert draw(world, data, toggles=toggles).count == 45
+    assert draw(world, data, toggles=toggles).count == ARROW_GEOMS
     world.set_input(data, "second.show", 0.0)
     assert draw(world, data, toggles=toggles).count == 0
 
@@ -306,7 +307,7 @@ def test_many_arrows_of_both_shapes_keep_their_own_items() -> None:
     pen = draw(world_with(*arrows))
     for k, arrow in enumerate(arrows):
         rows = belonging(pen, Kind.VECTOR, k)
-        assert len(rows) == (45 if arrow.is_round else 1)
+        assert len(rows) == (ARROW_GEOMS if arrow.is_round else 1)
         size = 2 * rows["size"][0, 2] if arrow.is_round else rows["size"][0, 2] / 2
         assert size == pytest.approx(0.02 * (k + 1), rel=1e-5)
         centre = rows["pos"].mean(axis=0)

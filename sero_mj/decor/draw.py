@@ -17,7 +17,7 @@ from .panels import Panels, draw_panels, labels_at, panel_sizes
 from .pen import CAPACITY, Pen
 from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
-from .round_arrows import MAX_SEGMENTS
+from .round_arrows import ARROW_GEOMS
 from .staleness import Staleness
 from .toggles import Toggles
 
@@ -37,7 +37,7 @@ class Decor:
     Args:
         world: the compiled scene.
         capacity: maximum number of geoms that the host takes.
-        max_segments: maximum number of geoms of a round arrow.
+        arrow_geoms: maximum number of geoms of a round arrow.
 
     Attributes:
         pen: the geoms of the last frame.
@@ -46,13 +46,13 @@ class Decor:
     """
 
     def __init__(
-        self, world: WorldView, capacity: int = CAPACITY, max_segments: int = MAX_SEGMENTS
+        self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
     ) -> None:
         self.pen = Pen(capacity)
         self.features = make_features(world)
         self.panels: list[Panels] = []
         self._world = world
-        self._max_segments = max_segments
+        self._arrow_geoms = arrow_geoms
         self._staleness = Staleness(world)
         self._cards = CardLayout(_groups(world))
         self._outline = Outline(world)
@@ -89,7 +89,7 @@ class Decor:
             arrow_limit=limit,
             stale=stale,
             stale_joints=self._staleness.joints(stale),
-            max_segments=self._max_segments,
+            arrow_geoms=self._arrow_geoms,
         )
         self._each("lay_out", frame)
         look = world.scene.view.look

@@ -42,7 +42,7 @@ class Frame:
         arrow_limit: values at which arrows have full width, (N,), inf for none.
         stale: message by name of robots, doubles, arrows and frames without fresh data.
         stale_joints: which joints have no fresh data, (N,) bool.
-        max_segments: maximum number of boxes of a round arrow.
+        arrow_geoms: maximum number of geoms of a round arrow.
         cards: panels beside the robots with leaders; features append theirs.
         corners: panels in the corners of the picture, which cards do not cover; likewise.
         panels: other panels; likewise.
@@ -58,7 +58,7 @@ class Frame:
     arrow_limit: Array
     stale: dict[str, str]
     stale_joints: Bools
-    max_segments: int
+    arrow_geoms: int
     cards: list[Cards] = field(default_factory=list)
     corners: list[Panels] = field(default_factory=list)
     panels: list[Panels] = field(default_factory=list)

@@ -7,15 +7,16 @@ Width: with a limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the li
 to the square root of the value below it, so that 2 % of the limit has a seventh of the full width;
 zero in the dead band, from which it grows to that within another one. Without a limit,
 `arrow_width_scale` m per unit, or as wide as the radius at the joint's `arrow_load`. Beyond the
-limit the ribbon is striped. An arrow is a ribbon of thin boxes along an arc; its heads taper in
-width and in thickness, so that they are recognizable both from the side and along the axis. Source:
-the paper's section 2.2; square root, dead band and stripes are additions.
+limit the ribbon is striped. An arrow is a ribbon of thin boxes along an arc; its heads, of
+triangles, taper in width and in thickness, so that they are recognizable both from the side and
+along the axis. Source: the paper's section 2.2; square root, dead band and stripes are additions.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,11 +33,12 @@ TURNING_SPEED = 1.6  # rad/s
 
 _ARC = np.deg2rad(315.0)
 _HEAD_ARC = np.deg2rad(46.0)
-_MOST_HEADS = 3  # the last is at the tip; wherever the joint's link hides one, another is seen
+# How many heads there may be, and steps along the arc that each has, finest first. The last head is
+# at the tip; wherever the joint's link hides one, another is seen.
+_HEADS = ((3, 3), (3, 2), (2, 2), (2, 1), (1, 1))
+_FEWEST_BOXES = 8  # of the ribbon, where there is more than one head
 _MARK_SIZE = 0.7  # how far the heads before the last protrude, of what the last does
 _NECK = 0.25  # width in front of these heads, of the ribbon's
-_PER_HEAD = 9  # segments, at least
-_SHARE_OF_HEADS = 0.6  # of the segments; they are narrow, so that the edge of a head is smooth
 _THICKNESS = 0.05  # of the radius
 _HEAD_THICKNESS = 0.30  # of the radius, maximum thickness of the head
 # Width of the head: factor of the ribbon's width, plus fraction of the radius.
@@ -55,7 +57,7 @@ WIDEST = 1.5  # of the radius
 _STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
 _Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
-MAX_SEGMENTS, _FEWEST_SEGMENTS = 45, 10  # bounds of the boxes of a ribbon
+ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # bounds of the geoms of an arrow
 _FEWEST_ON_PAGE = 6  # where pages show no more geoms than `MAX_GEOMS`
 _GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
 
@@ -143,7 +145,7 @@ class RoundArrows(Feature):
                 rgba=rgba[turning],
                 striped=over[turning],
             )
-            draw_ribbons(pen, Kind.ARROW, ribbons, _segments(frame))
+            draw_ribbons(pen, Kind.ARROW, ribbons, _budget(frame))
         clicked = (shown.arrows & frame.toggles.details).nonzero()[0]
         if len(clicked):
             self._draw_z(frame, clicked)
@@ -193,17 +195,18 @@ class RoundArrows(Feature):
         rows["rgba"] = rgba
 
 
-def _segments(frame: Frame) -> int:
-    """Returns the number of boxes of a ribbon, such that all geoms fit into the host's capacity.
+def _budget(frame: Frame) -> int:
+    """Returns how many geoms an arrow may have, such that all fit into the host's capacity.
 
-    It depends on the toggles and not on the values, which would make ribbons flicker.
+    It depends on the toggles and not on the values, which would make arrows flicker.
     """
     of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
     others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
-    room = MAX_GEOMS - _GEOMS_FOR_THE_REST - others
+    is_page = len(frame.pen.rows) <= MAX_GEOMS
+    room = (1 if is_page else 2) * MAX_GEOMS - _GEOMS_FOR_THE_REST - others
     budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
-    fewest = _FEWEST_SEGMENTS if len(frame.pen.rows) > MAX_GEOMS else _FEWEST_ON_PAGE
-    return min(max(budget, fewest), frame.max_segments)
+    fewest = _FEWEST_ON_PAGE if is_page else _FEWEST_ARROW_GEOMS
+    return min(max(budget, fewest), frame.arrow_geoms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,70 +236,160 @@ class Ribbons:
     striped: NDArray[np.bool_]
 
 
-def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, segments: int) -> None:
+def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, budget: int) -> None:
     """Draws round arrows.
 
     Args:
         pen: where to.
         kind: kind of the items they belong to.
         ribbons: the arrows.
-        segments: number of boxes of each arrow.
+        budget: number of geoms that each arrow may have.
     """
-    count = len(ribbons.items)
-    box = int(mujoco.mjtGeom.mjGEOM_BOX)
-    rows = pen.take(count * segments, box, kind, np.repeat(ribbons.items, segments))
+    shape = ribbon_shape(budget)
+    count, boxes = len(ribbons.items), len(shape.middle)
+    box, triangle = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
+    rows = pen.take(count * shape.geoms, box, kind, np.repeat(ribbons.items, shape.geoms))
     if not len(rows):
         return
-    middle, half_angle, head, taper = ribbon_shape(segments)
-    is_last = middle > _ARC - _HEAD_ARC
-    flare = np.where(is_last, 1.0, _MARK_SIZE)
-    sign, radius, widths = ribbons.sign[:, None], ribbons.radius, ribbons.width
-    angle = sign * (ribbons.phase[:, None] + middle)
+    grid = rows.reshape(count, shape.geoms)
+    grid["rgba"] = ribbons.rgba[:, None]
+    if ribbons.striped.any():
+        grid["rgba"][..., :3] = np.where(
+            (ribbons.striped[:, None] & shape.dark)[..., None], STRIPE_RGB, grid["rgba"][..., :3]
+        )
+    _place_boxes(grid[:, :boxes], ribbons, shape)
+    grid["type"][:, boxes:] = triangle
+    _place_heads(grid[:, boxes:], ribbons, shape)
+
+
+def _outward(ribbons: Ribbons, along: Array) -> tuple[Array, Array]:
+    """Returns unit vectors away from the axis, and along it turned by +90 degrees, (k, n, 3)."""
+    angle = ribbons.sign[:, None] * (ribbons.phase[:, None] + along)
     cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
     x, y = ribbons.axes[:, None, :, 0], ribbons.axes[:, None, :, 1]
-    outward = cos * x + sin * y
+    return cos * x + sin * y, cos * y - sin * x
 
-    grid = rows.reshape(count, segments)
-    grid["pos"] = ribbons.centre[:, None] + radius[:, None, None] * outward
+
+def _place_boxes(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
+    """Sets the boxes of ribbons (k, boxes): width along the axis, thickness outward."""
+    radius = ribbons.radius[:, None]
+    outward, tangent = _outward(ribbons, shape.middle)
+    grid["pos"] = ribbons.centre[:, None] + radius[..., None] * outward
     grid["mat"][..., 0] = outward
-    grid["mat"][..., 1] = cos * y - sin * x
+    grid["mat"][..., 1] = tangent
     grid["mat"][..., 2] = ribbons.axes[:, None, :, 2]
+    grid["size"][..., 0] = _THICKNESS / 2 * radius
+    # Adjacent boxes meet at the ribbon's outer edge.
+    grid["size"][..., 1] = radius * (1.0 + _THICKNESS / 2) * np.tan(shape.half_angle)
+    grid["size"][..., 2] = ribbons.width[:, None] / 2
+
+
+def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
+    """Sets the triangles of heads (k, triangles): rectangles along the arc, and their sides."""
+    radius, widths = ribbons.radius[:, None], ribbons.width[:, None]
     # A head of constant size on a very thin arrow would make noise look like a torque.
     grown = np.minimum(widths / (_FULL_HEAD_WIDTH * radius), 1.0)
     wider = (_HEAD_WIDER[0] - 1.0) * widths + _HEAD_WIDER[1] * radius * grown
-    # The last head ends in a point; those before it do not, so that the ribbon holds together.
-    own = widths[:, None] * np.where(is_last, taper, _NECK + (1.0 - _NECK) * taper)
-    head_width = own + wider[:, None] * flare * taper
-    width = np.where(head, head_width, widths[:, None])
-    thickness = np.where(head, _HEAD_THICKNESS * grown[:, None] * flare * taper, _THICKNESS)
-    thickness = radius[:, None] * np.maximum(thickness, _THICKNESS)
-    grid["size"][..., 0] = thickness / 2
-    # Adjacent boxes meet at the ribbon's outer edge.
-    grid["size"][..., 1] = (radius[:, None] + thickness / 2) * np.tan(half_angle)
-    grid["size"][..., 2] = width / 2
-    grid["rgba"] = ribbons.rgba[:, None]
-    if ribbons.striped.any():
-        stripes = grid[ribbons.striped, 1:segments:2]
-        stripes["rgba"][..., :3] = STRIPE_RGB
-        grid[ribbons.striped, 1:segments:2] = stripes
+    width = widths * shape.own + wider * shape.flare
+    thickness = radius * np.maximum(_HEAD_THICKNESS * grown * shape.flare, _THICKNESS)
+    thickness *= shape.own > 0  # the tip is a point
+    # Corners of each rectangle: outer and inner edge, on one side and on the other. To the other
+    # direction an arrow is turned about x, so that the outside of the triangles stays outside.
+    out = radius[..., None] + thickness[..., None] / 2 * (1.0, 1.0, -1.0, -1.0)
+    aside = (ribbons.sign[:, None] * width)[..., None] / 2 * (1.0, -1.0, -1.0, 1.0)
+    outward, _ = _outward(ribbons, shape.rings)
+    corners = (
+        ribbons.centre[:, None, None]
+        + out[..., None] * outward[:, :, None]
+        + aside[..., None] * ribbons.axes[:, None, None, :, 2]
+    ).reshape(len(grid), -1, 3)
+    tops = corners[:, shape.triangles]
+    grid["pos"] = tops[:, :, 0]
+    edges = tops[:, :, 1:] - tops[:, :, :1]
+    sizes = np.sqrt(np.einsum("ktej,ktej->kte", edges, edges))
+    edges /= sizes[..., None]
+    grid["size"][..., :2] = sizes
+    grid["mat"][..., :2] = edges.swapaxes(2, 3)
+    normal = np.cross(edges[:, :, 0], edges[:, :, 1])
+    grid["mat"][..., 2] = normal / np.sqrt(np.einsum("ktj,ktj->kt", normal, normal))[..., None]
+
+
+@dataclass(frozen=True, eq=False)
+class RibbonShape:
+    """What all round arrows of the same number of geoms have in common.
+
+    Attributes:
+        middle: angle of the centre of every box from the tail, (b,), rad.
+        half_angle: half the angle of every box, (b,), rad.
+        rings: angle of every rectangle of the heads, from a head's barbs to its tip, (r,), rad.
+        own: factor of the ribbon's width there, (r,).
+        flare: factor of how far a full head protrudes there, (r,).
+        triangles: the three of the corners (4 r) that form each triangle, outside anticlockwise,
+            (t, 3).
+        dark: which boxes and triangles are dark where an arrow is striped, (b + t,) bool.
+    """
+
+    middle: Array
+    half_angle: Array
+    rings: Array
+    own: Array
+    flare: Array
+    triangles: NDArray[np.intp]
+    dark: NDArray[np.bool_]
+
+    @property
+    def geoms(self) -> int:
+        """Number of geoms of an arrow."""
+        return len(self.dark)
+
+
+def _triangles_of(heads: int, steps: int) -> int:
+    """Returns the number of triangles of the heads: sides and backs, without those of no area."""
+    return heads * (8 * steps + 2) - 4
 
 
 @cache
-def ribbon_shape(segments: int) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-    """Returns the ribbon's shape along its arc, from tail to tip.
+def ribbon_shape(budget: int) -> RibbonShape:
+    """Returns the shape of round arrows of at most `budget` geoms, of which there are six at least.
 
-    Returns:
-        centre angle and half the angle of every segment (rad), which segments form heads, and the
-        taper of heads from 1 to 0, NaN elsewhere.
+    Heads come first: with little to spend, they are all that is drawn.
     """
-    heads = min(max(segments // _PER_HEAD, 1), _MOST_HEADS)
-    of_head = max(round(_SHARE_OF_HEADS * segments / heads), 3)
-    of_tail = np.diff(np.linspace(0, segments - heads * of_head, heads + 1).round().astype(int))
-    ends = np.linspace(0.0, _ARC, heads + 1)
-    parts, tapers = [np.zeros(1)], []
-    for start, end, tail in zip(ends, ends[1:], of_tail, strict=False):
-        barbs = end - _HEAD_ARC
-        parts += [np.linspace(start, barbs, tail + 1)[1:], np.linspace(barbs, end, of_head + 1)[1:]]
-        tapers += [np.full(tail, np.nan), 1.0 - (np.arange(of_head) + 0.5) / of_head]
-    edges, taper = np.concatenate(parts), np.concatenate(tapers)
-    return (edges[:-1] + edges[1:]) / 2, np.diff(edges) / 2, ~np.isnan(taper), taper
+    heads, steps = next(
+        (heads, steps)
+        for heads, steps in _HEADS
+        if _triangles_of(heads, steps) + _FEWEST_BOXES <= budget or (heads, steps) == _HEADS[-1]
+    )
+    boxes = max(budget - _triangles_of(heads, steps), 0)
+    tips = np.linspace(0.0, _ARC, heads + 1)
+    counts = np.diff(np.linspace(0, boxes, heads + 1).round().astype(int))
+    edges = [
+        np.linspace(begin, end - _HEAD_ARC, count + 1)
+        for begin, end, count in zip(tips, tips[1:], counts, strict=False)
+    ]
+    taper = np.tile(np.linspace(1.0, 0.0, steps + 1), heads)
+    is_last = np.arange(len(taper)) >= (heads - 1) * (steps + 1)
+
+    # Corners of a rectangle are outside and inside on one side, and the same on the other, in a
+    # loop; its sides go on to the next rectangle. The last rectangle is a point.
+    triangles, is_dark = [], []
+    for head in range(heads):
+        back = 4 * head * (steps + 1)
+        triangles += [(back, back + 3, back + 2), (back, back + 2, back + 1)]
+        is_dark += [False, False]
+        for step in range(steps):
+            for side in range(4):
+                a, b = back + 4 * step + side, back + 4 * step + (side + 1) % 4
+                triangles.append((a, b, b + 4))
+                if (head, step) != (heads - 1, steps - 1):
+                    triangles.append((a, b + 4, a + 4))
+            is_dark += [step % 2 == 1] * (len(triangles) - len(is_dark))
+    return RibbonShape(
+        middle=np.concatenate([(edge[:-1] + edge[1:]) / 2 for edge in edges]),
+        half_angle=np.concatenate([np.diff(edge) / 2 for edge in edges]),
+        rings=np.repeat(tips[1:], steps + 1) - _HEAD_ARC * taper,
+        # The last head ends in a point; those before it do not, so that the ribbon holds together.
+        own=np.where(is_last, taper, _NECK + (1.0 - _NECK) * taper),
+        flare=np.where(is_last, 1.0, _MARK_SIZE) * taper,
+        triangles=np.array(triangles, np.intp),
+        dark=np.append(np.arange(boxes) % 2 == 1, is_dark),
+    )

@@ -19,10 +19,10 @@ from .panels import panel_sizes
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
 from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
-from .round_arrows import DARKER, TURNING_SPEED, Ribbons, draw_ribbons
+from .round_arrows import ARROW_GEOMS, DARKER, TURNING_SPEED, Ribbons, draw_ribbons
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
-_SEGMENTS = 45
+
 # Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
 _FROM = np.array([0.36, 0.48, 0.80])
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
@@ -116,7 +116,7 @@ def draw_smart_arrows(
             rgba=rgba[turning],
             striped=over[turning],
         )
-        draw_ribbons(pen, Kind.VECTOR, ribbons, _SEGMENTS)
+        draw_ribbons(pen, Kind.VECTOR, ribbons, ARROW_GEOMS)
     index, axes = index[straight], axes[straight]
     rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.VECTOR, index)
     if not len(rows):

@@ -11,7 +11,7 @@ from ..decor.draw import Decor
 from ..decor.panels import Panels
 from ..decor.pen import CAPACITY, Pen
 from ..decor.picture_view import PictureView
-from ..decor.round_arrows import MAX_SEGMENTS
+from ..decor.round_arrows import ARROW_GEOMS
 from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
 from ..frames import Array
@@ -28,7 +28,7 @@ class SceneDecor:
         world: the compiled scene.
         toggles: what is shown; the scene's own when None.
         capacity: maximum number of geoms that the host takes.
-        max_segments: maximum number of geoms of a round arrow.
+        arrow_geoms: maximum number of geoms of a round arrow.
         with_text: whether scenes get panels and labels; otherwise the host sets `panels`.
 
     Attributes:
@@ -43,7 +43,7 @@ class SceneDecor:
         world: WorldView,
         toggles: Toggles | None = None,
         capacity: int = CAPACITY,
-        max_segments: int = MAX_SEGMENTS,
+        arrow_geoms: int = ARROW_GEOMS,
         *,
         with_text: bool = True,
     ) -> None:
@@ -51,7 +51,7 @@ class SceneDecor:
         self.toggles = Toggles(world) if toggles is None else toggles
         self.view: PictureView | None = None
         self.dropped = 0
-        self._decor = Decor(world, capacity, max_segments)
+        self._decor = Decor(world, capacity, arrow_geoms)
         self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
         self._has_warned = False
         self._with_text = with_text

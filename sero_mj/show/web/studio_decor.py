@@ -24,7 +24,7 @@ from .browsers import Size
 from .studio import StudioViewer
 
 _LINE = 1.25  # height of decor text over that of Studio's text
-_MAX_SEGMENTS = 26  # boxes of a round arrow; each adds 15 kB/s for every browser
+_ARROW_GEOMS = 34  # of a round arrow; each adds 15 kB/s for every browser
 _PANEL_ALPHA = 0.92  # Studio draws panels more transparent than the classic renderer
 # Studio 4.0's client clips labels that are closer to the left and upper edge of the page.
 CUT_OFF = 68.0, 64.0  # pixels
@@ -57,7 +57,7 @@ class WebDecor(SceneDecor):
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
         self.count = 0
-        super().__init__(world, toggles, MAX_GEOMS, _MAX_SEGMENTS)
+        super().__init__(world, toggles, MAX_GEOMS, _ARROW_GEOMS)
         self._buffer = mujoco.MjvScene(world.model, maxgeom=MAX_GEOMS)
         self._geoms = list(self._buffer.geoms)
         self._camera = mujoco.MjvScene(world.model, maxgeom=0)
