@@ -270,6 +270,12 @@ def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
         with pytest.raises(DeclarationError) as caught:
             read(tmp_path, BASE + text)
         assert message in str(caught.value)
+    later = "[disturbances.p]\nkind='force'\nat='lwr/flange'\nforce=[0,0,1]\nbegin=17\n"
+    later += "[expect.e]\nmeasure='torque'\nbelow=1\nafter=18\n"
+    wrong = BASE.replace("duration = 0.1", "duration = 20\njit = 1")
+    with pytest.raises(DeclarationError) as caught:
+        read(tmp_path, wrong + later)
+    assert [problem.key for problem in caught.value.problems] == ["run.jit"]
     with pytest.raises(DeclarationError, match=r"robots.lwr.modl: unknown key; did you mean 'mod"):
         read(tmp_path, BASE.replace("model", "modl"))
     with pytest.raises(DeclarationError) as caught:

@@ -37,6 +37,7 @@ from .sensors import SIGNALS, SensorErrors, Sensors
 
 TORQUE_RATE = 3000.0  # Hz, of joint torque control on the LWR
 OBSERVER_GAIN = 50.0  # 1/s
+_LONGEST = 1e5  # s, that a run may take
 
 
 class RobotSensors(Declaration):
@@ -82,7 +83,7 @@ class Run(Declaration):
             are first used on a machine; for long runs and many.
     """
 
-    duration: float = Field(5.0, gt=0, le=1e5)
+    duration: float = Field(5.0, gt=0, le=_LONGEST)
     timestep: float = Field(0.001, ge=1e-5, le=0.05)
     physics_timestep: float | None = Field(None, ge=1e-5, le=0.05)
     torque_control: bool = False
@@ -185,7 +186,8 @@ class Scenario:
         self.scene, self.name, self.description = scene, name, description
         self.file: Path | None = scene.file
         self.settings: Mapping[str, Any] = {}
-        self.run = Run()
+        # Where it is wrong, nothing is said to begin after the end that it would have by default.
+        self.run = Run(duration=_LONGEST)
         with collect(self.problems, "run"):
             self.run = Run(**run)
         self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
