@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from test_scenarios import lwr, scenario
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.surroundings import Object
 from sero_mj.cli import main
-from sero_mj.control.jit import when_compiling
+from sero_mj.control.jit import compiled, folder_of, when_compiling
 from sero_mj.control.make_controller import CONTROLLERS, controller_from
 from sero_mj.control.robot_model import RobotModel
 from sero_mj.errors import DeclarationError, SimulationError
@@ -73,7 +75,7 @@ def three(*, jit: bool, **fields: Any) -> Simulation:
 def difference(**fields: Any) -> float:
     """Between all that is logged by Python and by machine code, at most."""
     plain, fast = three(jit=False, **fields), three(jit=True, **fields)
-    assert fast.is_compiled and fast.in_python == []
+    assert fast.compiled and fast.in_python == []
     plain.advance(plain.steps)
     for _ in fast.run(chunk=70):
         pass
@@ -236,7 +238,7 @@ def test_what_needs_python_is_told_and_done_there(fields: dict[str, Any], why: s
         return simulation, simulation.rows
 
     simulation, compiled_rows = rows(jit=True)
-    assert simulation.in_python == [why] and not simulation.is_compiled
+    assert simulation.in_python == [why] and simulation.compiled is None
     assert np.array_equal(compiled_rows, rows()[1])
 
 
@@ -272,6 +274,64 @@ def test_without_numba_it_is_told_what_to_install() -> None:
         Simulation(scenario(jit=True))
     assert "pip install 'sero-mj[jit]', or false" in str(e.value)
     assert Simulation(scenario()).in_python == []
+
+
+def test_what_is_loaded_beforehand_makes_no_step_and_draws_no_noise() -> None:
+    sensors = {"lwr": {"torques": {"noise": 0.1}}}
+    plain, fast = (three(jit=True, sensors=sensors, duration=0.1) for _ in range(2))
+    assert fast.compiled is not None
+    fast.compiled.load()
+    assert fast.step == 0
+    for simulation in (plain, fast):
+        simulation.advance(simulation.steps)
+    assert np.array_equal(plain.rows, fast.rows)
+
+
+@pytest.fixture
+def law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], Any]]:
+    """Compiles a small law, or takes it from its files, as another process would."""
+    (tmp_path / "small_law.py").write_text("def twice(x):\n    return x + x\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def take() -> Any:
+        sys.modules.pop("small_law", None)
+        return compiled(importlib.import_module("small_law").twice)
+
+    yield take
+    sys.modules.pop("small_law", None)
+
+
+@pytest.mark.parametrize("ending", ["nbc", "nbi"])
+@pytest.mark.parametrize("left", [0, 20])
+def test_damaged_files_are_made_anew(
+    law: Any, ending: str, left: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert law()(2.0) == 4.0
+    assert folder_of(law()) == tmp_path / "__pycache__"
+    (file,) = (tmp_path / "__pycache__").glob(f"small_law.*.{ending}")
+    os.truncate(file, left)
+    for hits in (0, 1):
+        caplog.clear()
+        machine_code = law()
+        assert machine_code(3.0) == 6.0
+        assert sum(machine_code.stats.cache_hits.values()) == hits
+        said = f"{tmp_path}/__pycache__: what was compiled is damaged ("
+        assert [text.startswith(said) for text in caplog.messages] == [True] * (1 - hits)
+
+
+def test_without_room_for_files_it_runs_all_the_same(
+    law: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    machine_code = law()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        assert machine_code(3.0) == 6.0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    (text,) = caplog.messages
+    assert text.endswith("what was compiled cannot be kept ([Errno 27] File too large)")
 
 
 def test_compiling_is_told_once() -> None:

@@ -20,6 +20,7 @@ from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot
 from sero_mj.cli import main
 from sero_mj.record.recording import Recording
 from sero_mj.runs.run_source import RunSource
+from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import SOURCE, with_routes
 from sero_mj.simulate.simulation import Simulation
@@ -218,6 +219,35 @@ def test_real_time_is_no_faster_than_the_clock(
 
 
 # ---- what goes wrong
+
+
+@pytest.mark.parametrize("options", [[], ["--json"], ["--quiet"]])
+def test_what_is_interrupted_is_kept_and_not_judged(
+    options: list[str],
+    scenario: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write = RunRecorder.write
+
+    def interrupted(recorder: RunRecorder, first: int, stop: int) -> None:
+        write(recorder, first, stop)
+        if stop > 200:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(RunRecorder, "write", interrupted)
+    out = tmp_path / "run.mcap"
+    assert simulate(scenario, "--record", out, "--real-time", *options) == 130
+    said = capsys.readouterr()
+    (text,) = re.findall(r"sero-mj: stopped at 0\.(\d+) s of 0\.4 s; what is ex.*", said.err)
+    assert 200 <= int(text) < 300
+    assert "held" not in said.out and "FAILED" not in said.out
+    if options == ["--json"]:
+        found = json.loads(said.out)
+        assert found["error"] in said.err and found["expect"] == []
+    with Recording(out) as recording:
+        assert recording.sources[SOURCE].count == int(text) + 1
 
 
 def test_what_came_before_an_error_is_kept(

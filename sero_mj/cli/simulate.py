@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +23,7 @@ from ._arguments import (
     print_table,
     seed,
 )
+from ._compiling import compile_steps
 from ._sending import Sender, add_sink_options, in_real_time
 from .render import check_picture_or_film, film_with_progress
 
@@ -40,8 +39,9 @@ examples:
   sero-mj simulate impedance_push --send lwr_udp       as a robot would, in real time, for a mirror
 
 A scenario is a scene with [controllers], [targets], [disturbances], [faults], [expect]. Exits with
-1 when something that was expected did not hold, or the simulation could not go on; what was
-recorded until then is kept. The same seed gives the same run, bit for bit.
+1 when something that was expected did not hold, or the simulation could not go on, and with 130
+when Ctrl+C ended it; what was recorded until then is kept. The same seed gives the same run, bit
+for bit; --set run.jit=true gives it sooner where it is long.
 """
 
 
@@ -82,11 +82,11 @@ def add_to(commands: Commands) -> None:
     add_sink_options(group)
     parser.add_argument("--overwrite", action="store_true", help="record over a file that exists")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, no table")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, no notes, no table")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Runs; returns 0, or 1 when something did not hold."""
+    """Runs; returns 0, 1 when something did not hold, or 130 when it was interrupted."""
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 
@@ -95,9 +95,9 @@ def run(options: argparse.Namespace) -> int:
     with named_settings(given):
         scenario = read_scenario(options.scenario, given)
     simulation = Simulation(scenario, options.seed)
+    compile_steps(simulation, quiet=options.quiet)
     begin = time.perf_counter()
-    with _compiling(simulation, quiet=options.quiet):
-        error = _simulate(simulation, options)
+    error = _simulate(simulation, options)
     seconds = time.perf_counter() - begin
     if options.csv is not None:
         from ..runs.run_csv import write_run_csv
@@ -114,13 +114,16 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.render is not None:
         _render(simulation, options)
-    outcomes, findings = simulation.outcomes(), simulation.findings()
+    is_whole = not isinstance(error, KeyboardInterrupt)
+    outcomes, findings = simulation.outcomes() if is_whole else [], simulation.findings()
     if options.json:
         print_json(_as_json(simulation, seconds, error, outcomes, findings))
     else:
         _print(simulation, seconds, outcomes, findings, quiet=options.quiet)
     if error is not None:
         print(f"sero-mj: {error}", file=sys.stderr)
+    if not is_whole:
+        return 130
     return 0 if error is None and all(outcome.holds for outcome in outcomes) else 1
 
 
@@ -147,23 +150,9 @@ def _check_options(options: argparse.Namespace) -> None:
         raise UsageError("--fps is for a film: --render OUT.mp4")
 
 
-@contextmanager
-def _compiling(simulation: Simulation, *, quiet: bool) -> Iterator[None]:
-    """Says what `run.jit` does, where that is not just faster."""
-    if simulation.in_python and not quiet:
-        why = ", ".join(simulation.in_python)
-        print(f"sero-mj: run.jit: steps are made in Python, since {why}", file=sys.stderr)
-    if not simulation.is_compiled or quiet:
-        yield
-        return
-    from ..control.jit import when_compiling
-
-    text = "sero-mj: compiling controllers and physics, once for this machine; takes half a minute"
-    with when_compiling(lambda: print(text, file=sys.stderr)):
-        yield
-
-
-def _simulate(simulation: Simulation, options: argparse.Namespace) -> SimulationError | None:
+def _simulate(
+    simulation: Simulation, options: argparse.Namespace
+) -> SimulationError | KeyboardInterrupt | None:
     """Runs to the end, or as far as it goes; returns what stopped it."""
     from contextlib import ExitStack
 
@@ -205,8 +194,8 @@ def _simulate(simulation: Simulation, options: argparse.Namespace) -> Simulation
         except SimulationError as error:
             return error
         except KeyboardInterrupt:
-            if not options.quiet:
-                print(f"sero-mj: stopped at {simulation.time:.3f} s", file=sys.stderr)
+            when = f"{simulation.time:.3f} s of {simulation.scenario.duration:g} s"
+            return KeyboardInterrupt(f"stopped at {when}; what is expected was not judged")
     return None
 
 
@@ -260,6 +249,8 @@ def _as_json(
         "scenario": simulation.scenario.name,
         "seconds": simulation.time,
         "took": seconds,
+        "compiled": simulation.compiled is not None,
+        "in_python": simulation.in_python,
         "error": None if error is None else str(error),
         "expect": [
             {"name": o.name, "holds": o.holds, "text": o.text, "value": o.value} for o in outcomes

@@ -5,17 +5,18 @@ as it stands; compiled, its calls of MuJoCo are calls in C, with addresses in pl
 data (`address_of`). Both compute the same, to rounding.
 
 numba keeps what it has compiled beside the module of the law, or in the user's cache folder, where
-one of them can be written to.
+one of them can be written to (or where NUMBA_CACHE_DIR says).
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from inspect import signature
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import mujoco
 import numba
@@ -38,10 +39,12 @@ from mujoco import (
 )
 from numba import types
 from numba.core import event
+from numba.core.caching import FunctionCache
 from numba.extending import intrinsic, overload, register_jitable
 
 from ..frames import Ints
 
+log = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
@@ -60,12 +63,38 @@ def compiled(law: F, *calls: Callable[..., Any]) -> F:
     """
     for function in calls:
         register_jitable(function)
-    machine_code: F
-    try:
-        machine_code = numba.njit(cache=True, nogil=True, error_model="numpy")(law)
-    except RuntimeError:  # no folder can be written to: then it is compiled every time
-        machine_code = numba.njit(nogil=True, error_model="numpy")(law)
-    return machine_code
+    machine_code: Any = numba.njit(nogil=True, error_model="numpy")(law)
+    with suppress(RuntimeError):  # no folder can be written to: then it is compiled every time
+        machine_code._cache = _Files(law)
+    return cast(F, machine_code)
+
+
+def folder_of(machine_code: Any) -> Path | None:
+    """Where a compiled law is kept for the next time; None where no folder can be written to."""
+    found = machine_code.stats.cache_path
+    return None if found is None else Path(found)
+
+
+class _Files(FunctionCache):  # type: ignore[misc]
+    """The files of a compiled law: damaged ones are made anew, and there may be no room for them.
+
+    numba itself ends in both cases with what Python says of the file.
+    """
+
+    def load_overload(self, *of_law: Any) -> Any:
+        try:
+            return super().load_overload(*of_law)
+        except Exception as error:  # anything may come from a file that is not whole
+            log.warning("%s: what was compiled is damaged (%s)", self.cache_path, error)
+            with suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, *of_law: Any) -> None:
+        try:
+            super().save_overload(*of_law)
+        except Exception as error:
+            log.warning("%s: what was compiled cannot be kept (%s)", self.cache_path, error)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import hashlib
 import inspect
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from mujoco import mj_fwdKinematics, mj_step, mj_step2
 
 from ..control import cartesian_control, jit, joint_control, robot_model
 from ..control.cartesian_control import CartesianWork, cartesian_torques, write_spring_wrench
-from ..control.jit import address_of, compiled, read, table_of
+from ..control.jit import address_of, compiled, folder_of, read, table_of
 from ..control.joint_control import GravityWork, JointWork, gravity_torques, joint_torques
 from ..control.robot_model import ModelArrays, write_inverse_dynamics
 from ..frames import Array, Ints, Matrix, Vector
@@ -421,14 +422,32 @@ class CompiledSteps:
                 or noise to be drawn. It makes none where noise is drawn within a step.
             gains: (N,), by which commanded torques are multiplied.
         """
+        for robot in self._robots:
+            stop = min(stop, first + robot.prepare(first - 1))
+        stop = min(stop, first + self._plant.sensors.prepare() // self._drives.substeps)
+        sensors = self._plant.sensors.arrays
+        last, end = self._call(first, stop, gains, sensors)
+        self._plant.sensors.take_compiled_readings(sensors.state)
+        for robot in self._robots:
+            robot.law_controller.pass_steps(last + 1 - first)
+        if last >= first:
+            self._plant.take_compiled_steps()
+        return last, end
+
+    def load(self) -> None:
+        """Compiles steps or loads them from files, where that has not been done; makes none."""
+        self._call(1, 1, np.ones(self._plant.n), self._plant.sensors.arrays)
+
+    @property
+    def folder(self) -> Path | None:
+        """Where they are kept for the next time; None where no folder can be written to."""
+        return folder_of(self._run)
+
+    def _call(self, first: int, stop: int, gains: Array, sensors: SensorArrays) -> tuple[int, int]:
         joints = self._plant.joints
         if self._joints is not joints.arrays:
             self._joints = joints.arrays
             self._addressed = self._joints._replace(model=self._model, data=self._data)
-        for robot in self._robots:
-            stop = min(stop, first + robot.prepare(first - 1))
-        readings, sensors = self._plant.sensors.prepare()
-        stop = min(stop, first + readings // self._drives.substeps)
         last, end = self._run(
             first,
             stop,
@@ -442,11 +461,6 @@ class CompiledSteps:
             self._drives,
             self._log,
         )
-        self._plant.sensors.take_compiled_readings(sensors.state)
-        for robot in self._robots:
-            robot.law_controller.pass_steps(last + 1 - first)
-        if last >= first:
-            self._plant.take_compiled_steps()
         return last, end
 
 

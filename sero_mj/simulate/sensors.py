@@ -318,15 +318,20 @@ class Sensors:
         """Whether none is late, dead or frozen."""
         return not (self._late or self._faulty)
 
-    def prepare(self) -> tuple[int, SensorArrays]:
-        """For how many readings compiled code can go on, and with what; plain ones only."""
-        readings, differentiated = sys.maxsize, self._differentiated
-        if self._noisy:
-            k = self._k % _BLOCK
-            if k == 0 or not self._drawn:
-                self._draw()
-            readings = _BLOCK - k
-        return readings, SensorArrays(
+    def prepare(self) -> int:
+        """For how many readings compiled code can go on, from now on; plain ones only."""
+        if not self._noisy:
+            return sys.maxsize
+        k = self._k % _BLOCK
+        if k == 0 or not self._drawn:
+            self._draw()
+        return _BLOCK - k
+
+    @property
+    def arrays(self) -> SensorArrays:
+        """What compiled code reads plain sensors by, now."""
+        differentiated = self._differentiated
+        return SensorArrays(
             is_perfect=self.is_perfect,
             differentiates=differentiated is not None,
             measured=self.measured,

@@ -69,6 +69,8 @@ class Simulation:
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
         live: changes targets and controllers; None without.
+        compiled: steps as machine code, where nothing needs Python; None where `run.jit` is not
+            wanted, or all have to be made in Python.
         in_python: where `run.jit` is wanted, why no step can be compiled; empty if some can.
 
     Raises:
@@ -257,12 +259,11 @@ class Simulation:
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, 0] = self.plant.actual[2]  # what holds it at rest
         self._write_free(0)
-        self._compiled = self._compile() if run.jit else None
+        self.compiled = self._make_compiled_steps() if run.jit else None
         if self.live is not None:
             self.live.begin({robot.robot.name: self._live_robot(robot) for robot in self._robots})
 
-    def _compile(self) -> CompiledSteps | None:
-        """Steps as machine code; None where all have to be made in Python, see `in_python`."""
+    def _make_compiled_steps(self) -> CompiledSteps | None:
         try:
             from .compiled_steps import CompiledSteps, LogArrays
         except ModuleNotFoundError as error:
@@ -297,11 +298,6 @@ class Simulation:
         return CompiledSteps(
             self.plant, self.drives, self._robots, log, stops_at_contacts=has_contacts
         )
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether steps are machine code, where nothing needs Python."""
-        return self._compiled is not None
 
     def _live_robot(self, controlled: ControlledRobot) -> LiveRobot:
         """What targets and controllers of a robot are changed by."""
@@ -424,10 +420,10 @@ class Simulation:
         first, stop = self.step + 1, min(to_step, self.steps) + 1
         try:
             while self.step + 1 < stop:
-                if self._compiled is None:
+                if self.compiled is None:
                     self._advance_in_python(stop)
                 else:
-                    self._advance_compiled(self._compiled, stop)
+                    self._advance_compiled(self.compiled, stop)
         finally:
             written = self._driven[first : self.step + 1]
             written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
