@@ -14,13 +14,13 @@ from sero_mj.assemble.shapes import housing_radii
 from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.pen import CAPACITY, MAX_GEOMS, Kind
+from sero_mj.decor.ribbons import ribbon_shape
 from sero_mj.decor.round_arrows import (
     NEGATIVE_RGBA,
     POSITIVE_RGBA,
     TURNING_SPEED,
     WIDEST,
     arrow_widths,
-    ribbon_shape,
 )
 from sero_mj.drive.place import follow
 

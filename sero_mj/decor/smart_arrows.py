@@ -19,7 +19,8 @@ from .panels import panel_sizes
 from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
 from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
-from .round_arrows import ARROW_GEOMS, DARKER, TURNING_SPEED, Ribbons, draw_ribbons
+from .ribbons import Ribbons, draw_ribbons
+from .round_arrows import ARROW_GEOMS, DARKER, TURNING_SPEED
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
 
