@@ -76,9 +76,9 @@ class JointSliders:
             return
         for joint in joints:
             name, turns = robot.names[joint], robot.types[joint] == "revolute"
-            factor, unit, text = 1.0, "m", "%.4f"
+            factor, unit, decimals = 1.0, "m", 4
             if turns:
-                factor, unit, text = ((180 / np.pi, "deg", "%.1f"), (1.0, "rad", "%.3f"))[self.unit]
+                factor, unit, decimals = ((180 / np.pi, "deg", 1), (1.0, "rad", 3))[self.unit]
             low, high = goal.range_of(joint)
             ui.row()
             ui.cell()
@@ -87,15 +87,15 @@ class JointSliders:
             ui.disable(is_off=joint not in free)
             ui.width(0.0)
             value = factor * float(angles[joint])
-            shown = f"{text} {unit}"
-            moved, wanted = ui.slide(f"##{name}", value, factor * low, factor * high, shown)
+            # Without a number, which the knob would cover; it is in the field.
+            moved, wanted = ui.slide(f"##{name}", value, factor * low, factor * high, "")
             ui.tip(f"{name}: {factor * low:.4g} to {factor * high:.4g} {unit}")
             ui.cell()
             ui.width(0.0)
-            typed, number = ui.number(f"##{name} typed", value, text)
+            typed, number = ui.number(f"##{name} typed", value, f"%.{decimals}f")
             ui.enable()
             if moved or typed:
-                goal.set_joint(joint, (wanted if moved else number) / factor)
+                goal.set_joint(joint, (round(wanted, decimals) if moved else number) / factor)
         ui.end_table()
 
 

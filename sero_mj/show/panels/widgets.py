@@ -119,7 +119,7 @@ class Widgets(Protocol):
             value: where it stands.
             low: the value at its left end.
             high: the value at its right end.
-            text: printf's format of the value, `%.1f deg`.
+            text: printf's format of the value, `%.1f deg`; empty to show none.
         """
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
