@@ -168,6 +168,6 @@ def _bars(panels: Panels, view: PictureView) -> Array:
             left, bottom = centre - size / 2 + PADDING * line * np.array([1.0, 0.5])
             for end, share in zip(ends, _SHARES, strict=True):
                 height = _BAR_HEIGHT * line * np.sqrt(share)
-                x = left + end - 1.5 * _BAR_WIDTH * line
+                x = left + end - 1.85 * _BAR_WIDTH * line
                 bars.append([x, bottom + 0.1 * line, _BAR_WIDTH * line, height])
     return np.array(bars).reshape(-1, 4)

@@ -25,6 +25,7 @@ from .studio import StudioViewer
 
 _LINE = 1.25  # height of decor text over that of Studio's text
 _ARROW_GEOMS = 34  # of a round arrow; each adds 15 kB/s for every browser
+_REPEATS = 64  # of a character that is measured, for Studio rounds up to pixels
 _PANEL_ALPHA = 0.92  # Studio draws panels more transparent than the classic renderer
 # Studio 4.0's client clips labels that are closer to the left and upper edge of the page.
 CUT_OFF = 68.0, 64.0  # pixels
@@ -40,7 +41,9 @@ def studio_font() -> Font:
     """
     text = imgui.GetTextLineHeight()
     widths = np.zeros(128)
-    widths[32:127] = [imgui.CalcTextSize(chr(code)).x for code in range(32, 127)]
+    widths[32:127] = [
+        imgui.CalcTextSize(_REPEATS * chr(code)).x / _REPEATS for code in range(32, 127)
+    ]
     return Font(round(_LINE * text), widths, anchor=(0.5, (1.0 + 1.0 / _LINE) / 2))
 
 
