@@ -143,6 +143,28 @@ def test_after_a_jump_plots_show_what_was_before_it(
     assert np.isfinite(measured).all()
 
 
+def test_a_plot_that_is_opened_after_a_jump_shows_what_was_before_it(simulated: Mirror) -> None:
+    clock, history = Clock(simulated), TorqueHistory(simulated.world)
+    for goal in (4.0, 2.2):
+        clock.seek(goal)
+        clock.is_paused = False
+        while simulated.data.time < goal:
+            clock.advance(0.01)
+        history.add(simulated.data)
+        clock.is_paused = True
+    clock.seek(2.0)
+    clock.advance(0.01)
+    assert not clock.advance(0.01)
+    clock.on_moment = lambda: history.add(simulated.data)
+    assert clock.advance(0.01)
+    times, (measured, *_) = history.of(1)
+    assert times[0] == pytest.approx(-2.0, abs=0.01)
+    assert np.diff(times).max() < 0.08
+    torques = simulated.data.userdata[simulated.world.slots["lwr.torques"]]
+    assert measured[-1] == pytest.approx(torques[1])
+    assert not clock.advance(0.01)  # once
+
+
 def test_at_the_end_the_same_key_begins_anew(simulated: Mirror) -> None:
     clock = Clock(simulated)
     clock.seek(5.0)

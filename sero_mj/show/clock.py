@@ -46,7 +46,8 @@ class Clock:
             without an end, the newest moment.
         step_size: of a single step, s.
         on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
-            on in steps that are as fine at a low frame rate, so that a plot misses little.
+            on in steps that are as fine at a low frame rate, so that a plot misses little. One that
+            is set later hears first of what was before, as after a jump.
         real_speed: what came of `speed` in the last frames; a simulation may be slower.
     """
 
@@ -72,6 +73,7 @@ class Clock:
         steps = [source.step for source in sources if source.step is not None]
         self.step_size = min(steps, default=_STEP)
         self._shown: float | None = None  # what the mirror stands at
+        self._is_heard = True  # whether somebody heard of that
         self._simulated = 0.0  # as far as it is simulated
         self._simulates = bool(steps)
         self._passed = self._simulating = 0.0  # s for the last frame, and for simulating in it
@@ -163,24 +165,25 @@ class Clock:
         return "live"
 
     def _show(self) -> bool:
-        if self.time == self._shown and self._mirror.sources:
+        jumps = not self._is_heard and self.on_moment is not None
+        if self.time == self._shown and self._mirror.sources and not jumps:
             return False
         goal = self.time
         if self._simulates and goal > self._simulated:
             goal = self._simulate(goal)
-        for moment in self._moments(goal):
+        for moment in self._moments(goal, jumps=jumps):
             self._mirror.advance(moment)
             if self.on_moment is not None:
                 self.on_moment()
-        self._shown = goal
+        self._shown, self._is_heard = goal, self.on_moment is not None
         return True
 
-    def _moments(self, goal: float) -> list[float]:
+    def _moments(self, goal: float, *, jumps: bool) -> list[float]:
         """What is shown until then: more than a frame's end where somebody listens."""
         if self.on_moment is None:
             return [goal]
         passed = goal - (goal if self._shown is None else self._shown)
-        if passed < 0 or passed > _FLOWS:  # a jump: plots show what was before it
+        if jumps or passed < 0 or passed > _FLOWS:  # plots show what was before it
             begin = max(goal - SPAN, 0.0)
             return np.linspace(begin, goal, _PAST_MOMENTS).tolist() if goal else [goal]
         if not passed:
