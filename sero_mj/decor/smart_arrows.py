@@ -23,7 +23,6 @@ from .ribbons import Ribbons, draw_ribbons
 from .round_arrows import ARROW_GEOMS, DARKER, TURNING_SPEED
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
-
 # Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
 _FROM = np.array([0.36, 0.48, 0.80])
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
