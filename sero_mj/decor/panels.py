@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import Array
-from .pen import Kind, Pen
+from .pen import Kind, Pen, place_triangles
 from .picture_view import PictureView
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
@@ -220,7 +220,6 @@ def draw_leaders(
         ends: the tip, (k, 2), pixels.
         rgba: colour, (4,) or (k, 4).
     """
-    # A triangle's corners are its origin, size[0] along x and size[1] along y.
     rows = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
     if not len(rows):
         return
@@ -230,15 +229,9 @@ def draw_leaders(
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
     along /= length[:, None]
     across = along[:, ::-1] * (1.0, -1.0)
-    # x across, y along, z towards the camera, so that the front is visible. By its corners, since
-    # lenses bend what is straight in the world.
-    corners = starts - across * (base / 2)
-    pos = view.at(corners, depth)
-    rows["pos"] = pos
-    for k, end in enumerate((corners + across * base, corners + along * length[:, None])):
-        edge = view.at(end, depth) - pos
-        rows["size"][:, k] = size = np.linalg.norm(edge, axis=1)
-        rows["mat"][..., k] = edge / size[:, None]
-    rows["mat"][..., 2] = -view.forward
+    # By their corners, since lenses bend what is straight in the world.
+    first = starts - across * (base / 2)
+    pixels = first, first + across * base, first + along * length[:, None]
+    place_triangles(rows, np.stack([view.at(pixel, depth) for pixel in pixels], axis=1))
     rows["rgba"] = rgba
     rows["emission"] = 1.0

@@ -124,3 +124,23 @@ class Pen:
         rows["emission"] = 0.35
         rows["specular"] = 0.1
         return rows
+
+
+def place_triangles(rows: NDArray[Any], corners: Array) -> None:
+    """Sets size, pos and mat of triangles.
+
+    A triangle's corners are its origin, size[0] along x and size[1] along y; it is seen from where
+    z points to.
+
+    Args:
+        rows: (...), of `Pen.take`.
+        corners: (..., 3, 3), m, anticlockwise where they are to be seen from.
+    """
+    edges = corners[..., 1:, :] - corners[..., :1, :]
+    sizes = np.sqrt(np.einsum("...ej,...ej->...e", edges, edges))
+    edges /= sizes[..., None]
+    rows["pos"] = corners[..., 0, :]
+    rows["size"][..., :2] = sizes
+    rows["mat"][..., :2] = edges.swapaxes(-1, -2)
+    normal = np.cross(edges[..., 0, :], edges[..., 1, :])
+    rows["mat"][..., 2] = normal / np.sqrt(np.einsum("...j,...j->...", normal, normal))[..., None]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import Array
-from .pen import Kind, Pen
+from .pen import Kind, Pen, place_triangles
 
 _STRIPE_RGB = (0.08, 0.08, 0.09)
 
@@ -88,21 +88,25 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, budget: int) -> None:
     _place_heads(grid[:, boxes:], ribbons, shape)
 
 
-def _outward(ribbons: Ribbons, along: Array) -> tuple[Array, Array]:
-    """Returns unit vectors away from the axis, and along it turned by +90 degrees, (k, n, 3)."""
-    angle = ribbons.sign[:, None] * (ribbons.phase[:, None] + along)
-    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+def _angles(ribbons: Ribbons, along: Array) -> Array:
+    """Returns angles about the axis from x, (k, n), of places along the arc from the tail."""
+    return np.asarray(ribbons.sign[:, None] * (ribbons.phase[:, None] + along))
+
+
+def _directions(ribbons: Ribbons, angles: Array) -> Array:
+    """Returns unit vectors away from the axis at these angles, (k, n, 3)."""
     x, y = ribbons.axes[:, None, :, 0], ribbons.axes[:, None, :, 1]
-    return cos * x + sin * y, cos * y - sin * x
+    return np.asarray(np.cos(angles)[..., None] * x + np.sin(angles)[..., None] * y)
 
 
 def _place_boxes(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
     """Sets the boxes of ribbons (k, boxes): width along the axis, thickness outward."""
     radius = ribbons.radius[:, None]
-    outward, tangent = _outward(ribbons, shape.middle)
+    angles = _angles(ribbons, shape.middle)
+    outward = _directions(ribbons, angles)
     grid["pos"] = ribbons.centre[:, None] + radius[..., None] * outward
     grid["mat"][..., 0] = outward
-    grid["mat"][..., 1] = tangent
+    grid["mat"][..., 1] = _directions(ribbons, angles + np.pi / 2)
     grid["mat"][..., 2] = ribbons.axes[:, None, :, 2]
     grid["size"][..., 0] = _THICKNESS / 2 * radius
     # Adjacent boxes meet at the ribbon's outer edge.
@@ -122,21 +126,13 @@ def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
     # For the other direction an arrow is turned over, so that the outside of triangles stays there.
     out = radius[..., None] + thickness[..., None] / 2 * (1.0, 1.0, -1.0, -1.0)
     aside = (ribbons.sign[:, None] * width)[..., None] / 2 * (1.0, -1.0, -1.0, 1.0)
-    outward, _ = _outward(ribbons, shape.rings)
+    outward = _directions(ribbons, _angles(ribbons, shape.rings))
     corners = (
         ribbons.centre[:, None, None]
         + out[..., None] * outward[:, :, None]
         + aside[..., None] * ribbons.axes[:, None, None, :, 2]
     ).reshape(len(grid), -1, 3)
-    tops = corners[:, shape.triangles]
-    grid["pos"] = tops[:, :, 0]
-    edges = tops[:, :, 1:] - tops[:, :, :1]
-    sizes = np.sqrt(np.einsum("ktej,ktej->kte", edges, edges))
-    edges /= sizes[..., None]
-    grid["size"][..., :2] = sizes
-    grid["mat"][..., :2] = edges.swapaxes(2, 3)
-    normal = np.cross(edges[:, :, 0], edges[:, :, 1])
-    grid["mat"][..., 2] = normal / np.sqrt(np.einsum("ktj,ktj->kt", normal, normal))[..., None]
+    place_triangles(grid, corners[:, shape.triangles])
 
 
 @dataclass(frozen=True, eq=False)
