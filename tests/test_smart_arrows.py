@@ -282,6 +282,15 @@ def test_what_is_switched_off_is_not_drawn_and_a_packet_switches_it() -> None:
     assert draw(world, data, toggles=toggles).count == 0
 
 
+def test_a_round_arrow_has_no_more_geoms_than_its_host_grants() -> None:
+    world = world_with(SmartArrow(name="turn", kind="torque", at=POINT, vector=VECTOR))
+    decor = Decor(world, 1024, 34)  # a page's
+    data = world.make_data()
+    Placer(world).place(data)
+    pen = decor.draw(data, toggles_of(world), view_at())
+    assert len(belonging(pen, Kind.VECTOR)) == 34
+
+
 def test_an_arrow_follows_the_robot() -> None:
     world = world_with(SmartArrow(name="push", at="lwr/flange", vector=VECTOR))
     data = world.make_data()

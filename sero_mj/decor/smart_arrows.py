@@ -16,11 +16,11 @@ from .billboards import NO_DATA
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
 from .panels import panel_sizes
-from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind, Pen
+from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind
 from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import Ribbons, draw_ribbons
-from .round_arrows import ARROW_GEOMS, DARKER, TURNING_SPEED
+from .round_arrows import DARKER, TURNING_SPEED
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
 # Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
@@ -47,7 +47,7 @@ class SmartArrows(Feature):
         world, names = self.world, self.world.arrows.names
         components, vectors = arrow_vectors(world, frame.data)
         stale = frame.is_stale(names)
-        draw_smart_arrows(frame.pen, world, frame.data, frame.shown.vectors, vectors, stale)
+        draw_smart_arrows(frame, world, vectors, stale)
         ages = [frame.stale.get(name, "") for name in names]
         reach = drawn_sizes(world, vectors)
         cards = self._cards.cards(
@@ -77,24 +77,20 @@ def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
     return components, np.einsum("kij,kj->ki", rotation, components)
 
 
-def draw_smart_arrows(
-    pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, vectors: Array, stale: Bools
-) -> None:
+def draw_smart_arrows(frame: Frame, world: WorldView, vectors: Array, stale: Bools) -> None:
     """Draws every smart arrow that is shown, has data and is not too short.
 
     Args:
-        pen: where to.
+        frame: what is drawn, and where to.
         world: the compiled scene.
-        data: its state.
-        shown: which arrows to draw, (K,) bool.
         vectors: in world coordinates, (K, 3), SI units, NaN for no data.
         stale: which arrows have no fresh data and are drawn grey, (K,) bool.
     """
-    table = world.arrows
+    table, pen, data = world.arrows, frame.pen, frame.data
     magnitude = np.linalg.norm(vectors, axis=1)
     size = table.scale * magnitude
     with np.errstate(invalid="ignore"):
-        index = (shown & (size > SHORTEST) & np.isfinite(size)).nonzero()[0]
+        index = (frame.shown.vectors & (size > SHORTEST) & np.isfinite(size)).nonzero()[0]
         over = size > table.longest
     if not len(index):
         return
@@ -116,7 +112,7 @@ def draw_smart_arrows(
             rgba=rgba[turning],
             striped=over[turning],
         )
-        draw_ribbons(pen, Kind.VECTOR, ribbons, ARROW_GEOMS)
+        draw_ribbons(pen, Kind.VECTOR, ribbons, frame.arrow_geoms)
     index, axes = index[straight], axes[straight]
     rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.VECTOR, index)
     if not len(rows):
