@@ -78,6 +78,33 @@ model = "lwr"
 joint_angles = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
 """
 
+POSITION_MODE = """
+[robots.left]
+model = "lwr"
+base_frame = { xyz = [0.0, 0.25, 1.0], rpy_deg = [-60, 0, 0] }
+joint_angles = [0.3, 0.7, 0.0, 1.3, 0.0, -0.6, 0.0]
+[robots.right]
+model = "lwr"
+base_frame = { xyz = [0.0, -0.25, 1.0], rpy_deg = [60, 0, 0] }
+joint_angles = [-0.3, 0.7, 0.0, 1.3, 0.0, -0.6, 0.0]
+[doubles.left_command]
+of = "left"
+joint_angles = [0.1, 0.85, 0.0, 1.0, 0.0, -0.3, 0.0]
+[doubles.right_command]
+of = "right"
+joint_angles = [-0.45, 0.55, 0.0, 1.6, 0.0, -0.6, 0.0]
+[objects.column]
+shape = "box"
+size = [0.16, 0.36, 1.1]
+frame = { xyz = [-0.02, 0.0, 0.55] }
+rgba = [0.42, 0.44, 0.48, 1.0]
+[view]
+look_at = [0.2, 0.0, 1.15]
+azimuth_deg = -160
+elevation_deg = -12
+distance = 2.4
+"""
+
 GROUP = """
 [groups.robot]
 model = "{model}"
@@ -172,8 +199,8 @@ joint_angles = [0.828, 1.721, -2.029]
 [routes]
 "right.flange_check" = "left/flange"
 """, camera="60,-40,1.4", group=FEATURES),
-    Shot("position_mode", "Position mode: doubles at commanded poses", "haptic_position",
-         at=2.5, group=FEATURES),
+    Shot("position_mode", "Position mode: doubles at commanded poses", POSITION_MODE,
+         group=FEATURES),
     Shot("dark", "Dark, for slides", LWR + '[view]\nlook = "dark"\n', {
         "lwr.show_arrows": True, "lwr.show_billboards": True,
     }, holds_itself=True, group=FEATURES),

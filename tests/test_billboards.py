@@ -1,5 +1,7 @@
 """Billboards, their text, leaders and panels, and the status corner, as numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import examples
@@ -20,6 +22,8 @@ from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.place import Placer, follow
 from sero_mj.errors import UnknownName
+from sero_mj.load import load_scene
+from sero_mj.show.typesetting import Typesetter
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
 
@@ -199,7 +203,7 @@ def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width()
     decor, data = Decor(world), world.make_data()
     pen = decor.draw(data, toggles, view_at())
     legend = [
-        "arrows: joint torque",
+        "round arrows: joint torque",
         "orange: + about z, blue: -",
         "     10 %     50 %     torque limit",
     ]
@@ -208,7 +212,7 @@ def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width()
     pen = decor.draw(data, toggles, view_at())
     found = labels(pen.rows[: pen.count])
     assert found[:3] == legend
-    assert found[3] == "arrows: torque error, commanded - measured"
+    assert found[3] == "round arrows: torque error, commanded - measured"
     toggles.arrows[:] = False
     assert decor.draw(data, toggles, view_at()).count == 0
     # The words are those of the colours: orange is mostly red, blue mostly blue.
@@ -235,8 +239,12 @@ def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
         SerialRobot(name=name, dh_convention="craig", torques=[2.0], show_billboards=True)
         for name in ("left_manipulator_arm", "right_manipulator_arm")
     ]
-    rows = drawn(World(Scene(robots=robots, floor=False)), view_at(distance=20))
-    assert sorted(labels(rows)) == ["left_m..or_arm J1     2.0 Nm", "right_..or_arm J1     2.0 Nm"]
+    world = World(Scene(robots=robots, floor=False))
+    short = ["left_m..or_arm J1     2.0 Nm", "right_..or_arm J1     2.0 Nm"]
+    assert sorted(labels(drawn(world, view_at(distance=20, width=640, height=480)))) == short
+    # There is room for the whole name.
+    whole = ["left_manipulator_arm J1     2.0 Nm", "right_manipulator_arm J1     2.0 Nm"]
+    assert sorted(labels(drawn(world, view_at(distance=20)))) == whole
 
 
 @pytest.mark.parametrize(
@@ -402,3 +410,116 @@ def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() ->
         assert said == ([] if len(cards.texts) == 28 else [[expected]])
         notes += said
     assert notes
+
+
+def test_cards_are_of_the_most_loaded_joints_of_the_whole_picture_not_of_each_robot() -> None:
+    """A hand at an arm: 27 joints, and room for some of them."""
+    scene = load_scene("lwr_hit_hand")
+    world = World(scene)
+    data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
+    toggles.billboards[:] = True
+    rng = np.random.default_rng(4)
+    share = rng.permutation(np.linspace(0.01, 0.6, 27))
+    share[7::4] = np.nan  # the last joint of a finger has no sensor
+    for name, part in world.robots.items():
+        torques = share[part.joints] * world.joints.torque_limit[part.joints]
+        world.set_input(data, f"{name}.torques", torques)
+    Placer(world).place(data)
+    font = Typesetter(18).font
+    for azimuth in np.linspace(-3, 3, 7):
+        view = replace(view_at(azimuth, 2.0, 480, 360), font=font)
+        decor.draw(data, toggles, view)
+        (cards,) = (panels for panels in decor.panels if panels.has_values)
+        count = len(cards.texts)
+        assert 8 <= count < 27
+        order = np.argsort(-np.nan_to_num(share, nan=-1.0))
+        assert set(cards.items.tolist()) == set(order[:count].tolist())
+
+
+def test_cards_of_a_hand_stand_together_on_the_side_where_it_is() -> None:
+    world = World(load_scene("lwr_hit_hand"))
+    data, toggles = world.make_data(), toggles_of(world)
+    toggles.billboards[:] = True
+    Placer(world).place(data)
+    for azimuth in (-1.0, 2.1):
+        decor, view = Decor(world), view_at(azimuth, 2.6, 1800, 1600)
+        decor.draw(data, toggles, view)
+        (cards,) = (panels for panels in decor.panels if panels.has_values)
+        assert len(cards.texts) == 27
+        across = view.project(data.site_xpos[world.joints.centre_site])[0][:, 0]
+        is_finger = world.joints.owner > 0
+        on_left = across[is_finger].mean() < across[~is_finger].mean()
+        sides = cards.centres[is_finger[cards.items], 0] < view.width / 2
+        assert (sides == on_left).all()
+
+
+@pytest.mark.parametrize(("azimuth", "distance"), [(0.3, 2.6), (-0.4, 2.6), (0.0, 3.2)])
+def test_no_leader_of_a_robot_runs_over_cards_of_another(azimuth: float, distance: float) -> None:
+    robots = [
+        SerialRobot.from_model("lwr", name=name, base_frame={"xyz": [0, y, 0]})
+        for name, y in (("left", 0.5), ("right", -0.5))
+    ]
+    world = World(Scene(robots=robots, floor=False))
+    data, toggles, rng = world.make_data(), toggles_of(world), np.random.default_rng(5)
+    toggles.billboards[:] = toggles.legend = True
+    font = Typesetter(18).font
+    for _ in range(12):
+        decor = Decor(world)
+        for name in world.robots:
+            world.set_input(data, f"{name}.joint_angles", rng.uniform(-1.4, 1.4, 7))
+            world.set_input(data, f"{name}.torques", rng.normal(0, 40, 7))
+        follow(world.model, data)
+        view = replace(view_at(azimuth, distance, 640, 480), font=font)
+        decor.draw(data, toggles, view)
+        (cards,) = (panels for panels in decor.panels if panels.has_values)
+        ends = view.project(data.site_xpos[world.joints.centre_site[cards.items]])[0]
+        owner = world.joints.owner[cards.items]
+        half = cards.sizes / 2
+        starts = cards.centres.copy()
+        starts[:, 0] += np.sign(ends[:, 0] - starts[:, 0]) * half[:, 0]
+        along = np.linspace(0, 1, 200)[:, None, None]
+        points = starts + along * (ends - starts)  # (200, leaders, 2)
+        away = np.abs(points[:, :, None] - cards.centres)
+        over = (away < half - 1).all(axis=3).any(axis=0)
+        assert not over[owner[:, None] != owner].any()
+
+
+def test_decimals_follow_what_an_arrow_of_full_width_shows() -> None:
+    """A hundredth of the limit can be read."""
+    limits = [200.0, 38.0, 9.0, 3.0, 0.5, 0.004]
+    robot = SerialRobot(
+        name="r", dh_convention="craig", dh_params=np.zeros((6, 4)), torque_limits=limits,
+        torques=0.1234 * np.array(limits), show_billboards=True,
+    )  # fmt: skip
+    world = World(Scene(robots=[robot], floor=False))
+    texts = {text.split()[0]: text.split()[1] for text in labels(drawn(world, view_at(distance=9)))}
+    expected = ["24.7", "4.7", "1.11", "0.37", "0.062", "0.0005"]
+    assert texts == {f"J{k + 1}": text for k, text in enumerate(expected)}
+
+
+def test_torques_that_are_set_at_run_time_are_on_cards_that_had_angles() -> None:
+    world = world_of(show_billboards=True)
+    data = world.make_data()
+    assert said(world, data)[0] == "A1     0.000 rad"
+    world.set_input(data, "lwr.torques", np.arange(7.0))
+    assert said(world, data)[2] == "E1     2.0 Nm"
+    world = world_of(show_billboards=True, billboard_lines=["joint_angles"])  # as declared
+    data = world.make_data()
+    world.set_input(data, "lwr.torques", np.arange(7.0))
+    assert said(world, data)[0] == "A1     0.000 rad"
+
+
+def test_names_of_frames_cover_neither_cards_nor_each_other() -> None:
+    """SpaceJustin names eight frames of its body, shoulders and wrists."""
+    world = World(load_scene("space_justin"))
+    data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
+    toggles.billboards[:] = toggles.frame_names[:8] = True
+    Placer(world).place(data)
+    view = replace(view_at(np.pi, 2.6, 640, 480), font=Typesetter(18).font)
+    decor.draw(data, toggles, view)
+    low = np.concatenate([panels.centres - panels.sizes / 2 for panels in decor.panels])
+    high = np.concatenate([panels.centres + panels.sizes / 2 for panels in decor.panels])
+    is_name = np.concatenate([[p.kind == Kind.NAME] * len(p.texts) for p in decor.panels])
+    over = ((low[:, None] < high - 1e-6) & (high[:, None] > low + 1e-6)).all(axis=2)
+    assert is_name.sum() >= 4
+    assert not (over & ~np.eye(len(low), dtype=bool))[is_name].any()

@@ -117,6 +117,10 @@ def test_the_received_frame_stands_where_it_was_received_in_the_base(world: Worl
     assert line["size"][0] == pytest.approx([0.003, 0.003, 0.06], rel=1e-5)
 
 
+def on_card(name: str, mm: float, deg: float) -> list[str]:
+    return [f"{name} flange is off", f"  position {mm:8.2f} mm", f"  angle    {deg:8.2f} deg"]
+
+
 @pytest.mark.parametrize(
     ("mm", "deg", "off"),
     [
@@ -140,9 +144,9 @@ def test_above_either_tolerance_it_is_red_beside_the_flange_else_in_the_corner(
     checks = belonging(pen, Kind.CHECK)
     _, line = bars_and_line(rows)
     if off:
-        assert labels(rows) == ["lwr flange is off", numbers]
+        assert labels(rows) == on_card("lwr", mm, deg)
         (card,) = checks
-        assert texts_in(view, rows, card) == ["lwr flange is off", numbers]
+        assert texts_in(view, rows, card) == on_card("lwr", mm, deg)
         assert card["rgba"] == pytest.approx(OFF_RGBA)
         assert card["rgba"][0] > 0.5 > 10 * card["rgba"][1]  # red
         (leader,) = of_kind(rows, GEOM.mjGEOM_TRIANGLE)
@@ -182,9 +186,8 @@ def test_several_robots_each_have_their_own_and_one_without_has_none() -> None:
     pen, rows = draw(world, data, view)
     first, fourth = belonging(pen, Kind.CHECK)
     assert sorted(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.CHECK]) == [0, 3]
-    expected = ["first flange is off", "  40.00 mm    0.00 deg"]
-    assert texts_in(view, rows, first) == expected
-    assert texts_in(view, rows, fourth) == ["fourth flange is off", "   0.00 mm   33.00 deg"]
+    assert texts_in(view, rows, first) == on_card("first", 40, 0)
+    assert texts_in(view, rows, fourth) == on_card("fourth", 0, 33)
     # Those that agree share one panel.
     corner = of_kind(rows, GEOM.mjGEOM_BOX)[-3]
     agreeing = [
@@ -203,7 +206,7 @@ def test_when_the_base_moves_the_difference_stays_and_the_frame_goes_along(world
     moved = rigid(turned([0, 0, 1], 1.1), [-0.3, 0.2, 0.2])
     world.set_input(data, "lwr.base_frame", moved)
     _, rows = draw(world, data)
-    assert labels(rows)[1] == "  15.00 mm    3.00 deg"
+    assert labels(rows) == on_card("lwr", 15, 3)
     bars, _ = bars_and_line(rows)
     tip = bars[2]["pos"] + 0.08 * bars[2]["mat"][:, 2]
     assert tip == pytest.approx((moved @ T @ [0, 0, 0.16, 1])[:3], abs=1e-5)
@@ -216,7 +219,7 @@ def test_when_the_robot_moves_the_difference_follows(world: World) -> None:
     q[6] += np.deg2rad(7.5)  # about the flange's own z
     world.set_input(data, "lwr.joint_angles", q)
     _, rows = draw(world, data)
-    assert labels(rows) == ["lwr flange is off", "   0.00 mm    7.50 deg"]
+    assert labels(rows) == on_card("lwr", 0, 7.5)
 
 
 def test_no_data_or_nan_shows_nothing_and_the_other_robot_goes_on() -> None:
@@ -224,7 +227,7 @@ def test_no_data_or_nan_shows_nothing_and_the_other_robot_goes_on() -> None:
     data = world.make_data()
     for name in ("first", "second"):
         world.set_input(data, f"{name}.flange_check", displaced(world, name, 30, 4))
-    assert len(labels(draw(world, data)[1])) == 4
+    assert len(labels(draw(world, data)[1])) == 6
     slot = world.slots["first.flange_check"]
     for k in (0, 3, 7, 11):
         world.set_input(data, "first.flange_check", displaced(world, "first", 30, 4))

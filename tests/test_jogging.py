@@ -160,7 +160,7 @@ def test_gravity_is_shown_and_the_legend_says_whose_it_is() -> None:
     decor = SceneDecor(world, toggles)
     decor.lay_out(mirror.data, view_at())
     texts = [line for panels in decor.panels for lines in panels.texts for line in lines]
-    assert b"arrows: gravity torque of the model" in texts
+    assert b"round arrows: gravity torque of the model" in texts
     assert any(b"Nm" in text for text in texts)
     # Torques of a program are its own.
     world.set_input(mirror.data, "lwr.torques", np.arange(7.0))
@@ -169,7 +169,7 @@ def test_gravity_is_shown_and_the_legend_says_whose_it_is() -> None:
     assert not toggles.modelled.any()
     decor.lay_out(mirror.data, view_at())
     texts = [line for panels in decor.panels for lines in panels.texts for line in lines]
-    assert b"arrows: joint torque" in texts
+    assert b"round arrows: joint torque" in texts
 
 
 def test_declared_torques_are_not_replaced() -> None:

@@ -5,7 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.decor.layout import columns, crossings, spread, spread_around, uncross
+from sero_mj.decor.layout import (
+    LEFT,
+    RIGHT,
+    columns,
+    crossings,
+    place_clear,
+    spread,
+    spread_around,
+    uncross,
+    with_room,
+)
 
 heights = st.lists(st.floats(5, 60), min_size=1, max_size=12)
 
@@ -148,3 +158,54 @@ def test_panels_without_anything_behind_them_are_spread_as_usual() -> None:
     args = (wanted, np.full(3, 30.0), 5.0, 0.0, 800.0)
     assert spread_around(*args, np.zeros((0, 2))) == pytest.approx(spread(*args))
     assert spread_around(*args, np.array([[0.0, 800.0]])) == pytest.approx(spread(*args))
+
+
+PICTURE = np.array([0.0, 0.0]), np.array([640.0, 480.0])
+
+
+@given(st.integers(1, 8), st.integers(0, 12), st.integers(0, 2**31))
+def test_labels_are_placed_off_what_is_taken_and_off_each_other(count, taken, seed) -> None:
+    rng = np.random.default_rng(seed)
+    middles = rng.uniform(60, 400, (taken, 2))
+    half = np.array([40.0, 12.0])
+    rectangles = np.hstack([middles - half, middles + half])
+    sizes = rng.uniform(10, 60, (count, 2))
+    wanted = rng.uniform(60, 400, (count, 2))
+    placed = place_clear(wanted, sizes, rectangles, *PICTURE)
+    low = np.concatenate([placed - sizes / 2, rectangles[:, :2]])
+    high = np.concatenate([placed + sizes / 2, rectangles[:, 2:]])
+    over = ((low[:, None] < high - 1e-3) & (high[:, None] > low + 1e-3)).all(axis=2)
+    assert not np.triu(over, 1)[:count].any()
+    assert (low[:count] >= -1e-9).all() and (high[:count] <= PICTURE[1] + 1e-9).all()
+
+
+def test_a_label_moves_as_little_as_it_can_and_stays_where_there_is_no_room() -> None:
+    corner = np.array([[0.0, 0.0, 200.0, 70.0]])
+    size = np.array([[100.0, 20.0]])
+
+    def placed(x: float, y: float, taken: np.ndarray = corner) -> list[float]:
+        return place_clear(np.array([[x, y]]), size, taken, *PICTURE)[0].tolist()
+
+    assert placed(300.0, 60.0) == [300.0, 60.0]
+    assert placed(150.0, 60.0) == [150.0, 80.0]  # above it
+    assert placed(240.0, 20.0) == [250.0, 20.0]  # beside it
+    assert placed(150.0, 60.0, np.array([[0.0, 0.0, 640.0, 480.0]])) == [150.0, 60.0]
+
+
+def test_there_is_room_for_the_first_panels_on_their_side_or_on_the_other() -> None:
+    nothing = np.zeros((0, 4))
+
+    def found(sides: list[int], may_move: bool, covered: np.ndarray = nothing) -> tuple:
+        count, side = with_room(
+            np.full((len(sides), 2), (100.0, 30.0)), np.array(sides), 10.0, 640.0, 100.0,
+            kept_free=nothing, covered=covered, may_move=may_move,
+        )  # fmt: skip
+        return count, side[:count].tolist()
+
+    # A side has room for two: (100 - 2 * 10 + 2) / 32.
+    assert found([LEFT] * 5, may_move=False) == (2, [LEFT] * 2)
+    assert found([LEFT] * 5, may_move=True) == (4, [LEFT, LEFT, RIGHT, RIGHT])
+    assert found([LEFT, RIGHT, LEFT, LEFT, RIGHT], may_move=False) == (3, [LEFT, RIGHT, LEFT])
+    robot = np.array([[600.0, 0.0, 640.0, 100.0]])
+    assert found([RIGHT] * 3, may_move=True, covered=robot) == (2, [LEFT] * 2)
+    assert found([RIGHT] * 3, may_move=False, covered=robot) == (0, [])

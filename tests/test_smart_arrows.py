@@ -1,5 +1,7 @@
 """Smart arrows as numbers: place, direction, length, width, turning, colour, count."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from conftest import examples
@@ -63,6 +65,36 @@ def draw(world: World, data=None, *, toggles=None, time: float = 0.0) -> Pen:
     return Decor(world).draw(data, toggles, view_at())
 
 
+def tip_of(row: Any) -> Any:
+    return row["pos"] + row["mat"][:, 2] * row["size"][2] / 2
+
+
+def distance_of_ends(row: Any, point: Any) -> float:
+    """The distance of a point from the closer end of a straight arrow, m."""
+    return min(float(np.linalg.norm(end - point)) for end in (row["pos"], tip_of(row)))
+
+
+def test_an_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
+    world = world_with(SmartArrow(name="push", at="lwr/flange", scale=0.005))
+    data, decor, toggles = world.make_data(), Decor(world), toggles_of(world)
+    flange = frame_by_hand(world, "lwr/flange")[:3, 3]
+
+    def drawn(*vector: float) -> Any:
+        world.set_input(data, "push.vector", vector)
+        pen = decor.draw(data, toggles, view_at())
+        (row,) = belonging(pen, Kind.VECTOR, 0)
+        assert row["mat"][:, 2] @ world.frame(data, "lwr/flange")[:3, :3] == pytest.approx(
+            np.array(vector) / np.linalg.norm(vector), abs=1e-6
+        )
+        return row
+
+    assert drawn(0, 0, 20.0)["pos"] == pytest.approx(flange, abs=1e-6)  # away from the hand
+    assert tip_of(drawn(0, 0, -20.0)) == pytest.approx(flange, abs=1e-6)
+    # Neither end is inside: it stays so until its head is well outside.
+    assert tip_of(drawn(0, 10.0, -20.0)) == pytest.approx(flange, abs=1e-6)
+    assert drawn(0, 40.0, 0)["pos"] == pytest.approx(flange, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("at", "expressed_in"),
     [
@@ -96,7 +128,7 @@ def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
         assert row["mat"].T @ row["mat"] == pytest.approx(np.eye(3), abs=1e-5)
         assert np.linalg.det(row["mat"]) == pytest.approx(1.0, abs=1e-5)
     if kind == "force":
-        assert rows["pos"][0] == pytest.approx(start, abs=1e-6)
+        assert distance_of_ends(rows[0], start) == pytest.approx(0, abs=1e-6)
         return
     out = rows["pos"] - start
     assert np.abs(out @ direction).max() < 1e-6
@@ -247,7 +279,7 @@ def test_force_and_torque_of_any_direction_are_drawn_by_the_right_hand_rule(
     axis = frame[:3, :3] @ unit
     pen = draw(both, data, time=time)
     (straight,) = belonging(pen, Kind.VECTOR, 0)
-    assert straight["pos"] == pytest.approx(frame[:3, 3], abs=1e-6)
+    assert distance_of_ends(straight, frame[:3, 3]) == pytest.approx(0, abs=1e-6)
     assert straight["mat"][:, 2] == pytest.approx(axis, abs=1e-6)
     assert straight["size"][2] / 2 == pytest.approx(min(0.1 * size, 0.5), rel=1e-5)
     first, later = (

@@ -24,9 +24,7 @@ from sero_mj.assemble.cartesian import SmartArrow
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.decor.cards import move_clear
 from sero_mj.decor.draw import Decor
-from sero_mj.decor.panels import Panels
 from sero_mj.decor.pen import Kind
 from sero_mj.drive.place import Placer
 from sero_mj.frames import nice
@@ -238,22 +236,25 @@ def test_the_legend_states_the_scale(fields, said: str) -> None:
 
 def test_arrows_of_one_scale_share_a_line_and_hidden_ones_have_none() -> None:
     world = world_with(
-        SmartArrow(name="left", at="lwr/flange"),
-        SmartArrow(name="turn", kind="torque", at="lwr/flange"),
-        SmartArrow(name="right", at="lwr/base"),
-        SmartArrow(name="fine", at="lwr/base", scale=0.05),
+        SmartArrow(name="left", at="lwr/flange", vector=VECTOR),
+        SmartArrow(name="turn", kind="torque", at="lwr/flange", vector=VECTOR),
+        SmartArrow(name="right", at="lwr/base", vector=VECTOR),
+        SmartArrow(name="fine", at="lwr/base", scale=0.05, vector=VECTOR),
+        SmartArrow(name="silent", at="lwr/base", scale=0.1),
+        SmartArrow(name="none", at="lwr/base", scale=0.2, vector=np.zeros(3)),
     )
     fine, turn = "fine: 100 mm long = 2 N", "turn: 100 mm wide = 20 Nm"
     found = scales(draw(world, cards=False, legend=True))
     assert found == ["left, right: 80 mm long = 20 N", turn, fine]
-    found = scales(draw(world, cards=False, legend=True, vectors=[False, True, True, False]))
+    found = scales(draw(world, cards=False, legend=True, vectors=[False, True, True, *[False] * 3]))
     assert found == [turn, "right: 80 mm long = 20 N"]
 
 
 def test_the_scale_of_many_arrows_is_not_cut_off_behind_their_names() -> None:
     names = [f"contact_force_of_finger_{k}" for k in range(6)]
-    world = world_with(*(SmartArrow(name=name, at="lwr/flange") for name in names))
-    for count, listed in ((1, names[0]), (2, "arrows"), (6, "arrows")):
+    fields = {"at": "lwr/flange", "kind": "force", "vector": VECTOR}
+    world = world_with(*(SmartArrow(name=name, **fields) for name in names))
+    for count, listed in ((1, names[0]), (2, "force arrows"), (6, "force arrows")):
         found = scales(draw(world, cards=False, legend=True, vectors=np.arange(6) < count))
         assert found == [f"{listed}: 80 mm long = 20 N"]
 
@@ -261,10 +262,14 @@ def test_the_scale_of_many_arrows_is_not_cut_off_behind_their_names() -> None:
 def test_the_legend_follows_what_is_switched_live() -> None:
     world = world_with(
         SmartArrow(name="push", at="lwr/flange"),
-        SmartArrow(name="turn", kind="torque", at="lwr/flange"),
+        SmartArrow(name="turn", kind="torque", at="lwr/flange", vector=VECTOR),
     )
     decor, data, toggles = Decor(world), world.make_data(), toggles_of(world)
     toggles.legend = True
+    assert scales(decor.draw(data, toggles, view_at())) == ["turn: 100 mm wide = 20 Nm"]
+    world.set_input(data, "push.vector", VECTOR)  # a contact, from which on its scale is told
+    decor.draw(data, toggles, view_at())
+    world.set_input(data, "push.vector", np.zeros(3))
     push, turn = "push: 80 mm long = 20 N", "turn: 100 mm wide = 20 Nm"
     for shown, said in (
         ((True, True), [push, turn]),
@@ -283,7 +288,8 @@ def test_what_the_legend_states_is_what_is_drawn(scale: float, turns: bool) -> N
     limits = {"longest": 1.0, "radius": 0.2}
     world = world_with(SmartArrow(name="v", kind=kind, at=[0, 0, 1], scale=scale, **limits))
     data = world.make_data()
-    (said,) = scales(draw(world, cards=False, legend=True))
+    world.set_input(data, "v.vector", [0, 0, 0.9 / scale])
+    (said,) = scales(draw(world, data, cards=False, legend=True))
     match = re.fullmatch(r"v: (\S+) mm (long|wide) = (\S+) Nm?", said)
     assert match is not None
     millimetres, value = float(match[1]), float(match[3])
@@ -309,23 +315,6 @@ def test_nice_is_the_largest_round_number_that_is_not_above(value: float) -> Non
 def test_round_numbers_are_nice_themselves(k: int) -> None:
     for value, expected in ((1, 1), (2, 2), (5, 5), (1.99, 1), (4.99, 2), (9.99, 5)):
         assert nice(value * 10.0**k) == pytest.approx(expected * 10.0**k)
-
-
-def test_a_note_is_not_written_over_a_corner() -> None:
-    def panels(x: float, y: float, width: float, height: float) -> Panels:
-        return Panels(np.array([[x, y]]), np.array([[width, height]]), [[b""]], (0, 0, 0, 1))
-
-    legend, faults = panels(100, 40, 180, 70), panels(100, 290, 180, 50)
-    note = panels(150, 60, 100, 20)
-    assert move_clear(note, legend, 320.0).centres.tolist() == [[150.0, 85.0]]
-    assert move_clear(panels(150, 280, 100, 20), faults, 320.0).centres.tolist() == [[150.0, 255.0]]
-    assert move_clear(panels(300, 60, 100, 20), legend, 320.0).centres.tolist() == [[300.0, 60.0]]
-    # Of two panels the lower one is the wider: above it there is room, beside the upper one.
-    two = Panels(
-        np.array([[100.0, 55.0], [130.0, 15.0]]), np.array([[180.0, 30.0], [240.0, 30.0]]), []
-    )
-    assert move_clear(panels(245, 20, 90, 20), two, 320.0).centres.tolist() == [[245.0, 40.0]]
-    assert move_clear(panels(150, 20, 90, 20), two, 320.0).centres.tolist() == [[150.0, 80.0]]
 
 
 def test_a_card_needs_no_robot() -> None:

@@ -21,6 +21,7 @@ OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
 _HIDDEN_DISTANCE = 0.002  # m
 _HIDDEN_ANGLE = np.deg2rad(0.5)
 _SHOWN_FROM = 5.0
+_CLEAR = 4.0  # of an arrow's radius, from which on a path's doubles are fully shown
 # Opacity factors of a path's first and last double: the path must not hide the robot.
 _PATH_FADE = (0.12, 0.6)
 
@@ -101,3 +102,29 @@ def fade_in(positions: Array, rotations: Array, others: Array, other_rotations: 
     angle = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
     apart = np.maximum(distance / _HIDDEN_DISTANCE, angle / _HIDDEN_ANGLE)
     return np.asarray(np.clip((apart - 1.0) / (_SHOWN_FROM - 1.0), 0.0, 1.0))
+
+
+def spread_out(positions: Array, radii: Array) -> Array:
+    """Returns the opacity factors of the links of a path's doubles, (rows, n + 1).
+
+    From the last double back, a link is shown where it is clear of the same link of the next one
+    that is shown: doubles that cover each other would merge into a blob.
+
+    Args:
+        positions: of the links' frames, from the base on, (rows, n + 1, 3), m.
+        radii: of the arrows about the joints, about as thick as the links, (n,), m.
+    """
+    rows, links = positions.shape[:2]
+    factors = np.ones((rows, links))
+    clear = _CLEAR * np.append(radii[:1], radii)
+    kept = positions[-1].copy()
+    kept_end = np.roll(kept, -1, axis=0)
+    for k in reversed(range(rows - 1)):
+        end = np.roll(positions[k], -1, axis=0)
+        moved = np.linalg.norm(positions[k] - kept, axis=1)
+        # A link turns about its first end; the last one is as far as its own frame.
+        moved[:-1] = np.maximum(moved, np.linalg.norm(end - kept_end, axis=1))[:-1]
+        factors[k] = np.clip(2.0 * moved / clear - 1.0, 0.0, 1.0)
+        is_shown = factors[k] > 0.5
+        kept[is_shown], kept_end[is_shown] = positions[k][is_shown], end[is_shown]
+    return factors

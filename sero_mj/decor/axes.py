@@ -23,7 +23,6 @@ from .picture_view import PictureView
 # Red, green, blue, in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
 _HALF_WIDTH_OF_LENGTH = 0.022
-_SPACED = 1.05  # vertical distance of two labels over their height
 _STALE_SHARE = 0.75  # fraction of grey in the colour of a stale frame
 # Frames closer than the first coincide, farther than the second they do not. In between, sizes
 # change continuously, so that frames that move apart do not flicker.
@@ -175,21 +174,4 @@ def name_panels(
     lines = [[text] for text in texts]
     below = origins - [0.0, view.font.height]
     centres, sizes = labels_at(view, below, lines)
-    move_apart(centres, sizes)
     return Panels(centres, sizes, lines, kind=Kind.NAME, items=shown)
-
-
-def move_apart(centres: NDArray[np.float64], sizes: NDArray[np.float64]) -> None:
-    """Moves labels below those of earlier frames that they overlap, in place.
-
-    Args:
-        centres: (k, 2), pixels.
-        sizes: (k, 2), pixels.
-    """
-    for k in range(1, len(centres)):
-        beside = np.abs(centres[:k, 0] - centres[k, 0]) < (sizes[:k, 0] + sizes[k, 0]) / 2
-        apart = (sizes[:k, 1] + sizes[k, 1]) / 2 * _SPACED
-        # From the highest down: the label moves below each one that it overlaps.
-        for other in np.argsort(-centres[:k, 1]):
-            if beside[other] and abs(centres[other, 1] - centres[k, 1]) < apart[other]:
-                centres[k, 1] = centres[other, 1] - apart[other]

@@ -15,8 +15,8 @@ from ..assemble.robot_parts import BillboardLine
 from ..assemble.scene import Scene
 from ..assemble.world_view import WorldView
 from ..frames import Array, Ints
-from .card_names import card_names, titles
-from .cards import Cards, heights_in_order
+from .card_names import card_names, longest_name, titles
+from .cards import NO_SHARE, SMALL, Cards, heights_in_order, owner_groups
 from .feature import Feature, Frame
 from .layout import LEFT, RIGHT
 from .panels import PANEL_RGBA, panel_sizes
@@ -46,6 +46,8 @@ _UNITS = {
     "torque_limit": (("Nm", 1), ("N", 1)),
     "torque_share": (("%", 1), ("%", 1)),
 }
+# Of a torque as many decimals are shown as tell this share of that of a full arrow.
+_SEEN, _MOST_DECIMALS = 0.01, 4
 _OWN_UNIT = (("", 2), ("", 2))  # of `billboard_values` and a robot's own inputs
 # Values and labels that a click on an arrow shows (section 2.2).
 _DETAILS = {
@@ -69,34 +71,39 @@ class Billboards(Feature):
         super().__init__(world)
         joints = world.joints
         parts = list(world.owners.values())
-        self._lines: list[list[Line]] = []
-        self._details: list[list[Line]] = []
-        self._modelled: list[list[Line]] = []  # where torques are the model's
-        declared = [declared_lines(part, world.scene) for part in parts]
-        # With several robots, joint names alone are ambiguous.
-        is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
-        names = titles(
-            [card_names(part.robot.names, part.robot.name) for part in parts],
-            [part.declared.name for part in parts],
-            is_ambiguous,
+        self._declared = [declared_lines(part, world.scene) for part in parts]
+        # Without declared lines or inputs to show, cards have angles until there are torques.
+        self._has_angles = np.array(
+            [
+                part.declared.billboard_lines is None
+                and part.billboard_lines is None
+                and [line.value for line in lines] == ["joint_angles"]
+                for part, lines in zip(parts, self._declared, strict=True)
+            ],
+            bool,
         )
-        for owner, name, revolute in zip(joints.owner, names, joints.revolute, strict=True):
-            lines = declared[owner]
-            self._lines.append(billboard_lines(name, lines, not revolute))
-            if [line.value for line in lines] == ["joint_angles"]:
-                lines = [BillboardLine(value="torques")]
-            self._modelled.append(billboard_lines(name, lines, not revolute))
-            self._details.append(detail_lines(name, not revolute))
+        self._formats: dict[int, _Formats] = {}
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
-        several = [len(part.robot.limb_joints) > 1 for part in parts]
-        self._is_in_limbs = np.array([*several, False], bool)[joints.owner]
+        is_double = np.array([isinstance(part, DoublePart) for part in parts], bool)
+        of_owner = np.where(is_double, np.arange(len(parts)), owner_groups(world))
+        self._limb = _limbs(world, of_owner)
         self._close = 0.0  # how far from its robot's middle a limb has no side, picture widths
-        self._limbs_of_owners = [np.unique(joints.limb[part.joints]) for part in parts]
+        group = of_owner[joints.owner]
+        every = [np.unique(self._limb[group == each]) for each in np.unique(group)]
+        self._limbs_of_groups = [limbs for limbs in every if len(limbs) > 1]
+        self._is_in_limbs = np.isin(self._limb, np.concatenate([[-1], *self._limbs_of_groups]))
         self._rank = heights_in_order(_declared_heights(world))
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
+
+    def _formats_for(self, view: PictureView) -> _Formats:
+        """Returns the lines of all joints, with names as long as the picture has room for."""
+        longest = longest_name(view)
+        if longest not in self._formats:
+            self._formats[longest] = _formats(self.world, self._declared, longest)
+        return self._formats[longest]
 
     def lay_out(self, frame: Frame) -> None:
         """Adds the billboards that are shown, of joints in the picture.
@@ -120,13 +127,15 @@ class Billboards(Feature):
         index, anchors, depth = index[inside], anchors[inside], depth[inside]
         if not len(index):
             return None
-        plain = [
-            of_model if is_modelled else lines
-            for of_model, lines, is_modelled in zip(
-                self._modelled, self._lines, toggles.modelled, strict=True
-            )
+        formats = self._formats_for(view)
+        count = np.bincount(joints.owner, np.isfinite(values["torques"]), len(self._has_angles))
+        has_torques = toggles.modelled | (self._has_angles & (count > 0))[joints.owner]
+        lines = [
+            formats.details[i]
+            if toggles.details[i]
+            else (formats.torques if has_torques[i] else formats.declared)[i]
+            for i in index
         ]
-        lines = [self._details[i] if toggles.details[i] else plain[i] for i in index]
         if toggles.details.any():
             limit = joints.torque_limit
             share = 100 * np.abs(values["torques"]) / limit
@@ -162,24 +171,24 @@ class Billboards(Feature):
         joints, view = self.world.joints, frame.view
         pixels, depth = view.project(frame.data.site_xpos[joints.centre_site])
         is_before = depth > view.near
-        counts = np.maximum(np.bincount(joints.limb, is_before), 1.0)
-        across = np.bincount(joints.limb, np.where(is_before, pixels[:, 0], 0.0)) / counts
+        counts = np.maximum(np.bincount(self._limb, is_before), 1.0)
+        across = np.bincount(self._limb, np.where(is_before, pixels[:, 0], 0.0)) / counts
         middles = np.zeros(len(counts))
-        for limbs in self._limbs_of_owners:
+        for limbs in self._limbs_of_groups:
             middles[limbs] = np.median(across[limbs])
-        beside = (across - middles)[joints.limb]
+        beside = (across - middles)[self._limb]
         moved = self._is_in_limbs & (np.abs(beside) >= self._close * view.width)
         self._close = _CLOSE  # from the first picture on, so that cards do not go to and fro
         self._side[moved] = np.where(beside[moved] < 0, LEFT, RIGHT)
         return self._side
 
     def _shares(self, frame: Frame) -> Array:
-        """Returns the value of every joint's arrow over that of full width, (N,); 0 without any."""
+        """Returns the value of every joint's arrow over that of full width, (N,)."""
         joints = self.world.joints
         of_radius = joints.arrow_radius / joints.arrow_width_scale
         full = np.where(np.isfinite(joints.arrow_load), joints.arrow_load, of_radius)
         full = np.where(np.isfinite(frame.arrow_limit), frame.arrow_limit, full)
-        return np.nan_to_num(np.abs(frame.arrow_values) / full, nan=0.0, posinf=0.0)
+        return np.nan_to_num(np.abs(frame.arrow_values) / full, nan=NO_SHARE, posinf=0.0)
 
     def _sizes(self, view: PictureView, lines: list[list[Line]], texts: list[list[bytes]]) -> Array:
         """Returns panel sizes (k, 2), pixels, constant except for unusually long numbers."""
@@ -197,12 +206,83 @@ class Billboards(Feature):
         return panel_sizes(widths, np.array([len(of_joint) for of_joint in lines]), view)
 
 
+@dataclass(frozen=True)
+class _Formats:
+    """The lines of every joint's billboard.
+
+    Attributes:
+        declared: as declared, or what its robot has inputs for.
+        torques: where these are the model's, or have come without being declared.
+        details: that a click on its arrow shows.
+    """
+
+    declared: list[list[Line]]
+    torques: list[list[Line]]
+    details: list[list[Line]]
+
+
+def _formats(world: WorldView, declared: list[list[BillboardLine]], longest: int) -> _Formats:
+    """Returns the lines of all joints, with names of at most `longest` characters."""
+    joints, parts = world.joints, list(world.owners.values())
+    # With several robots, joint names alone are ambiguous.
+    is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
+    names = titles(
+        [card_names(part.robot.names, part.robot.name) for part in parts],
+        [part.declared.name for part in parts],
+        is_ambiguous,
+        longest,
+    )
+    full = np.where(np.isfinite(joints.torque_limit), joints.torque_limit, joints.arrow_load)
+    found = _Formats([], [], [])
+    for k, (name, owner) in enumerate(zip(names, joints.owner, strict=True)):
+        kind = (not joints.revolute[k], float(full[k]))
+        lines = declared[owner]
+        is_angle = [line.value for line in lines] == ["joint_angles"]
+        torques = [BillboardLine(value="torques")] if is_angle else lines
+        found.declared.append(billboard_lines(name, lines, *kind))
+        found.torques.append(billboard_lines(name, torques, *kind))
+        found.details.append(detail_lines(name, *kind))
+    return found
+
+
 def _tinted(part: object) -> Array:
     """Returns the colour of a panel (4,); panels of doubles are tinted in the double's colour."""
     rgba = np.array(PANEL_RGBA)
     if isinstance(part, DoublePart):
         rgba[:3] += _TINT * (part.double.rgba[:3] - rgba[:3])
     return rgba
+
+
+def _limbs(world: WorldView, groups: Ints) -> Ints:
+    """Returns the limb whose cards stand together with every joint's, (N,).
+
+    A limb that is small beside the one that carries it counts with that: fingers with their arm.
+    All robots that stand with another one are one limb: the fingers of a hand.
+
+    Args:
+        world: the compiled scene.
+        groups: index of the robot with which every robot and double stands, (len(owners),).
+    """
+    joints = world.joints
+    centres = world.state(world.make_data()).site_xpos[joints.centre_site]
+    limb = joints.limb.copy()
+    for part in world.owners.values():
+        first = part.joints.start
+        n = part.joints.stop - first
+        carriers = part.robot.carriers
+        below = first + (np.arange(n) if carriers is None else carriers[:n]) - 1
+        on_base = below < first
+        below[on_base] = (first + np.arange(n))[on_base]
+        own = joints.limb[part.joints]
+        steps = np.linalg.norm(centres[part.joints] - centres[below], axis=1)
+        lengths = np.bincount(own, np.where(joints.limb[below] == own, steps, 0.0))
+        for k in np.flatnonzero(joints.limb[below] != own):  # the first joints of limbs
+            if lengths[own[k]] < SMALL * lengths[joints.limb[below[k]]]:
+                limb[part.joints][own == own[k]] = limb[below[k]]
+    is_carried = groups != np.arange(len(groups))
+    for group in np.unique(groups[is_carried]):
+        limb[(is_carried & (groups == group))[joints.owner]] = limb.max() + 1
+    return limb
 
 
 def _declared_heights(world: WorldView) -> Array:
@@ -263,28 +343,32 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
     return [BillboardLine(value="joint_angles")]
 
 
-def billboard_lines(joint: str, declared: list[BillboardLine], prismatic: bool) -> list[Line]:
+def billboard_lines(
+    joint: str, declared: list[BillboardLine], prismatic: bool, full: float = np.inf
+) -> list[Line]:
     """Returns the line formats of one joint's billboard.
 
     Args:
         joint: its name.
         declared: the declared lines.
         prismatic: whether the joint is prismatic, for units.
+        full: torque of an arrow of full width, Nm or N, for decimals; inf where unknown.
     """
     several = len(declared) > 1
     labels = [
         line.label or (_LABELS.get(line.value, line.value) if several else "") for line in declared
     ]
     return [
-        _line(joint, k, line.value, label, prismatic, line)
+        _line(joint, k, line.value, label, prismatic, full, line)
         for k, (line, label) in enumerate(zip(declared, labels, strict=True))
     ]
 
 
-def detail_lines(joint: str, prismatic: bool) -> list[Line]:
-    """Returns the line formats of the precise values of one joint's arrow."""
+def detail_lines(joint: str, prismatic: bool, full: float = np.inf) -> list[Line]:
+    """Returns the line formats of all values of one joint's arrow, see `billboard_lines`."""
     return [
-        _line(joint, k, key, label, prismatic) for k, (key, label) in enumerate(_DETAILS.items())
+        _line(joint, k, key, label, prismatic, full)
+        for k, (key, label) in enumerate(_DETAILS.items())
     ]
 
 
@@ -294,10 +378,13 @@ def _line(
     key: str,
     label: str,
     prismatic: bool,
+    full: float,
     declared: BillboardLine | None = None,
 ) -> Line:
     """Returns the format of line k: the joint's name is on the first, labels are on all."""
     unit, decimals = _UNITS.get(key, _OWN_UNIT)[prismatic]
+    if unit in ("Nm", "N") and 0 < full < np.inf:
+        decimals = min(max(decimals, math.ceil(-math.log10(_SEEN * full))), _MOST_DECIMALS)
     scale = 1.0
     if declared is not None:
         unit = unit if declared.unit is None else declared.unit

@@ -6,7 +6,12 @@ import re
 from collections.abc import Sequence
 from itertools import takewhile
 
-_LONGEST = 14  # characters of a robot's or a joint's name
+import numpy as np
+
+from .picture_view import PictureView
+
+SHORTEST, _LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
+_SHARE = 0.25  # of the picture's width, that a name may take
 _BETWEEN = r"[_\-\s/:.]+"  # words of a name
 _WORD = r"[^_\-\s/:.]*"
 _GENERIC = ("joint", "jnt", "j", "link")  # says nothing about a joint
@@ -42,8 +47,17 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
     return plain if is_clear and len({*plain}) == len({*names}) else names
 
 
+def longest_name(view: PictureView) -> int:
+    """Returns how many characters of a name there is room for on the cards of a picture."""
+    room = _SHARE * view.width / view.font.width("n")
+    return int(np.clip(room, SHORTEST, _LONGEST))
+
+
 def titles(
-    joints: Sequence[Sequence[str]], owners: Sequence[str], is_named: Sequence[bool]
+    joints: Sequence[Sequence[str]],
+    owners: Sequence[str],
+    is_named: Sequence[bool],
+    longest: int = SHORTEST,
 ) -> list[str]:
     """Returns the titles of the cards of all joints.
 
@@ -51,12 +65,13 @@ def titles(
         joints: names of the joints of every robot and double, without what repeats.
         owners: names of these; words that all begin with are left out.
         is_named: whether a title has the name of its owner, for each of these.
+        longest: characters of a robot's or a joint's name.
     """
-    of_joints = iter(shortened([name for names in joints for name in names]))
+    of_joints = iter(shortened([name for names in joints for name in names], longest))
     owners = _without_common_start(owners)
     found = []
     for owner, short, names, with_owner in zip(
-        owners, shortened(owners), joints, is_named, strict=True
+        owners, shortened(owners, longest), joints, is_named, strict=True
     ):
         for name in names:
             joint = next(of_joints)
@@ -77,8 +92,8 @@ def _without_common_start(owners: Sequence[str]) -> list[str]:
     return _if_clear(list(owners), ["_".join(of_name[same:]) for of_name in words])
 
 
-def shortened(names: Sequence[str]) -> list[str]:
-    """Returns names of at most `_LONGEST` characters, long ones without their middle.
+def shortened(names: Sequence[str], longest: int = SHORTEST) -> list[str]:
+    """Returns names of at most `longest` characters, long ones without their middle.
 
     Those that would become the same are longer, as far as they have to be.
     """
@@ -87,7 +102,7 @@ def shortened(names: Sequence[str]) -> list[str]:
         half = (length - 2) // 2
         return name if len(name) <= length else f"{name[:half]}..{name[-half:]}"
 
-    lengths = dict.fromkeys(names, _LONGEST)
+    lengths = dict.fromkeys(names, longest)
     while True:
         short = {name: at_most(name, length) for name, length in lengths.items()}
         texts = list(short.values())

@@ -13,6 +13,8 @@ import mujoco
 import numpy as np
 
 from ..assemble.double import OUT_OF_SIGHT
+from ..assemble.mounts import carrier
+from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
 from ..frames import Array, Bools, Ints
 from .layout import LEFT, RIGHT, columns, uncross, with_room
@@ -28,6 +30,9 @@ _FEWEST = 8  # cards, also where they need several columns
 # Of a robot with more joints only the most loaded have cards, unless they were clicked on.
 _MANY, _MOST_LOADED = 24, 12
 _GAP = 0.3  # between cards, of a line's height
+# A hand or finger is less than this of the arm that carries it: their cards stand together.
+SMALL = 0.5
+NO_SHARE = -1.0  # comes after any known share
 # A card takes the room of another one only if its share is larger by this factor, and this much.
 _MORE = (1.25, 0.02)
 _NEW_ROOM = 0.5  # of a line's height, by which robots must be farther away from a new card
@@ -51,8 +56,9 @@ class Cards:
             for none.
         side: `LEFT` or `RIGHT`, (k,), where there is one robot; else the robot's side is taken.
         rank: vertical order, lowest first, (k,).
-        share: how much each carries of what it can, (k,): where there is no room for all, those
-            with the largest are shown; inf for those that are always shown.
+        share: how much each carries of what it can, (k,), `NO_SHARE` where that is unknown: where
+            there is no room for all, those with the largest are shown; inf for those that always
+            are.
         clear: minimum horizontal distance of their columns from the anchors, pixels.
         rgba: (k, 4), or one for all.
     """
@@ -85,8 +91,7 @@ class CardLayout:
     cross: then two cards change places. So nothing moves to and fro at a limit.
 
     Args:
-        owner_group: group of every robot and double, by their order in `WorldView.owners`; a double
-            belongs to its robot's group.
+        owner_group: as returned by `owner_groups`.
     """
 
     def __init__(self, owner_group: Ints) -> None:
@@ -110,9 +115,9 @@ class CardLayout:
     ) -> tuple[list[Cards], list[Panels], list[Panels]]:
         """Places the cards and draws their leaders.
 
-        Of a robot with many joints those with the largest share are shown, and where there is no
-        room for all beside what the robots cover, but not less than a few; a note in the corner
-        says how many.
+        Where there is no room for all beside what the robots cover, or a robot has many, those
+        with the largest shares are shown, but not less than a few; a note in the corner says how
+        many.
 
         Args:
             pen: where to.
@@ -205,7 +210,8 @@ class CardLayout:
     ) -> tuple[Bools, list[Panels]]:
         """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
 
-        The sides of some may be changed.
+        They are those with the largest shares in the whole picture. The sides of some may be
+        changed: those for which their own has no room.
         """
         low, high = view.free
         line, (width, height) = view.font.height, high - low
@@ -214,46 +220,58 @@ class CardLayout:
         keys = _keys(groups)
         last = np.array([key in self._chosen for key in keys])
         factor, more = _MORE
-        lasting = np.where(last, factor * share + more, share)
-        wanted = _most_loaded(np.concatenate([group.owners for group in groups]), lasting)
+        order = np.argsort(
+            -np.where(last, np.maximum(factor * share, share) + more, share), kind="stable"
+        )
+        asked = int(np.isinf(share).sum())
+        limit = max(_most_cards(np.concatenate([group.owners for group in groups])), asked)
+        first = order[:limit]
 
-        def fitting(corners: list[Panels], distance: float) -> Bools:
-            return wanted & with_room(
-                sizes,
-                np.where(wanted, lasting, -1.0),
-                side,
-                _GAP * line,
-                width,
-                height,
-                kept_free=_rectangles(corners, low),
-                covered=covered + distance * np.array([-1, -1, 1, 1]),
-            )
+        fewest = min(_FEWEST, limit)
 
-        if len(keys) <= _FEWEST or (not self._chosen and fitting(corners, 0.0).all()):
+        def with_distance(distance: float, corners: list[Panels]) -> tuple[int, Ints]:
+            # Each of several robots has its cards on its own side, if these are not too few.
+            for may_move in (False, True) if len(self._groups_in_order) > 1 else (True,):
+                found = with_room(
+                    sizes[first],
+                    side[first],
+                    _GAP * line,
+                    width,
+                    height,
+                    kept_free=_rectangles(corners, low),
+                    covered=covered + distance * np.array([-1, -1, 1, 1]),
+                    may_move=may_move,
+                )
+                if found[0] >= fewest:
+                    break
+            return found
+
+        def all_of(found: tuple[int, Ints]) -> bool:
+            if found[0] == len(keys):
+                side[order] = found[1]
+            return found[0] == len(keys)
+
+        everything = np.ones(len(keys), bool)
+        if len(keys) <= _FEWEST or (not self._chosen and all_of(with_distance(0.0, corners))):
             self._chosen.clear()
-            return np.ones(len(keys), bool), []
+            return everything, []
+        note = _note(view, len(keys), corners)
+        corners = [*corners, note]
+        count, sides = with_distance(_NEW_ROOM * line, corners)
+        if all_of((count, sides)):
+            self._chosen.clear()
+            return everything, []
+        if count < len(self._chosen):  # as many as in the last frame, if they still have room
+            most, sides = with_distance(0.0, corners)
+            count = min(most, len(self._chosen))
+        count = max(count, asked, fewest)
+        side[first] = sides
+        kept = np.zeros(len(keys), bool)
+        kept[order[:count]] = True
+        self._chosen = {key for key, is_kept in zip(keys, kept, strict=True) if is_kept}
         is_load = np.concatenate(
             [np.full(len(group.texts), group.kind == Kind.BILLBOARD) for group in groups]
         )
-        note = _note(view, len(keys), corners)
-        corners = [*corners, note]
-        kept = fitting(corners, _NEW_ROOM * line)
-        if kept.all():
-            self._chosen.clear()
-            return kept, []
-        if self._chosen:
-            kept |= fitting(corners, 0.0) & last
-        left_over = wanted & ~kept
-        if left_over.any() and not wanted.all():  # the other side may have room for them
-            side[left_over] = LEFT + RIGHT - side[left_over]
-            moved = fitting(corners, _NEW_ROOM * line) & left_over
-            side[left_over & ~moved] = LEFT + RIGHT - side[left_over & ~moved]
-            kept |= moved
-        kept |= np.isinf(share)
-        missing = max(min(_FEWEST, int(wanted.sum())) - int(kept.sum()), 0)
-        left = np.where(kept | ~wanted, np.inf, -share)
-        kept[np.argsort(left, kind="stable")[:missing]] = True
-        self._chosen = {key for key, is_kept in zip(keys, kept, strict=True) if is_kept}
         text = _note_text(int((kept & is_load).sum()), int(is_load.sum()))
         return kept, [replace(note, texts=[[text]])]
 
@@ -295,22 +313,40 @@ class CardLayout:
         self._groups_in_order = sorted(set(of_point.tolist()), key=self._middles.__getitem__)
 
 
+def owner_groups(world: WorldView) -> Ints:
+    """Returns the index of the robot with which the cards of every owner of joints stand.
+
+    A double's is that of its robot; a hand's that of the arm which carries it.
+    """
+    names, robots = list(world.owners), world.scene.robots
+
+    def stands_with(name: str) -> str:
+        below = carrier(robots[name]) if name in robots else None
+        if below not in world.robots or robots[name].reach > SMALL * robots[below].reach:
+            return name
+        return stands_with(below)
+
+    return np.array(
+        [
+            names.index(stands_with(part.double.of if isinstance(part, DoublePart) else name))
+            for name, part in world.owners.items()
+        ],
+        np.intp,
+    )
+
+
 def _keys(groups: list[Cards]) -> list[_Key]:
     return [(group.kind, int(item)) for group in groups for item in group.items]
 
 
-def _most_loaded(owners: Ints, share: Array) -> Bools:
-    """Returns which cards are wanted, (k,): of each owner with many those with the largest share.
+def _most_cards(owners: Ints) -> int:
+    """Returns how many cards a picture has at most: of each owner with many `_MOST_LOADED`.
 
-    Those that are always shown, with a share of inf, count among them.
+    Args:
+        owners: of all cards, (k,), -1 for none.
     """
-    wanted = np.ones(len(owners), bool)
-    for owner in np.unique(owners[owners >= 0]):
-        mine = (owners == owner).nonzero()[0]
-        if len(mine) > _MANY:
-            order = mine[np.argsort(-share[mine], kind="stable")]
-            wanted[order[_MOST_LOADED:]] = np.isinf(share[order[_MOST_LOADED:]])
-    return wanted
+    counts = np.unique(owners[owners >= 0], return_counts=True)[1]
+    return int(np.where(counts > _MANY, _MOST_LOADED, counts).sum() + (owners < 0).sum())
 
 
 def _only(groups: list[Cards], kept: Bools) -> list[Cards]:
@@ -410,25 +446,6 @@ def move_below(right: Panels, left: Panels) -> Panels:
     if high[0] < low[0] or down <= 0:
         return left
     return replace(left, centres=left.centres - [0.0, down])
-
-
-def move_clear(panels: Panels, corner: Panels, height: float) -> Panels:
-    """Returns panels of which none is over a corner of the picture: above a lower one, say.
-
-    Args:
-        panels: to be moved up or down.
-        corner: what is in the corner, one panel over the other.
-        height: of the picture, pixels.
-    """
-    centres, half = panels.centres.copy(), panels.sizes / 2
-    low, high = corner.centres - corner.sizes / 2, corner.centres + corner.sizes / 2
-    is_lower = low[:, 1] + high[:, 1] < height
-    # From the picture's edge inwards, so that what leaves one panel is then moved off the next.
-    for k in np.argsort(np.where(is_lower, low[:, 1], height - high[:, 1])):
-        over = ((centres + half > low[k]) & (centres - half < high[k])).all(axis=1)
-        away = high[k, 1] + half[:, 1] if is_lower[k] else low[k, 1] - half[:, 1]
-        centres[over, 1] = away[over]
-    return replace(panels, centres=centres)
 
 
 def bounds(panels: Panels) -> tuple[Array, Array]:

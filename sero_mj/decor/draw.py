@@ -7,13 +7,12 @@ import logging
 import mujoco
 import numpy as np
 
-from ..assemble.double import fade_in
-from ..assemble.parts import DoublePart
+from ..assemble.double import fade_in, spread_out
 from ..assemble.world_view import WorldView
-from ..frames import Array, Ints
-from .cards import LEADER_RGBA, CardLayout, Outline, move_clear
+from ..frames import Array
+from .cards import LEADER_RGBA, CardLayout, Outline, owner_groups
 from .feature import Feature, Frame, make_features
-from .panels import Panels, draw_panels, labels_at, panel_sizes
+from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
 from .pen import CAPACITY, Pen
 from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
@@ -54,7 +53,7 @@ class Decor:
         self._world = world
         self._arrow_geoms = arrow_geoms
         self._staleness = Staleness(world)
-        self._cards = CardLayout(_groups(world))
+        self._cards = CardLayout(owner_groups(world))
         self._outline = Outline(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Pen:
@@ -101,10 +100,8 @@ class Decor:
             )
             frame.corners += note
         notes = self._staleness.panels(pen, data, view, stale)
-        labels = [*frame.panels, *notes]
-        for corner in frame.corners:
-            labels = [move_clear(label, corner, view.height) for label in labels]
-        panels = [*frame.corners, *cards, *labels]
+        panels = [*frame.corners, *cards]
+        panels += clear_of([*frame.panels, *notes], panels, view)
         # Text first: where the capacity is exceeded, arrows are dropped and not text.
         panels += _hover_panel(toggles, view, panels)
         self.panels = draw_panels(pen, view, panels, _LIGHTER[look])
@@ -123,18 +120,6 @@ class Decor:
                 self.features.remove(feature)
 
 
-def _groups(world: WorldView) -> Ints:
-    """Returns the index of the robot of every owner of joints: a double's is that of its robot."""
-    names = list(world.owners)
-    return np.array(
-        [
-            names.index(part.double.of if isinstance(part, DoublePart) else name)
-            for name, part in world.owners.items()
-        ],
-        np.intp,
-    )
-
-
 def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
     """Returns the opacity factor of every geom (ngeom,): doubles fade in as they leave the robot.
 
@@ -149,6 +134,8 @@ def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
     for part in compiled:
         links, own = part.bodies, part.of.bodies
         factors[links] = fade_in(data.xpos[links], data.xmat[links], data.xpos[own], data.xmat[own])
+        if part.path is not None:
+            factors[links] *= spread_out(data.xpos[links], part.robot.arrow_radii)
     return np.asarray(factors[world.model.geom_bodyid])
 
 

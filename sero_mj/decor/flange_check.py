@@ -109,7 +109,8 @@ class FlangeCheck(Feature):
             items.append(i)
             anchors.append(pixel)
             head = f"{name} flange is off"
-            texts.append([head.encode("ascii", "replace"), numbers.encode()])
+            position, turn = f"  position {1e3 * distance:8.2f} mm", f"  angle    {angle:8.2f} deg"
+            texts.append([head.encode("ascii", "replace"), position.encode(), turn.encode()])
         if items:
             frame.cards.append(self._cards(view, items, np.array(anchors), texts, clear))
         if right:
@@ -123,13 +124,13 @@ class FlangeCheck(Feature):
         texts: list[list[bytes]],
         clear: float,
     ) -> Cards:
-        widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
+        widths = np.array([view.font.block_width(lines) for lines in texts])
         top = len(self.world.joints.names)  # ranked above all billboards
         return Cards(
             kind=Kind.CHECK,
             items=np.array(items, np.intp),
             anchors=anchors,
-            sizes=panel_sizes(widths, 2, view),
+            sizes=panel_sizes(widths, len(texts[0]), view),
             texts=texts,
             owners=np.array(items, np.intp),
             side=np.full(len(items), RIGHT, np.intp),

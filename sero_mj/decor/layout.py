@@ -94,7 +94,6 @@ def columns(
 
 def with_room(
     sizes: Array,
-    share: Array,
     side: Ints,
     gap: float,
     width: float,
@@ -102,34 +101,41 @@ def with_room(
     *,
     kept_free: Array,
     covered: Array,
-) -> Bools:
-    """Returns which panels one column on each edge of the picture has room for, (k,) bool.
+    may_move: bool,
+) -> tuple[int, Ints]:
+    """Returns how many of the first panels one column on each edge of the picture has room for.
 
     Args:
-        sizes: width and height of every panel, (k, 2), pixels.
-        share: the panels with the largest are kept, (k,).
+        sizes: width and height of every panel, (k, 2), pixels, the most important one first.
         side: `LEFT` or `RIGHT`, (k,).
         gap: minimum space between panels, pixels.
         width: of the picture, pixels.
         height: of the picture, pixels.
         kept_free: rectangles in the corners of the picture, (c, 4), pixels, as for `columns`.
         covered: rectangles around parts of the robots (r, 4), pixels, which are left free.
+        may_move: whether a panel for which its own side has no room stands on the other one.
+
+    Returns:
+        their number, and the side of every panel (k,).
     """
-    kept = np.zeros(len(sizes), bool)
+    column = float(sizes[:, 0].max(initial=0.0)) + gap
+    least = float(sizes[:, 1].min(initial=height)) + _LEAST_GAP * gap
+    left_over = []
     for which in (LEFT, RIGHT):
-        mine = (side == which).nonzero()[0]
-        if not len(mine):
-            continue
         low, high = side_limits(kept_free, which, width, height)
-        column = float(sizes[mine, 0].max()) + gap
         is_behind = covered[:, 0] < column if which == LEFT else covered[:, 2] > width - column
-        least = float(sizes[mine, 1].min()) + _LEAST_GAP * gap
         rooms = _rooms_between(covered[is_behind][:, [1, 3]], low + gap, high - gap, least)
-        room = sum((top - bottom + _LEAST_GAP * gap) // least * least for bottom, top in rooms)
-        mine = mine[np.argsort(-share[mine], kind="stable")]
-        needed = np.cumsum(sizes[mine, 1] + _LEAST_GAP * gap)
-        kept[mine[needed <= room + 1e-9]] = True
-    return kept
+        left_over.append(
+            sum((top - bottom + _LEAST_GAP * gap) // least * least for bottom, top in rooms)
+        )
+    side = side.copy()
+    for k, needed in enumerate(sizes[:, 1] + _LEAST_GAP * gap - 1e-9):
+        if may_move and left_over[side[k]] < needed:
+            side[k] = LEFT + RIGHT - side[k]
+        if left_over[side[k]] < needed:
+            return k, side
+        left_over[side[k]] -= needed
+    return len(sizes), side
 
 
 def side_limits(corners: Array, side: int, width: float, height: float) -> tuple[float, float]:
@@ -275,6 +281,40 @@ def _rooms_between(
     ends = np.append(np.minimum(bottoms, high), high)
     is_room = ends >= starts + least
     return list(zip(starts[is_room].tolist(), ends[is_room].tolist(), strict=True))
+
+
+def place_clear(centres: Array, sizes: Array, taken: Array, low: Array, high: Array) -> Array:
+    """Moves rectangles off those that are taken and off each other, each as little as possible.
+
+    Args:
+        centres: desired centres, (k, 2), pixels.
+        sizes: (k, 2), pixels.
+        taken: left, bottom, right and top of what stays where it is, (m, 4), pixels.
+        low: lower left pixel of the room that there is, (2,).
+        high: upper right pixel, (2,).
+
+    Returns:
+        centres (k, 2). One for which there is no room stays where it is.
+    """
+    placed = centres.copy()
+    for k, (centre, half) in enumerate(zip(centres, sizes / 2, strict=True)):
+        # A centre inside one of these bounds is over what is taken.
+        below, above = taken[:, :2] - half, taken[:, 2:] + half
+
+        def is_clear(at: Array, below: Array = below, above: Array = above) -> Bools:
+            over = (at[:, None] > below + 1e-6) & (at[:, None] < above - 1e-6)
+            return np.asarray(~(over[..., 0] & over[..., 1]).any(axis=1))
+
+        if not is_clear(centre[None])[0]:
+            x, y = (np.concatenate([[centre[i]], below[:, i], above[:, i]]) for i in (0, 1))
+            grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+            grid = grid[((grid >= low + half) & (grid <= high - half)).all(axis=1)]
+            grid = grid[np.argsort(np.linalg.norm(grid - centre, axis=1), kind="stable")]
+            clear = is_clear(grid).nonzero()[0]
+            if len(clear):
+                placed[k] = grid[clear[0]]
+        taken = np.concatenate([taken, np.concatenate([placed[k] - half, placed[k] + half])[None]])
+    return placed
 
 
 def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:

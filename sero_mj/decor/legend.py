@@ -13,6 +13,7 @@ from .feature import Feature, Frame
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
 from .round_arrows import WIDEST
+from .smart_arrows import SHORTEST, arrow_vectors
 from .toggles import Toggles
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
@@ -51,22 +52,25 @@ class Legend(Feature):
         self._key: object = None
         self._panels: Panels | None = None
         self._notes = _notes(world)
+        self._drawn = np.zeros(len(world.arrows.names), bool)  # smart arrows, so far
 
     def lay_out(self, frame: Frame) -> None:
         """Adds the legend if it is switched on, and an arrow is or there are notes."""
-        panels = self._shown(frame.toggles, frame.view, frame.arrow_limit)
+        panels = self._shown(frame)
         if panels is not None:
             frame.corners.append(panels)
 
-    def _shown(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
-        is_needed = toggles.arrows.any() or toggles.vectors.any() or self._notes
+    def _shown(self, frame: Frame) -> Panels | None:
+        toggles, view, limit = frame.toggles, frame.view, frame.arrow_limit
+        self._note_drawn(frame)
+        is_needed = toggles.arrows.any() or (toggles.vectors & self._drawn).any() or self._notes
         if not toggles.legend or not is_needed:
             return None
         key = (
             toggles.arrows.tobytes(),
             toggles.arrow_quantity.tobytes(),
             toggles.modelled.tobytes(),
-            toggles.vectors.tobytes(),
+            (toggles.vectors & self._drawn).tobytes(),
             view.font.height,
             view.width,
             view.height,
@@ -75,6 +79,16 @@ class Legend(Feature):
         if key != self._key:  # cached: it changes only with the toggles and the picture
             self._key, self._panels = key, self._laid_out(toggles, view, limit)
         return self._panels
+
+    def _note_drawn(self, frame: Frame) -> None:
+        """Notes which smart arrows are long enough to be seen.
+
+        From then on the legend has their scale: it does not come and go with contacts.
+        """
+        new = frame.shown.vectors & ~self._drawn
+        if new.any():
+            sizes = np.linalg.norm(arrow_vectors(self.world, frame.data)[1], axis=1)
+            self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > SHORTEST)
 
     def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
         margin = _MARGIN * view.font.height
@@ -99,7 +113,7 @@ class Legend(Feature):
                 what += ", or force"
             has_scale = width not in (_UNLIMITED, _BY_LOAD)
             scale = "".join(_SCALE) + width if has_scale else width
-            lines = [f"arrows: {what}".encode(), _SIGNS, scale.encode()]
+            lines = [f"round arrows: {what}".encode(), _SIGNS, scale.encode()]
             texts.append(lines)
         sizes = np.array(
             [
@@ -121,20 +135,23 @@ class Legend(Feature):
         return replace(panels, bars=_bars(panels, view))
 
     def _scales(self, toggles: Toggles) -> list[bytes]:
-        """Returns a line for every kind and scale of smart arrow: value per length or width."""
+        """Returns a line for every scale of the smart arrows seen: value per length or width."""
         scene = self.world.scene
         lines: dict[str, list[str]] = {}
-        for name, on in zip(self.world.arrows.names, toggles.vectors, strict=True):
+        kinds: dict[str, dict[str, None]] = {}
+        seen = toggles.vectors & self._drawn
+        for name in np.array(self.world.arrows.names, object)[seen]:
             arrow = scene.arrows[name]
-            if on:
-                value = nice(_STATED_LENGTH / arrow.metres_per_unit)
-                size = 1e3 * value * arrow.metres_per_unit
-                word = "wide" if arrow.is_round else "long"
-                scale = f"{size:g} mm {word} = {value:g} {arrow.unit_text}"
-                lines.setdefault(scale, []).append(name)
-        # Many are contacts' and others that come and go: those that are not seen are not counted.
-        texts = [f"{named}: {scale}" if (named := _named(names)) else f"arrows: {scale}"
-                 for scale, names in lines.items()]  # fmt: skip
+            value = nice(_STATED_LENGTH / arrow.metres_per_unit)
+            size = 1e3 * value * arrow.metres_per_unit
+            word = "wide" if arrow.is_round else "long"
+            scale = f"{size:g} mm {word} = {value:g} {arrow.unit_text}"
+            lines.setdefault(scale, []).append(name)
+            kinds.setdefault(scale, {})[arrow.kind.replace("_", " ")] = None
+        texts = [
+            f"{_named(names) or ', '.join(kinds[scale]) + ' arrows'}: {scale}"
+            for scale, names in lines.items()
+        ]
         return [text.encode("ascii", "replace")[:99] for text in texts]
 
 

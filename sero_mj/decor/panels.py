@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import Array
+from .layout import place_clear
 from .pen import Kind, Pen, place_triangles
 from .picture_view import PictureView
 
@@ -79,6 +80,31 @@ def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tu
     half = sizes / 2
     low, high = view.free
     return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
+
+
+def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> list[Panels]:
+    """Returns labels moved off other panels and off each other, as far as the picture has room.
+
+    Args:
+        labels: the first ones have the first choice.
+        others: these stay where they are.
+        view: of the picture.
+    """
+    if not labels:
+        return []
+    taken = np.concatenate(
+        [np.hstack([p.centres - p.sizes / 2, p.centres + p.sizes / 2]) for p in others]
+        or [np.zeros((0, 4))]
+    )
+    centres = place_clear(
+        np.concatenate([label.centres for label in labels]),
+        np.concatenate([label.sizes for label in labels]),
+        taken,
+        *view.free,
+    )
+    ends = np.cumsum([len(label.texts) for label in labels])
+    parts = np.split(centres, ends[:-1])
+    return [replace(label, centres=part) for label, part in zip(labels, parts, strict=True)]
 
 
 def draw_panels(

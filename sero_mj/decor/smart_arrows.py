@@ -29,6 +29,8 @@ _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  #
 _HALF_TURN = 2.0 * np.outer(_START[:, 0], _START[:, 0]) - np.eye(3)
 _HALF_WIDTH_OF_LENGTH = 0.045
 _HALF_WIDTHS = (0.004, 0.012)  # m
+_CLOSE = 0.02  # m, from a link, within which an arrow keeps the end that is at its point
+_GROUPS_SEEN = 2  # groups of geoms that are visible: 0 to this
 
 
 class SmartArrows(Feature):
@@ -39,6 +41,8 @@ class SmartArrows(Feature):
     def __init__(self, world: WorldView) -> None:
         super().__init__(world)
         self._cards = _VectorCards(world)
+        self._links = _Links(world)
+        self._ends_there = np.zeros(len(world.arrows.names), bool)
 
     def lay_out(self, frame: Frame) -> None:
         """Draws the arrows, and adds the cards that are switched on, by a click for example."""
@@ -47,7 +51,8 @@ class SmartArrows(Feature):
         world, names = self.world, self.world.arrows.names
         components, vectors = arrow_vectors(world, frame.data)
         stale = frame.is_stale(names)
-        draw_smart_arrows(frame, world, vectors, stale)
+        self._choose_ends(frame.data, vectors)
+        draw_smart_arrows(frame, world, vectors, stale, self._ends_there)
         ages = [frame.stale.get(name, "") for name in names]
         reach = drawn_sizes(world, vectors)
         cards = self._cards.cards(
@@ -55,6 +60,47 @@ class SmartArrows(Feature):
         )
         if cards is not None:
             frame.cards.append(cards)
+
+    def _choose_ends(self, data: mujoco.MjData, vectors: Array) -> None:
+        """Notes which straight arrows end at their point: their heads would be inside a link.
+
+        Those change back when their heads are well outside, so that none jumps to and fro.
+        """
+        table = self.world.arrows
+        straight = (~table.is_round & np.isfinite(vectors).all(axis=1)).nonzero()[0]
+        sizes = np.linalg.norm(vectors[straight], axis=1)
+        length = np.minimum(table.scale[straight] * sizes, table.longest[straight])
+        steps = vectors[straight] * (length / np.maximum(sizes, 1e-12))[:, None]
+        points = data.site_xpos[table.site[straight]]
+        inside, near = self._links.contain(data, points + steps)
+        inside &= ~self._links.contain(data, points - steps)[0]
+        self._ends_there[straight] = inside | (self._ends_there[straight] & near)
+
+
+class _Links:
+    """Boxes about the geoms of all robots."""
+
+    def __init__(self, world: WorldView) -> None:
+        model = world.model
+        bodies = [body for part in world.robots.values() for body in part.bodies]
+        is_link = np.isin(model.geom_bodyid, bodies) & (model.geom_rgba[:, 3] > 0)
+        geoms = (is_link & (model.geom_group <= _GROUPS_SEEN)).nonzero()[0]
+        self._bodies = model.geom_bodyid[geoms]
+        self._rotation = np.empty((len(geoms), 3, 3))
+        for geom, rotation in zip(geoms, self._rotation, strict=True):
+            mujoco.mju_quat2Mat(rotation.reshape(9), model.geom_quat[geom])
+        middles, self._half = np.hsplit(model.geom_aabb[geoms], 2)
+        self._middles = model.geom_pos[geoms] + np.einsum("gij,gj->gi", self._rotation, middles)
+
+    def contain(self, data: mujoco.MjData, points: Array) -> tuple[Bools, Bools]:
+        """Returns which points (k, 3), m, are inside a link, and which inside or close to one."""
+        turns = data.xmat[self._bodies].reshape(-1, 3, 3)
+        middles = data.xpos[self._bodies] + np.einsum("gij,gj->gi", turns, self._middles)
+        away = np.einsum("gij,kgi->kgj", turns @ self._rotation, points[:, None] - middles)
+        inside, near = (
+            (np.abs(away) < self._half + more).all(axis=2).any(axis=1) for more in (0.0, _CLOSE)
+        )
+        return inside, near
 
 
 def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
@@ -77,7 +123,9 @@ def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
     return components, np.einsum("kij,kj->ki", rotation, components)
 
 
-def draw_smart_arrows(frame: Frame, world: WorldView, vectors: Array, stale: Bools) -> None:
+def draw_smart_arrows(
+    frame: Frame, world: WorldView, vectors: Array, stale: Bools, ends_there: Bools
+) -> None:
     """Draws every smart arrow that is shown, has data and is not too short.
 
     Args:
@@ -85,6 +133,7 @@ def draw_smart_arrows(frame: Frame, world: WorldView, vectors: Array, stale: Boo
         world: the compiled scene.
         vectors: in world coordinates, (K, 3), SI units, NaN for no data.
         stale: which arrows have no fresh data and are drawn grey, (K,) bool.
+        ends_there: which straight arrows end at their point instead of beginning there, (K,) bool.
     """
     table, pen, data = world.arrows, frame.pen, frame.data
     magnitude = np.linalg.norm(vectors, axis=1)
@@ -119,7 +168,8 @@ def draw_smart_arrows(frame: Frame, world: WorldView, vectors: Array, stale: Boo
         return
     length = size[index]
     rgba[over, :3] *= DARKER
-    rows["pos"] = data.site_xpos[table.site[index]]
+    back = np.where(ends_there[index], length, 0.0)
+    rows["pos"] = data.site_xpos[table.site[index]] - back[:, None] * axes[:, :, 2]
     rows["mat"] = axes
     rows["size"][:, :2] = np.clip(_HALF_WIDTH_OF_LENGTH * length, *_HALF_WIDTHS)[:, None]
     rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length
