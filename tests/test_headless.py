@@ -14,8 +14,11 @@ from sero_mj.cli import _arguments
 from sero_mj.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
 from sero_mj.decor.panels import PADDING
 from sero_mj.decor.pen import ARROW_SIZE_OF_LENGTH
+from sero_mj.decor.picture_view import PictureView
+from sero_mj.drive.place import Placer
 from sero_mj.errors import RenderError, UnknownName, UsageError
-from sero_mj.show.camera import bounding_sphere, find_camera
+from sero_mj.load import load_scene
+from sero_mj.show.camera import bounding_sphere, find_camera, stand_back
 from sero_mj.show.headless import render
 from sero_mj.show.headless.render import QUALITIES, HeadlessRenderer, render_picture
 
@@ -134,8 +137,9 @@ def test_heights_of_the_font_sizes_are_those_of_mujoco(scale: int, world) -> Non
 
 
 def test_text_grows_with_the_picture(world) -> None:
-    heights = [line_height(world, h) for h in (300, 480, 800, 1080, 2160)]
+    heights = [line_height(world, 2 * h, h) for h in (300, 480, 800, 1080, 2160)]
     assert heights == [18, 18, 28, 38, 76]
+    assert [line_height(world, h, 2 * h) for h in (300, 480, 800, 1080, 2160)] == heights
 
 
 def test_an_arrow_geom_is_drawn_as_long_as_we_think() -> None:
@@ -285,3 +289,21 @@ def test_what_is_rendered_leaves_the_model_as_it_was(world) -> None:
     with HeadlessRenderer(world, 64, 48, quality="draft") as renderer:
         renderer.render(world.make_data())
     assert state() == before
+
+
+@pytest.mark.parametrize("name", ["lwr_udp", "haptic_position", "justin_push", "lwr_hit_hand"])
+@pytest.mark.parametrize("size", [(390, 844), (600, 600), (640, 480), (1280, 800)])
+def test_robots_are_in_pictures_of_any_shape(name: str, size: tuple[int, int]) -> None:
+    world = World(load_scene(name))
+    data, camera = world.make_data(), find_camera(world)
+    Placer(world).place(data)
+    scene = mujoco.MjvScene(world.model, maxgeom=0)
+    mujoco.mjv_updateCamera(world.model, data, camera, scene)
+    stand_back(scene, camera, *size)
+    view = PictureView.of_scene(scene, *size)
+    joints = world.joints.centre_site[: world.joints.of_robot]  # without doubles that have no pose
+    pixels, depth = view.project(data.site_xpos[joints])
+    assert view.sees(pixels, depth).all()
+    # As wide as before, or as a picture of 4:3 would show it.
+    ahead = (np.array(camera.lookat) - view.position) @ view.forward
+    assert ahead == pytest.approx(camera.distance * max(4 / 3 * size[1] / size[0], 1.0), rel=1e-6)

@@ -32,7 +32,7 @@ def test_a_pan_keeps_what_is_looked_at_under_the_pointer(world: World) -> None:
     navigator, data = Navigator(world), world.make_data()
     point = np.array(navigator.camera.lookat)
     view = view_of(world, data, navigator.camera)
-    navigator.pan(0.2, 0.1, view.tan_half_fovy)
+    navigator.pan(0.2, 0.1, view.tan_half_fovy, navigator.camera.distance)
     pixel, _ = view_of(world, data, navigator.camera).project(point)
     # 0.2 heights to the right, and 0.1 down.
     assert pixel == pytest.approx([400 + 120, 300 - 60], abs=0.5)

@@ -227,9 +227,7 @@ class CardLayout:
         limit = max(_most_cards(np.concatenate([group.owners for group in groups])), asked)
         first = order[:limit]
 
-        fewest = min(_FEWEST, limit)
-
-        def with_distance(distance: float, corners: list[Panels]) -> tuple[int, Ints]:
+        def fitting(around: Array, corners: list[Panels], fewest: int = 0) -> tuple[int, Ints]:
             # Each of several robots has its cards on its own side, if these are not too few.
             for may_move in (False, True) if len(self._groups_in_order) > 1 else (True,):
                 found = with_room(
@@ -239,32 +237,39 @@ class CardLayout:
                     width,
                     height,
                     kept_free=_rectangles(corners, low),
-                    covered=covered + distance * np.array([-1, -1, 1, 1]),
+                    covered=around,
                     may_move=may_move,
                 )
                 if found[0] >= fewest:
                     break
             return found
 
-        def all_of(found: tuple[int, Ints]) -> bool:
-            if found[0] == len(keys):
-                side[order] = found[1]
-            return found[0] == len(keys)
-
-        everything = np.ones(len(keys), bool)
-        if len(keys) <= _FEWEST or (not self._chosen and all_of(with_distance(0.0, corners))):
+        def is_all(found: tuple[int, Ints]) -> bool:
+            if found[0] < len(keys):
+                return False
+            side[order] = found[1]
             self._chosen.clear()
+            return True
+
+        everything, nothing = np.ones(len(keys), bool), np.zeros((0, 4))
+        if len(keys) <= _FEWEST and is_all(fitting(nothing, corners, len(keys))):
+            return everything, []
+        if not self._chosen and is_all(fitting(covered, corners)):
             return everything, []
         note = _note(view, len(keys), corners)
         corners = [*corners, note]
-        count, sides = with_distance(_NEW_ROOM * line, corners)
-        if all_of((count, sides)):
-            self._chosen.clear()
+        # A few are shown even over robots, but never over each other.
+        fewest = fitting(nothing, corners, min(_FEWEST, limit))[0]
+        least = max(min(fewest, max(_FEWEST, asked), limit), 1)
+        apart = _NEW_ROOM * line * np.array([-1, -1, 1, 1])
+        count, sides = fitting(covered + apart, corners, least)
+        if is_all((count, sides)):
             return everything, []
         if count < len(self._chosen):  # as many as in the last frame, if they still have room
-            most, sides = with_distance(0.0, corners)
+            most, sides = fitting(covered, corners, least)
             count = min(most, len(self._chosen))
-        count = max(count, asked, fewest)
+        if count < least:
+            count, sides = least, fitting(nothing, corners, least)[1]
         side[first] = sides
         kept = np.zeros(len(keys), bool)
         kept[order[:count]] = True

@@ -77,13 +77,16 @@ def _default() -> Font:
 DEFAULT_FONT = _default()
 
 
-_TEXT_OF_SCALE = 0.7  # text height over picture height per unit of billboard_scale
+_TEXT_OF_SCALE = 0.7  # text height over the picture's shorter side per unit of billboard_scale
 _LEAST_LINE = FONT_HEIGHTS[100]  # pixels; smaller text is hard to read
-_LARGEST_LINE = 0.0675  # of the picture's height
+_LARGEST_LINE = 0.0675  # of that side
 
 
-def line_height(world: WorldView, height: int) -> int:
-    """Returns the height of a line of text in a picture of `height` pixels, pixels."""
+def line_height(world: WorldView, width: int, height: int) -> int:
+    """Returns the height of a line of text in a picture of that size, pixels.
+
+    It goes with the picture's shorter side.
+    """
     scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
-    wanted = min(_TEXT_OF_SCALE * max(scales), _LARGEST_LINE) * height
+    wanted = min(_TEXT_OF_SCALE * max(scales), _LARGEST_LINE) * min(width, height)
     return max(round(wanted), _LEAST_LINE)

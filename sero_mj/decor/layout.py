@@ -105,6 +105,8 @@ def with_room(
 ) -> tuple[int, Ints]:
     """Returns how many of the first panels one column on each edge of the picture has room for.
 
+    A narrow picture has one column, on the right.
+
     Args:
         sizes: width and height of every panel, (k, 2), pixels, the most important one first.
         side: `LEFT` or `RIGHT`, (k,).
@@ -129,6 +131,8 @@ def with_room(
             sum((top - bottom + _LEAST_GAP * gap) // least * least for bottom, top in rooms)
         )
     side = side.copy()
+    if 2 * column > width:  # two columns would cover each other
+        side[:], may_move = RIGHT, False
     for k, needed in enumerate(sizes[:, 1] + _LEAST_GAP * gap - 1e-9):
         if may_move and left_over[side[k]] < needed:
             side[k] = LEFT + RIGHT - side[k]

@@ -19,6 +19,7 @@ _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
 _STEEPEST_DEG = 89.0
 _PER_NOTCH = 0.9  # change of distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
+_NARROW = 4 / 3  # width over height, below which the camera stands back
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
@@ -29,6 +30,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
         world: the compiled scene.
         wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m), and if it does
             not look at the middle `,x,y,z` (m) of what it looks at; or None for the scene's `view`.
+            In a picture narrower than 4:3 it stands farther away, see `standing_back`.
 
     Raises:
         UnknownName: no camera of that name.
@@ -136,17 +138,18 @@ class Navigator:
             )
         )
 
-    def pan(self, right: float, down: float, tan_half_fovy: float) -> None:
+    def pan(self, right: float, down: float, tan_half_fovy: float, depth: float) -> None:
         """Moves parallel to the picture, so that the look-at point follows the pointer.
 
         Args:
             right: of the drag, in window heights.
             down: likewise.
             tan_half_fovy: tangent of half the vertical field of view.
+            depth: of the look-at point, m.
         """
         camera = self.camera
         _, to_right, to_up = axes(camera.azimuth, camera.elevation)
-        height = 2.0 * tan_half_fovy * camera.distance
+        height = 2.0 * tan_half_fovy * depth
         camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
 
     def zoom(self, notches: float) -> None:
@@ -216,6 +219,31 @@ def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]
     right = np.array([sa, -ca, 0.0])
     up = np.array([-ca * se, -sa * se, ce])
     return forward, right, up
+
+
+def standing_back(width: float, height: float) -> float:
+    """Returns by how much farther away a free camera stands in a narrow picture; 1 in others.
+
+    Distances are those of pictures of 4:3 and wider. A narrower one shows across what 4:3 does.
+    """
+    return max(_NARROW * height / max(width, 1.0), 1.0)
+
+
+def stand_back(
+    scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float
+) -> None:
+    """Moves the camera of a scene back for a narrow picture, see `standing_back`.
+
+    Args:
+        scene: that `mjv_updateScene` has filled.
+        camera: with which it has; only a free one is moved.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+    """
+    back = (standing_back(width, height) - 1.0) * camera.distance
+    if back > 0.0 and camera.type == _FREE:
+        for eye in scene.camera:
+            eye.pos = np.array(eye.pos) - back * np.array(eye.forward)
 
 
 def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:

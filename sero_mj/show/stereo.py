@@ -80,11 +80,11 @@ def looked_at(
         centre: of what there is to see, (3,), m; for a camera of the model.
     """
     near = float(scene.camera[0].frustum_near)
-    if camera.type == mujoco.mjtCamera.mjCAMERA_FREE:
-        return max(float(camera.distance), 2.0 * near)
+    is_free = camera.type == mujoco.mjtCamera.mjCAMERA_FREE
     eyes = (np.array(scene.camera[0].pos) + np.array(scene.camera[1].pos)) / 2
-    ahead = float((centre - eyes) @ np.array(scene.camera[0].forward, np.float64))
-    return max(ahead, 10.0 * near)
+    at = np.array(camera.lookat) if is_free else centre
+    ahead = float((at - eyes) @ np.array(scene.camera[0].forward, np.float64))
+    return max(ahead, (2.0 if is_free else 10.0) * near)
 
 
 def anaglyph(left: Pixels, right: Pixels) -> Pixels:

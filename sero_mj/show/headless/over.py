@@ -60,7 +60,7 @@ class PhotoRenderer:
         scale = SUPERSAMPLING if quality == "fine" else 1
         self._painter = PhotoPainter(world, camera, (MAX_SIDE // 2, MAX_SIDE // 2), scale)
         self._renderer = make_renderer(world, *self._painter.size, is_draft=quality == "draft")
-        self._typesetter = Typesetter(line_height(world, camera.height))
+        self._typesetter = Typesetter(line_height(world, camera.width, camera.height))
         self.decor = SceneDecor(world, with_text=False)
 
     def render(self, data: mujoco.MjData, photo: Pixels) -> Pixels:

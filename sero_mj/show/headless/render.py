@@ -29,7 +29,7 @@ from ...drive.mirror import Mirror, restore
 from ...errors import RenderError
 from ...frames import Array
 from ..added_surroundings import added_surroundings
-from ..camera import bounding_sphere, find_camera
+from ..camera import bounding_sphere, find_camera, stand_back
 from ..interaction import Gesture
 from ..picking import TOUCH_TOLERANCE, Picked, Pixel
 from ..scene_decor import SceneDecor
@@ -156,7 +156,7 @@ class HeadlessRenderer:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         # A new renderer's OpenGL context is the current one.
         self._surroundings = added_surroundings(world, self._renderer._mjr_context)
-        self._typesetter = Typesetter(line_height(world, height))
+        self._typesetter = Typesetter(line_height(world, *self._half))
 
     @property
     def toggles(self) -> Toggles:
@@ -213,6 +213,7 @@ class HeadlessRenderer:
     def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
+        stand_back(renderer.scene, self.camera, *self._half)
         if self._surroundings is not None:
             self._surroundings.add(renderer.scene)
         return PictureView.of_scene(renderer.scene, *self._half, self._typesetter.font)

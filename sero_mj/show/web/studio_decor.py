@@ -65,7 +65,7 @@ class WebDecor(SceneDecor):
         self._geoms = list(self._buffer.geoms)
         self._camera = mujoco.MjvScene(world.model, maxgeom=0)
         self._font: Font | None = None
-        self._size = 0, 0  # of the page, pixels
+        self.size = 0, 0  # of the page, pixels
         self._others: dict[Size, WebDecor] = {}  # for other browsers, by the size of their page
 
     def show_in(
@@ -83,13 +83,13 @@ class WebDecor(SceneDecor):
         """
         if viewer.has_ui:  # page size and text are only available during Studio's frames
             size = imgui.GetIO().DisplaySize
-            self._size = int(size.x), int(size.y)
+            self.size = int(size.x), int(size.y)
             if self._font is None:
                 self._font = studio_font()
-        width, height = self._size
+        width, height = self.size
         if self._font is None or width < 1 or height < 1:
             return
-        viewer.extra_geoms[:] = self.geoms(data, viewer.camera, self._size, self._font, inset)
+        viewer.extra_geoms[:] = self.geoms(data, viewer.camera, self.size, self._font, inset)
         self._hide_doubles(viewer.data)
         if viewer.has_ui:
             self._show_to_others(viewer, data)
@@ -122,7 +122,7 @@ class WebDecor(SceneDecor):
         """Lays the decor out for browsers whose pages have another size."""
         assert self._font is not None
         browsers, toggles = viewer.server.browsers, self.toggles
-        sizes = browsers.sizes_beside(self._size, _MOST_SIZES)
+        sizes = browsers.sizes_beside(self.size, _MOST_SIZES)
         self._others = {
             size: self._others.get(size) or WebDecor(self.world, toggles) for size in sizes
         }

@@ -140,12 +140,12 @@ class GlWindow:
         events, self._events = self._events, []
         return spread_times(events, last, self._polled)
 
-    def typesetter_of(self, height: int) -> Typesetter:
-        """Returns the typesetter of panels in a picture of that height, pixels.
+    def typesetter_of(self, width: int, height: int) -> Typesetter:
+        """Returns the typesetter of panels in a picture of that size, pixels.
 
         Its text is at least as large as the window's own, whose size depends on the screen's scale.
         """
-        line = max(line_height(self._world, height), self.typesetter.font.height)
+        line = max(line_height(self._world, width, height), self.typesetter.font.height)
         if line != self._of_picture.font.height:
             self._of_picture = Typesetter(line)
         return self._of_picture

@@ -19,7 +19,7 @@ from ...decor.toggles import Toggles
 from ...drive.mirror import LiveWorld
 from ...frames import Array
 from ..added_surroundings import added_surroundings
-from ..camera import Navigator, bounding_sphere
+from ..camera import Navigator, bounding_sphere, stand_back, standing_back
 from ..clock import time_text
 from ..headless.film import Pixels
 from ..headless.render import DEFAULT_SIZE
@@ -106,6 +106,7 @@ class Viewport(SceneDecor):
         if self._surroundings is not None:
             self._surroundings.add(scene)
         self.rect, self._typesetter = rect, typesetter
+        stand_back(scene, camera, self._width, rect.height)
         if self._stereo is not None:
             self._distance = looked_at(scene, camera, self._centre)
         inset = (min(covered, 0.6 * self._width), 0.0, 0.0, 0.0)
@@ -302,7 +303,7 @@ class Window(LiveHost):
         bottom += hud.line_height if self._has_line else 0
         size = (width, height)
         rect, plots = arrange(size, hud.font.height, bottom, has_plot=self.has_plot)
-        typesetter = self.gl.typesetter_of(rect.height)
+        typesetter = self.gl.typesetter_of(rect.width, rect.height)
         panel = self._panel if self.has_panel else None
         # Pictures and films are as without it.
         is_kept = self.wants_picture or self.capture.is_filming
@@ -474,7 +475,8 @@ class Window(LiveHost):
         if how == "zoom":
             navigator.zoom(down)
         elif how == "pan":
-            navigator.pan(right, down, view.tan_half_fovy)
+            depth = navigator.camera.distance * standing_back(view.width, view.height)
+            navigator.pan(right, down, view.tan_half_fovy, depth)
         else:
             navigator.orbit(right, down)
 
