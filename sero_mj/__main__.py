@@ -1,10 +1,19 @@
 """`python -m sero_mj` and the `sero-mj` command."""
 
+import signal
 import sys
+
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 def main() -> None:
-    """Runs the command line; ends quietly on Ctrl+C, also while it is still being loaded."""
+    """Runs the command line; ends quietly on Ctrl+C, also while it is still being loaded.
+
+    It ends likewise, and leaves no half-written files, by `kill` and when its terminal is closed.
+    """
+    for ending in _ENDING:
+        if signal.getsignal(ending) == signal.SIG_DFL:  # not with nohup
+            signal.signal(ending, signal.default_int_handler)
     try:
         from .cli import main as run
 

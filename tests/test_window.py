@@ -332,9 +332,9 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             window.until("w.clock.time in [moment.time for moment in w.moments.all()]")
             assert window.ask("any(moment.is_mark for moment in w.moments.all())")
             window.key("k")
-            window.until("any(not film[0].poll() for film in w.keeping._films)")
-            film = window.ask("w.keeping._films[0][0].args")
-            window.ask("w.keeping._films[0][0].kill()")  # it takes its time without a GPU
+            window.until("w.keeping._films._made is not None")
+            film = window.ask("w.keeping._films._made[0].args")
+            window.ask("w.keeping._films._made[0].kill()")  # it takes its time without a GPU
             window.until("w.notice.text.startswith('no film live_') and w.notice.is_bad")
             kept = tmp_path / next(each for each in film if each.endswith(".mcap"))
             run = read_run(kept)

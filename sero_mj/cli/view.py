@@ -104,6 +104,11 @@ def add_to(commands: Commands) -> None:
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
     parser.add_argument(
+        "--finish-films",
+        action="store_true",
+        help="finish films of what was kept (K) after the end; else they end with the viewer",
+    )
+    parser.add_argument(
         "--fresh",
         action="store_true",
         help="as the scene declares it, not as it was left the last time",
@@ -273,6 +278,7 @@ class Session:
 
             host.offers["simulate"] = simulate
         host.opener = self.open
+        host.keeping.finishes_films = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
             host.say(self._warnings.pop(0) + more, is_bad=True)

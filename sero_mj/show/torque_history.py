@@ -132,8 +132,8 @@ class TorqueHistory:
 
         Args:
             joint: index in the world.
-            points: about as many are returned at most; each stands for the least or the greatest
-                value of its stretch of time.
+            points: about as many are returned at most, two at least; each stands for the least or
+                the greatest value of its stretch of time.
 
         Returns:
             times (k,), s, relative to the newest (0 and below), and values (3, k): measured,
@@ -151,6 +151,7 @@ class TorqueHistory:
         rows = bins % self._count
         times = self._times[rows]
         low, high = self._low[rows, :, joint], self._high[rows, :, joint]
+        points = max(points, 2)
         if 2 * len(bins) > points:
             # Stretches begin at multiples of their length, so that a line does not flicker.
             stretches = bins // -(-2 * (int(bins[-1] - bins[0]) + 1) // points)

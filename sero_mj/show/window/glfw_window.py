@@ -10,10 +10,12 @@ from typing import Any
 
 import glfw
 import mujoco
+import numpy as np
 
 from ...assemble.world_view import WorldView
 from ...decor.font import line_height
 from ...errors import RenderError
+from ..headless.film import Pixels
 from ..headless.render import check_size, offscreen_size
 from ..input import LEFT, MIDDLE, RIGHT, Event
 from ..typesetting import Typesetter
@@ -167,9 +169,7 @@ class GlWindow:
         Without a GPU that is in a fraction of the time.
         """
         context, shadow = self.context, mujoco.mjtRndFlag.mjRND_SHADOW
-        here = mujoco.MjrRect(0, 0, rect.width, rect.height)
-        if (context.offWidth, context.offHeight) != (rect.width, rect.height):
-            mujoco.mjr_resizeOffscreen(rect.width, rect.height, context)
+        here = self._offscreen(rect)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
         before = scene.flags[shadow]
         scene.flags[shadow] = 0
@@ -177,6 +177,26 @@ class GlWindow:
         scene.flags[shadow] = before
         mujoco.mjr_blitBuffer(here, rect, 1, 0, context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, context)
+
+    def read(self, rect: mujoco.MjrRect) -> Pixels:
+        """Returns what is rendered in a rectangle, (height, width, 3), uint8, top row first.
+
+        The window's buffer has several samples of a pixel, of which reading it directly takes one.
+        """
+        here = self._offscreen(rect)
+        mujoco.mjr_blitBuffer(rect, here, 1, 0, self.context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+        pixels = np.empty((rect.height, rect.width, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, here, self.context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def _offscreen(self, rect: mujoco.MjrRect) -> mujoco.MjrRect:
+        """Gives the offscreen buffer the size of a rectangle; returns all of it."""
+        context = self.context
+        if (context.offWidth, context.offHeight) != (rect.width, rect.height):
+            mujoco.mjr_resizeOffscreen(rect.width, rect.height, context)
+        return mujoco.MjrRect(0, 0, rect.width, rect.height)
 
     def swap(self) -> None:
         """Shows the rendered frame at the screen's next refresh."""

@@ -133,12 +133,11 @@ class Viewport(SceneDecor):
             mujoco.mjr_render(rect, scene, gl.context)
         elif self._stereo == "anaglyph":
             # MuJoCo sets all colours where something is reflected, so no mask holds meanwhile.
-            left = np.empty((rect.height, rect.width, 3), np.uint8)
             for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
                 mujoco.mjr_render(rect, scene, gl.context)
                 if eye == 0:
-                    mujoco.mjr_readPixels(left, None, rect, gl.context)
-            gl.blender.draw_red(left, rect.left, rect.bottom)
+                    left = gl.read(rect)
+            gl.blender.draw_red(np.ascontiguousarray(left[::-1]), rect.left, rect.bottom)
         else:
             lefts = [int(rect.left), int(rect.left) + self._width]
             for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
@@ -148,12 +147,6 @@ class Viewport(SceneDecor):
             panels = self._typesetter.place(self.panels)
             for start in lefts:
                 gl.blender.draw(panels, start, rect.bottom)
-
-    def pixels(self, context: mujoco.MjrContext) -> Pixels:
-        """Returns the rendered picture, (height, width, 3), uint8, top row first."""
-        rgb = np.empty((self.rect.height, self.rect.width, 3), np.uint8)
-        mujoco.mjr_readPixels(rgb, None, self.rect, context)
-        return np.ascontiguousarray(rgb[::-1])
 
     def to_picture(self, x: float, y: float) -> Pixel | None:
         """Converts a pixel of the window to one of the picture; None outside of it."""
@@ -352,7 +345,7 @@ class Window(LiveHost):
         self.decor.render(self.gl, quickly=self.is_quick)
         for rect, plot in plots:
             plot.draw(hud, rect, self.gl.context)
-        self._take_pictures(now, lambda: self.decor.pixels(self.gl.context))
+        self._take_pictures(now, lambda: self.gl.read(self.decor.rect))
         if self.capture.is_filming:
             hud.filming(f"filming {time_text(self.capture.seconds)}", picture.width, height)
         if self._line is not None:
@@ -378,7 +371,7 @@ class Window(LiveHost):
     def picture(self) -> Pixels:
         """Renders the last frame again without status line and messages, (height, width, 3)."""
         self.decor.render(self.gl)
-        return self.decor.pixels(self.gl.context)
+        return self.gl.read(self.decor.rect)
 
     def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:
         """Returns the help in pages of columns that fit a window of that size."""

@@ -97,12 +97,10 @@ class PhotoViewport(Viewport):
         if painter is None or photo is None:
             return
         drawn = mujoco.MjrRect(0, 0, *painter.size)
-        pixels = np.empty((painter.size[1], painter.size[0], 3), np.uint8)
 
         def draw() -> Pixels:
             mujoco.mjr_render(drawn, self._scene, gl.context)
-            mujoco.mjr_readPixels(pixels, None, drawn, gl.context)
-            return np.ascontiguousarray(pixels[::-1])
+            return gl.read(drawn)
 
         over = painter.over(photo, self._scene, draw)
         mujoco.mjr_rectangle(mujoco.MjrRect(0, 0, *gl.size), *_BESIDE)

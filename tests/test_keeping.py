@@ -1,0 +1,118 @@
+"""Films of what was kept: one at a time, told, and ended with the viewer, however that ends."""
+
+import logging
+import os
+import select
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sero_mj.show.keeping import Films
+
+pytestmark = pytest.mark.gl
+
+SHORT = ["lwr", "--size", "64x48", "--quality", "draft", "--duration", "0.1"]
+LONG = ["lwr", "--size", "640x480", "--duration", "600"]
+
+
+def wait_for(films: Films, count: int) -> list[tuple[str, bool]]:
+    """What is told until `count` films are finished; each is waited for."""
+    said = []
+    while len(said) < count:
+        told = films.advance()
+        if told is not None:
+            said.append(told)
+        elif films._made is not None:
+            films._made[0].wait(60)
+    return said
+
+
+def has_ended(process: int, seconds: float = 30.0) -> bool:
+    try:
+        handle = os.pidfd_open(process)
+    except ProcessLookupError:
+        return True
+    try:
+        return bool(select.select([handle], [], [], seconds)[0])
+    finally:
+        os.close(handle)
+
+
+def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
+    films = Films()
+    paths = [tmp_path / f"{k}.mp4" for k in range(3)]
+    assert [films.add(SHORT, path) for path in paths] == [0, 1, 2]
+    assert films.advance() is None
+    assert (len(films._waiting), films.count) == (2, 3)
+    films.advance()
+    assert len(films._waiting) == 2  # the first one is still being made
+    expected = [(f"film of what was kept: {path.name}", False) for path in paths]
+    assert wait_for(films, 3) == expected
+    assert sorted(tmp_path.iterdir()) == paths
+    films.add(["no_such_robot"], tmp_path / "no.mp4")
+    ((text, is_bad),) = wait_for(films, 1)
+    assert is_bad and text.startswith("no film no.mp4: ") and "no_such_robot" in text
+    films.close(finish=False)
+
+
+def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    films = Films()
+    paths = [tmp_path / "first.mp4", tmp_path / "second.mp4"]
+    for path in paths:
+        films.add(LONG, path)
+    films.advance()
+    assert films._made is not None
+    process = films._made[0].pid
+    with caplog.at_level(logging.WARNING):
+        films.close(finish=False)
+    assert has_ended(process, 0)
+    assert list(tmp_path.iterdir()) == []
+    assert films.count == 0
+    told = [record.getMessage() for record in caplog.records]
+    assert [text.rpartition(" ")[2] for text in told] == [str(path) for path in paths]
+    assert all(": sero-mj render lwr --size 640x480" in text for text in told)
+
+
+def test_films_are_finished_where_that_is_asked_for(tmp_path: Path) -> None:
+    films = Films()
+    for k in range(2):
+        films.add(SHORT, tmp_path / f"{k}.mp4")
+    films.close(finish=True)
+    assert films.count == 0
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["0.mp4", "1.mp4"]
+
+
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="waits for a process by Linux's pidfd")
+def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
+    viewer = (
+        "import sys, pathlib; from sero_mj.show.keeping import Films; films = Films();"
+        f"films.add({LONG!r}, pathlib.Path('long.mp4')); films.advance();"
+        "print(films._made[0].pid, flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", viewer],
+        cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        renderer = int(process.stdout.readline())
+        process.kill()
+    assert has_ended(renderer)
+    assert not [path for path in tmp_path.iterdir() if ".part" in path.name]
+
+
+def test_a_film_that_is_ended_by_kill_leaves_no_part_of_a_file(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "sero_mj", "render", *LONG, "-o", "long.mp4"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        while not list(tmp_path.glob(".long*")) and process.poll() is None:
+            select.select([], [], [], 0.05)  # a directory has no event that Python waits for
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=60)[1].endswith("sero-mj: interrupted\n")
+        assert process.returncode == 130
+    assert not list(tmp_path.glob(".long*"))
