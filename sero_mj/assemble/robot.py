@@ -432,9 +432,9 @@ class SerialRobot(Declaration):
 
     @model_validator(mode="after")
     def _can_be_mirrored(self) -> SerialRobot:
-        pieces = [child.name for child in self.children if child.mjcf is not None]
+        pieces = [child.name for child in self.children if child.mjcf or child.urdf]
         if self.mirrored and pieces:
-            message = f"the child '{pieces[0]}' is MJCF, which cannot be mirrored"
+            message = f"the child '{pieces[0]}' is a piece of MJCF or URDF, and cannot be mirrored"
             raise ValueError(f"mirrored: {message}; expected shapes and meshes")
         return self
 

@@ -208,6 +208,8 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInert
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
+    # How far a slide may travel, and so how long its rod is drawn, says nothing of what it weighs.
+    robot = robot.model_copy(update={"position_limits": None})
     drawn = drawn_geoms(mujoco.MjSpec(), robot, [])
     others = generated(robot)  # for links without geometry
     for i, hull in enumerate(hulls):

@@ -27,7 +27,9 @@ _FLANGES = (
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
 )  # fmt: skip
 _FARTHEST = 10.0  # a table's lengths, over the reach, before its normals are taken to be far away
-_MOMENT_ROUNDING = 1e-6  # relative
+_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `assemble.dynamics`
+_NO_LIMIT = 1e3  # rad or m; limits this far away stand for none
+TOO_FAR = f"limits of {_NO_LIMIT:g} m or rad and more are taken for none"
 
 
 @dataclass
@@ -127,7 +129,8 @@ class TreeTables:
         for body in self._bodies[1:]:
             self._depths.append(self._depths[body.parent] + 1)
         flange_body, self.flange, T_flange = self._flange()
-        self._kinematics(flange_body, T_flange)
+        if self.joints:
+            self._kinematics(flange_body, T_flange)
         # From the bodies' own frames to those of the tables.
         self._carried = [np.eye(4) for _ in self._bodies]
         if self._in_dh is not None:
@@ -137,8 +140,9 @@ class TreeTables:
             for i, body in enumerate(self._bodies)
             for link, T in body.links
         }
-        self._limits()
-        self._dynamics()
+        if self.joints:
+            self._limits()
+            self._dynamics()
         self._geometry()
 
     def _line(self, key: str, line: int | None) -> None:
@@ -294,7 +298,7 @@ class TreeTables:
                 none.append(f"'{name}'")
             elif mass > 0.0:
                 low, middle, high = np.linalg.eigvalsh(tensor)
-                if low <= 0 or low + middle < high * (1 - _MOMENT_ROUNDING):
+                if low <= _ZERO * high or low + middle < high * (1 - _MOMENT_ROUNDING):
                     odd.append(f"'{name}'")
         if none:
             self.warnings.append(f"moving links without mass: {', '.join(none)}")
@@ -351,6 +355,11 @@ class _Colors:
         name = plain_name(wanted or "color", self._taken)
         self.by_name[name] = rgba
         return name
+
+
+def meant_limits(limits: Array) -> Array:
+    """Returns position limits (..., 2), rad or m, infinite where they stand for none."""
+    return np.where(np.abs(limits) < _NO_LIMIT, limits, [-np.inf, np.inf])
 
 
 def plain_name(name: str, taken: set[str]) -> str:
