@@ -67,7 +67,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     root.modelname = scene.name
     root.compiler.degree = False
     # A moving body needs a mass, also a link without geometry (in a wrist).
-    root.compiler.boundmass, root.compiler.boundinertia = 1e-3, 1e-6
+    root.compiler.boundmass, root.compiler.boundinertia = 1e-9, 1e-12
     moved = moving(scene)
     _surroundings(root, scene, moved)
     if dynamics is not None:
