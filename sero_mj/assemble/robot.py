@@ -570,6 +570,13 @@ class SerialRobot(Declaration):
         return bool(self.filenames) or self.mjcf is not None
 
     @property
+    def is_foreign(self) -> bool:
+        """Whether it comes from URDF or MJCF, where bases are anywhere in a robot."""
+        return self.mjcf is not None or (
+            self._model is not None and self._model.suffix in paths.ROBOT_ENDINGS
+        )
+
+    @property
     def T_n_flange(self) -> Array:
         """Frame of the flange in that of its link, (4, 4), m: `flange_frame`, or mirrored."""
         return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
