@@ -14,7 +14,7 @@ from PIL import Image
 from test_mesh_files import COLLADA
 from test_urdf import CHAIN, GRIPPER, poses_in_xml, write
 
-from sero_mj import HeadlessRenderer, SerialRobot, load_scene
+from sero_mj import HeadlessRenderer, SerialRobot, load_scene, paths
 from sero_mj.assemble.robot_dynamics import robot_dynamics
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
@@ -175,11 +175,19 @@ def test_fk_takes_scenes(capsys) -> None:
     assert "T_base_flange of lwr, by its DH table" in capsys.readouterr().out
     assert run("fk", "lwr_hit_hand", "--of", "arm") == 0
     assert "T_base_flange of arm" in capsys.readouterr().out
+    file = paths.scenes_dir() / "lwr_udp.toml"
+    assert run("fk", str(file)) == 0
+    # One that another robot carries, as in the command's own help.
+    assert run("fk", "justin", "--of", "justin_left_arm", "--joint-angles", "0,0,0,0,0,0,0") == 0
+    assert "difference: " in capsys.readouterr().out
     for arguments, message in (
-        (("lwr_hit_hand",), "lwr_hit_hand: is a scene; expected --of with one of arm, hand_thumb"),
-        (("lwr_hit_hand", "--of", "foot"), "lwr_hit_hand: has no robot 'foot'; expected --of"),
-        (("lwr", "--of", "arm"), "--of arm: lwr is no scene; expected a scene's name or file"),
-        (("lwrr",), "no robot model 'lwrr'; did you mean 'lwr'?"),
+        (("lwr_hit_hand",), "lwr_hit_hand: has 6 robots; expected --of with one of arm, hand_"),
+        (
+            ("lwr_hit_hand", "--of", "foot"),
+            "lwr_hit_hand: has no robot 'foot'; available: arm",
+        ),
+        (("lwr", "--of", "arm"), "lwr: has no robot 'arm'; available: lwr"),
+        (("lwrr",), "no scene or robot 'lwrr'; did you mean 'lwr'?"),
     ):
         assert run("fk", *arguments) == 2
         assert message in capsys.readouterr().err

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from ..errors import DeclarationError, Problem
-from ..paths import open_file, read_file
+from ..paths import format_of_file, open_file, read_file
 
 _MOST_BYTES = 100_000_000  # of a file of MJCF
 MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
@@ -69,6 +69,9 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if is_file_name(source):
         open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe forever
+        found = format_of_file(folder / source)
+        if found not in (None, "an MJCF file", "a URDF file"):  # what is no XML MuJoCo tells
+            raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
         return mujoco.MjSpec.from_file(str(folder / source))
     spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
     spec.modelfiledir = str(folder)

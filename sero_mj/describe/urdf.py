@@ -21,7 +21,7 @@ import numpy as np
 from ..declaration import LARGEST
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import Array, frame, rotation_from_rpy
-from ..paths import read_file
+from ..paths import format_of_file, read_file
 from .described import Described, NoJoints, first_of
 from .mesh_files import read_mesh
 from .package_files import find_file, package_folders, package_of
@@ -186,8 +186,7 @@ class UrdfFile:
             self._problem(None, "", f"cannot be read: {reason}")
         self._stop()
         if _tag(root) != "robot":
-            what = {"mujoco": "an MJCF file", "sdf": "an SDF file", "COLLADA": "a mesh"}
-            found = what.get(_tag(root), f"XML <{_tag(root)}>")
+            found = format_of_file(self.path) or f"XML <{_tag(root)}>"
             self._problem(root, "", f"is {found}; expected a URDF file, whose root is <robot>")
         self._stop()
         return root
