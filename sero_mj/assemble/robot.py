@@ -480,6 +480,7 @@ class SerialRobot(Declaration):
         cls,
         path: Path | str,
         packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
         **overrides: Any,
     ) -> SerialRobot:
         """Reads a URDF file, or xacro if the package `xacro` is installed.
@@ -492,13 +493,14 @@ class SerialRobot(Declaration):
             path: of the file.
             packages: folders of ROS packages by name, for `package://NAME/...`; others are
                 searched for above the file and on the paths that the environment names.
+            arguments: of xacro by name.
             **overrides: any field of this class.
 
         Raises:
             DeclarationError: what is wrong in the file or the overrides.
         """
         path = Path(path)
-        return build_robot({"name": paths.model_name(path), **overrides}, path, packages)
+        return build_robot({"name": paths.model_name(path), **overrides}, path, packages, arguments)
 
     @classmethod
     def from_mjcf(cls, source: Any, **overrides: Any) -> SerialRobot:
@@ -777,6 +779,7 @@ def build_robot(
     fields: Mapping[str, Any],
     model: Path | None = None,
     packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
 ) -> SerialRobot:
     """Builds a robot from its fields, which override those of a robot file if one is given.
 
@@ -785,13 +788,14 @@ def build_robot(
             and `torque_control` one by one.
         model: the robot file; its `directory` is relative to its folder.
         packages: folders of ROS packages by name, for URDF.
+        arguments: of xacro by name.
 
     Raises:
         DeclarationError: problems in the file carry its name and line; the others do not.
     """
     if model is None:
         return SerialRobot(**fields)
-    described = read_robot_file(model, packages)
+    described = read_robot_file(model, packages, arguments)
     below = dict(described.tables)
     for warning in described.warnings:
         log.warning("%s: %s", model, warning)

@@ -8,10 +8,8 @@ the latest packet again afterwards.
 
 from __future__ import annotations
 
-import ctypes
 import logging
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ..describe.mjcf_file import write_mjcf
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Bools, Ints
 from .decor_sizes import Seen, measure
@@ -37,7 +36,6 @@ from .world_view import WorldView
 
 log = logging.getLogger(__name__)
 
-_LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 _IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
 
 
@@ -224,23 +222,9 @@ class World(WorldView):
             the files written, the XML first.
         """
         spec, about = self._weighed()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        written, folder = [path], path.parent / f"{path.stem}_assets"
         if self.model.nq and spec.key("home") is None:
             spec.add_key(name="home", qpos=self.make_data().qpos)
-        with _full_precision():
-            text = spec.to_xml()
-        text = text.replace(">\n", f">\n{about}", 1)
-        for name, contents in spec.assets.items():
-            file = folder / name.rpartition("/")[2]
-            if f'file="{name}"' not in text:
-                continue  # unused in the scene
-            folder.mkdir(exist_ok=True)
-            file.write_bytes(contents)
-            written.append(file)
-            text = text.replace(f'file="{name}"', f'file="{folder.name}/{file.name}"')
-        path.write_text(text, encoding="utf-8")
-        return list(dict.fromkeys(written))
+        return write_mjcf(spec, path, about)
 
     def _weighed(self) -> tuple[mujoco.MjSpec, str]:
         """Returns its elements with the masses of simulation, and a comment about these."""
@@ -411,23 +395,6 @@ def _compile(spec: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise _not_compiled(scene, error) from error
-
-
-@contextmanager
-def _full_precision() -> Iterator[None]:
-    """Makes MuJoCo write numbers with 17 digits instead of six.
-
-    MuJoCo 4.0.0 has no public function for it. A later one may lack this; then it writes six.
-    """
-    folder = Path(mujoco.__file__).parent
-    files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))
-    library = ctypes.CDLL(str(next(files)))
-    set_digits = getattr(library, "_mjPRIVATE__set_xml_precision", lambda digits: None)
-    set_digits(17)
-    try:
-        yield
-    finally:
-        set_digits(6)
 
 
 def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:

@@ -20,7 +20,7 @@ from ..frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
 from .described import Described, first_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_tree import MjcfTree, find_tree, torque_limits
-from .robot_tree import TOO_FAR, meant_limits
+from .robot_tree import TOO_FAR, meant_limits, six_of
 
 _HOME = ("home", "stand", "init", "default")  # key frames that are taken for the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
@@ -97,6 +97,20 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
         del tables["parents"]
     tables |= _initial_pose(tree, names, couplings)
     return tables, lost
+
+
+def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
+    """Returns a robot's tables as one would write them by hand: without what says nothing."""
+    plain = {key: value for key, value in tables.items() if key != "directory"}
+    for key in ("couplings", "free_base"):
+        if not plain[key]:
+            del plain[key]
+    for key in ("base_frame", "flange_frame"):
+        if np.array_equal(plain[key], np.eye(4)):
+            del plain[key]
+    dynamics = dict(plain["dynamics"])
+    dynamics["inertias"] = [six_of(tensor) for tensor in dynamics["inertias"]]
+    return {**plain, "dynamics": dynamics}
 
 
 def _link_names(tree: MjcfTree) -> list[str]:

@@ -24,6 +24,8 @@ _PACKAGE_PATHS = (
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 # NAME=DIR, as several of a path: what `--package` adds to.
 PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
+# Arguments of xacro as an object of JSON: what `--arg` adds to.
+ARGUMENTS_VARIABLE = "SERO_MJ_XACRO_ARGUMENTS"
 _MOST_ABOVE = 12  # folders above a file that are searched
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
 # As xacro and launch files name packages, whose own programs put a path there.

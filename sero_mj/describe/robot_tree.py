@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -115,11 +115,19 @@ class TreeTables:
         T_body_link: body and T_body_link (4, 4) of every link by name, in the frames of `tables`.
     """
 
-    def __init__(self, name: str, links: list[Link], joints: list[Joint], root: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        links: list[Link],
+        joints: list[Joint],
+        root: str,
+        convention: Literal["craig", "standard"] = "craig",
+    ) -> None:
         self.tables: dict[str, Any] = {}
         self.lines: dict[str, int] = {}
         self.warnings: list[str] = []
         self._name = name
+        self._convention = convention
         self._bodies = _merged(links, joints, root)
         self.joints = [body.joint for body in self._bodies[1:] if body.joint is not None]
         self.bodies = [[link.name for link, _ in body.links] for body in self._bodies]
@@ -202,7 +210,7 @@ class TreeTables:
             slides = [max(abs(x) for x in (j.lower, j.upper, 0) if np.isfinite(x))
                       for j in self.joints if j.kind == "prismatic"]  # fmt: skip
             far = _FARTHEST * max(float(steps.sum()) + sum(slides), 0.1)
-            chain = dh_from_frames(frames, revolute, T_flange)
+            chain = dh_from_frames(frames, revolute, T_flange, self._convention)
             if chain is not None and np.abs(chain.rows[:, [1, 3]]).max() < far:
                 self._in_dh = chain
         if self._in_dh is not None:
@@ -273,7 +281,7 @@ class TreeTables:
             dynamics = {
                 "masses": [mass for mass, _, _ in sums],
                 "centers_of_mass": [center.tolist() for _, center, _ in sums],
-                "inertias": [_six(tensor) for _, _, tensor in sums],
+                "inertias": [six_of(tensor) for _, _, tensor in sums],
             }
             self._check_masses(sums, dynamics)
         else:
@@ -436,7 +444,8 @@ def _inertia(parts: list[tuple[Link, Array]]) -> tuple[float, Array, Array]:
     return float(mass), center, (tensor + tensor.T) / 2
 
 
-def _six(tensor: Array) -> list[float]:
+def six_of(tensor: Array) -> list[float]:
+    """Returns Ixx, Iyy, Izz, Ixy, Ixz, Iyz of a tensor (3, 3)."""
     entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     return [float(tensor[i, j]) for i, j in entries]
 

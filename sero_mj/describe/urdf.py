@@ -9,11 +9,13 @@ with the line of its element. A mesh that cannot be read costs that mesh only.
 from __future__ import annotations
 
 import io
+import json
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import unquote
 
 import numpy as np
@@ -24,7 +26,7 @@ from ..frames import Array, frame, rotation_from_rpy
 from ..paths import format_of_file, read_file
 from .described import Described, NoJoints, first_of
 from .mesh_files import read_mesh
-from .package_files import find_file, package_folders, package_of
+from .package_files import ARGUMENTS_VARIABLE, find_file, package_folders, package_of
 from .robot_tree import (
     MOVING,
     TOO_FAR,
@@ -43,19 +45,25 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
 _XACRO = re.compile(r"\{[^}]*xacro[^}]*\}")
+_NO_ARGUMENT = re.compile(r"Undefined substitution argument (\w+)")
 _NO_XACRO = (
     "is xacro, which becomes URDF by a package: `pip install sero-mj[xacro]`, or on a machine "
     "with ROS `xacro {name} > robot.urdf`"
 )
 
 
-def read_urdf(path: Path | str, packages: Mapping[str, Path | str] | None = None) -> Described:
+def read_urdf(
+    path: Path | str,
+    packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> Described:
     """Reads a robot from a URDF file, or from xacro if the package `xacro` is installed.
 
     Args:
         path: of the file.
         packages: folders of ROS packages by name, for `package://NAME/...`; others are searched
             for above the file and on the paths that the environment names.
+        arguments: of xacro by name, over its defaults.
 
     Returns:
         the tables of a robot file: a DH table (Craig's) for chains that have one, `joint_frames`
@@ -65,7 +73,7 @@ def read_urdf(path: Path | str, packages: Mapping[str, Path | str] | None = None
         NoJoints: nothing in it moves; `read_rigid_urdf` reads it.
         DeclarationError: everything that is wrong in it, with lines.
     """
-    file = UrdfFile(Path(path), packages)
+    file = UrdfFile(Path(path), packages, arguments)
     file.check_joints()
     return file.described
 
@@ -88,8 +96,36 @@ def read_rigid_urdf(path: Path | str) -> Described:
     return file.described
 
 
+class _Arguments(dict[str, str]):
+    """Arguments of xacro as texts, those of the environment first; remembers what is asked for."""
+
+    def __init__(self, arguments: Mapping[str, Any]) -> None:
+        over = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
+        super().__init__({name: _as_text(value) for name, value in {**arguments, **over}.items()})
+        self.given = set(self)
+        self.asked: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.asked.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked.add(name)
+        return super().__getitem__(name)
+
+
+def _as_text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 class UrdfFile:
     """One URDF file that is being read.
+
+    Args:
+        path: of the file.
+        packages: as of `read_urdf`.
+        arguments: as of `read_urdf`.
+        convention: of its DH table, where it has one.
 
     Attributes:
         path: of the file.
@@ -97,8 +133,15 @@ class UrdfFile:
         described: what `read_urdf` returns.
     """
 
-    def __init__(self, path: Path, packages: Mapping[str, Path | str] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+        convention: Literal["craig", "standard"] = "craig",
+    ) -> None:
         self.path = path
+        self._arguments = _Arguments(arguments or {})
         self._packages = {name: Path(folder) for name, folder in (packages or {}).items()}
         self._problems: list[Problem] = []
         self._warnings: list[str] = []
@@ -126,7 +169,7 @@ class UrdfFile:
         self._stop()
         self._tell_about_meshes()
         given = (root.get("name") or "").strip()
-        self.tree = TreeTables(given, links, joints, base)
+        self.tree = TreeTables(given, links, joints, base, convention)
         name = plain_name(given or path.stem, set())
         tables: dict[str, Any] = {
             "name": name,
@@ -213,13 +256,18 @@ class UrdfFile:
             substitution_args._eval_find = find
             said = io.StringIO()
             with redirect_stderr(said), redirect_stdout(said):
-                text = xacro.process_file(str(self.path)).toxml()
+                text = xacro.process_file(str(self.path), mappings=self._arguments).toxml()
         except (Exception, SystemExit) as error:  # it evaluates expressions of the file
             reason = " ".join(str(error).split()) or type(error).__name__
+            if (lacking := _NO_ARGUMENT.search(reason)) is not None:
+                reason += f"; --arg {lacking[1]}=VALUE says what it is"
             self._problem(None, "", f"xacro cannot expand it: {reason}")
             self._stop()
         finally:
             substitution_args._eval_find = own
+        for name in self._arguments.given - self._arguments.asked:
+            near = did_you_mean(name, self._arguments.asked)
+            self._warnings.append(f"xacro has no argument '{name}'{near}")
         return parse_xml(text.encode())
 
     def _colors(self, root: Element) -> dict[str, Array]:
