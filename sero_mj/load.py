@@ -13,6 +13,8 @@ from . import paths
 from .assemble.robot import SerialRobot
 from .assemble.scene import Scene
 from .assemble.scene_file import read_scene_file
+from .describe.described import NoJoints
+from .describe.robot_file import is_urdf
 from .drive.wiring import wire
 from .errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
 from .simulate.sections import is_scenario
@@ -54,9 +56,15 @@ def load_scene(
                 hint = paths.file_hint(name)
                 raise UnknownName("scene or robot", name, available, hint) from error
     if path.name == paths.ROBOT_FILE or path.suffix in paths.ROBOT_ENDINGS:
+        own = paths.model_name(path)
+        try:
+            robot = load_robot(str(path), overrides)
+        except NoJoints:
+            kind = "mjcf" if path.suffix == ".xml" and not is_urdf(path) else "urdf"
+            tables = {"name": own, "floor": "below", "objects": {own: {kind: path.name}}}
+            return _checked(*read_scene_file(path, overrides, tables=tables))
         # The base of a robot may be its trunk.
-        robot = load_robot(str(path), overrides)
-        return Scene(robots=[robot], floor="below", name=paths.model_name(path))
+        return Scene(robots=[robot], floor="below", name=own)
     if path.name == paths.GROUP_FILE:
         own = path.resolve().parent.name
         tables = {"name": own, "groups": {own: {"model": path}}}

@@ -20,6 +20,9 @@ from .errors import DeclarationError, Problem, UnknownName, nearest
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 # Of robot files in other formats than TOML.
 _TELLS_NOTHING = ("robot", "model", "scene", "main")
+# In folders of others: what shows a robot on a floor, and where models are if not in the folder.
+_SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")
+_MODELS = ("a URDF file", "an MJCF file")
 ROBOT_ENDINGS: tuple[str, ...] = (".urdf", ".xacro", ".xml")
 SCENE_ENDINGS = (".x3d", ".x3dv", ".wrl")  # of scene files in other formats
 _PACKAGE = Path(__file__).resolve().parent
@@ -30,6 +33,17 @@ _KINDS = (
     (stat.S_ISSOCK, "a socket"),
 )
 _MB = 1_000_000
+_XML = re.compile(rb"\s*+(?:<[?!](?:--.*?--|[^>]*+)>\s*+)*+<([A-Za-z_][\w.-]{0,40})", re.DOTALL)
+# The packed form of USD is a ZIP archive with a file of USD first.
+_USD = re.compile(rb"#usda |PXR-USDC|PK\x03\x04.{26}[^\0]{1,200}?\.usd[ac]?", re.DOTALL)
+_ROOTS = {
+    "robot": "a URDF file",
+    "mujoco": "an MJCF file",
+    "sdf": "an SDF file",
+    "COLLADA": "a mesh (COLLADA)",
+    "X3D": "X3D in the XML encoding",
+}
+_HEAD = 100_000  # bytes by which a file's format is found
 
 
 def _shipped(folder: str) -> Path:
@@ -87,11 +101,13 @@ def find_model(name: str, beside: Path | None = None) -> Path:
 
     Args:
         name: a shipped robot's name, a folder with a `robot.toml`, or a file: TOML, or one of
-            `ROBOT_ENDINGS`.
+            `ROBOT_ENDINGS`. Of another folder it is the file `scene.xml`, else its one URDF or
+            MJCF.
         beside: folder that relative paths start from; the working directory when None.
 
     Raises:
         UnknownName: nothing of that name exists; lists the robots beside it and the shipped ones.
+        DeclarationError: a folder has several models, or the file is in a format that is not read.
     """
     return _find_model("robot model", name, beside, ROBOT_FILE)
 
@@ -114,11 +130,37 @@ def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
     endings = (".toml", *(ROBOT_ENDINGS if file == ROBOT_FILE else ()))
     for candidate in (local / file, local, models_dir() / name / file):
         if candidate.suffix in endings and os.path.isfile(candidate):
-            plain = Path(os.path.normpath(candidate))  # a/../b is not b where a is a link
-            return plain if plain.exists() and plain.samefile(candidate) else candidate
+            return _plain(candidate)
     _refuse_path(name, beside)
+    if file == ROBOT_FILE and name and (inside := _model_in(local)) is not None:
+        return _plain(inside)
     available = [*_models_in(beside or Path.cwd(), file), *_models_in(models_dir(), file)]
     raise UnknownName(kind, name, available)
+
+
+def _plain(path: Path) -> Path:
+    plain = Path(os.path.normpath(path))  # a/../b is not b where a is a link
+    return plain if plain.exists() and plain.samefile(path) else path
+
+
+def _model_in(folder: Path) -> Path | None:
+    """The model of a folder of others: its scene, or else the only one; None for none.
+
+    Raises:
+        DeclarationError: there are several.
+    """
+    if os.path.isfile(folder / _SCENE_FILE):
+        return folder / _SCENE_FILE
+    for inner in (folder, *(folder / each for each in _INNER)):
+        named = [inner / each for ending in ROBOT_ENDINGS for each in _files(inner, ending)]
+        found = [path for path in named if path.is_file() and format_of_file(path) in _MODELS]
+        if len(found) > 1:
+            names = ", ".join(sorted(str(path.relative_to(folder)) for path in found))
+            message = f"found {len(found)} models in this folder; expected one of {names}"
+            raise DeclarationError([Problem("", message, str(folder))])
+        if found:
+            return found[0]
+    return None
 
 
 def _models_in(folder: Path, file: str) -> list[str]:
@@ -135,8 +177,15 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     Raises:
         DeclarationError: it ends as a file does, and there is no such file.
     """
-    if "\0" not in name and name.lower().endswith((".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS)):
-        path = (beside or Path()) / name
+    path = (beside or Path()) / name
+    ending = path.suffix.lower()
+    if "\0" in name:
+        return
+    if os.path.isfile(path) and ending not in (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS):
+        found = format_of_file(path) or "no file of a robot or a scene"
+        read = ", ".join((".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS))
+        raise DeclarationError([Problem("", f"is {found}; expected one of {read}", str(path))])
+    if ending in (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS):
         if os.path.isfile(path):
             return  # another kind of file than what is looked for
         what = "is a folder; expected a file"
@@ -149,6 +198,26 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
 def _toml_files(folder: Path) -> list[str]:
     """Names of the TOML files of a folder, without their ending; none where it cannot be read."""
     return [Path(name).stem for name in _files(folder, ".toml")]
+
+
+def format_of(contents: bytes) -> str | None:
+    """Says in which format of others a robot or a scene is, `an SDF file`; None for none known."""
+    contents = contents.removeprefix(b"\xef\xbb\xbf")
+    if _USD.match(contents):
+        return "a USD file"
+    if contents.lstrip().startswith((b"#VRML V1", b"#Inventor")):
+        return "a VRML 1.0 file"
+    root = _XML.match(contents)
+    return None if root is None else _ROOTS.get(tag := root[1].decode(), f"XML <{tag}>")
+
+
+def format_of_file(path: Path) -> str | None:
+    """As `format_of`; None for a file that cannot be read, too."""
+    try:
+        with open_file(path) as file:
+            return format_of(file.read(_HEAD))
+    except (OSError, ValueError):
+        return None
 
 
 def _files(folder: Path, ending: str) -> list[str]:

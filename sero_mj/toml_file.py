@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from .errors import DeclarationError, Problem
-from .paths import read_file
+from .paths import format_of, read_file
 
 _MCAP = b"\x89MCAP"
-_XML = re.compile(rb"\s*+(?:<[?!](?:--.*?--|[^>]*+)>\s*+)*+<([A-Za-z_][\w.-]{0,40})", re.DOTALL)
 _MOST_BYTES = 20_000_000
 _MOST_PARTS = 100  # of a dotted key; reading one takes the square of it
 # Quotes and comments go whole; one that is not closed ends with its line.
@@ -84,17 +83,10 @@ def _other_format(contents: bytes) -> str | None:
     """What a file is that somebody took for a scene or a robot, and what to do with it."""
     if contents.startswith(_MCAP):
         return "is a recording; expected a TOML file, and the recording behind --replay"
-    root = _XML.match(contents.removeprefix(b"\xef\xbb\xbf"))
-    if root is None:
+    if (found := format_of(contents)) is None:
         return None
-    tag = root[1].decode()
-    what = {"robot": "a URDF file", "mujoco": "an MJCF file", "sdf": "an SDF file"}
-    how = "a robot is a Denavit-Hartenberg table in TOML"
-    if tag == "robot":
-        how += ", or URDF in a file that ends in .urdf"
-    elif tag == "mujoco":
-        how += "; sero_mj.overlay shows this model as it is, in Python"
-    return f"is {what.get(tag, f'XML <{tag}>')}; expected a TOML file: {how}"
+    how = "a robot is a Denavit-Hartenberg table in TOML, or URDF or MJCF in .urdf or .xml"
+    return f"is {found}; expected a TOML file: {how}"
 
 
 def key_lines(path: Path) -> dict[str, int]:

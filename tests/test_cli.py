@@ -79,7 +79,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["render", "lwr", "-o", "x.mp4", "--duration", "nan"], "expected a number above 0"),
         (["fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),
         (["fk", "lwr", "--joint-angles", "1,x"], "found '1,x'; expected numbers with commas"),
-        (["fk", "lrw"], "no robot model 'lrw'; did you mean 'lwr'?"),
+        (["fk", "lrw"], "no scene or robot 'lrw'; did you mean 'lwr'?"),
         (
             ["send", "lwr_udp", "--structure", "6F6F"],
             "values0 has 6 values; lwr.joint_angles takes 7",

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from itertools import chain
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 from test_mesh_files import COLLADA
-from test_urdf import CHAIN, GRIPPER, poses_in_xml, write
+from test_mjcf_robot import TWO_LEGS
+from test_urdf import BALL, CHAIN, GRIPPER, poses_in_xml, write
 
-from sero_mj import HeadlessRenderer, SerialRobot, load_scene
+from sero_mj import HeadlessRenderer, Scene, SerialRobot, load_scene, paths
 from sero_mj.assemble.robot_dynamics import robot_dynamics
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
-from sero_mj.describe.package_files import PACKAGES_VARIABLE
+from sero_mj.describe.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
+from sero_mj.errors import DeclarationError
 
 ROBOTS = {"tree": GRIPPER, "chain": CHAIN}
 MESHES = """<visual><origin xyz="0 0 0.3"/><geometry>
@@ -42,6 +46,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         assert meshes != text
         write(tmp_path, meshes, f"{name}.urdf")
     monkeypatch.setenv(PACKAGES_VARIABLE, "")
+    monkeypatch.setenv(ARGUMENTS_VARIABLE, "")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -65,10 +70,14 @@ def same(one: SerialRobot, other: SerialRobot) -> None:
     for key in ("masses", "centers", "tensors", "viscous_friction", "coulomb_friction"):
         assert np.allclose(getattr(mine, key), getattr(its, key), rtol=1e-9, atol=1e-12), key
     for key in ("position_limits", "velocity_limits", "torque_limits", "home"):
-        assert np.allclose(getattr(one, key), getattr(other, key)), key
-    assert one.couplings == other.couplings and one.flange_link == other.flange_link
+        found, expected = getattr(one, key), getattr(other, key)
+        assert (found is None) == (expected is None)
+        assert found is None or np.allclose(found, expected), key
+    assert one.flange_link == other.flange_link and one.couplings.keys() == other.couplings.keys()
+    for name, coupling in one.couplings.items():
+        assert coupling.model_dump() == pytest.approx(other.couplings[name].model_dump())
     for key in ("filenames", "collisions"):
-        links = getattr(one, key), getattr(other, key)
+        links = getattr(one, key) or [], getattr(other, key) or []
         assert [len(link) for link in links[0]] == [len(link) for link in links[1]]
         for a, b in zip(*map(chain.from_iterable, links), strict=True):
             assert (a.shape, a.color) == (b.shape, b.color)
@@ -133,13 +142,15 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
     [
         (["no.urdf"], "no.urdf: no such file"),
         (["robot.toml"], "FILE: expected a name that ends in .urdf, .xacro, .xml"),
+        (["arm.usda"], "arm.usda: is a USD file; expected URDF, xacro or MJCF"),
+        (["ball.urdf"], "ball.urdf:1: robot: has no joint that moves"),
+        (["tree.urdf", "--arg", "ur5e"], "--arg: found 'ur5e'; expected NAME=VALUE"),
         (["no.xml"], "no.xml: no such file"),
-        (["mjcf.xml"], "mjcf.xml: found MJCF (<mujoco>), which is a robot as it is; expected URDF"),
-        (["sdf.xml"], "sdf.xml: found <sdf>; expected URDF, which begins with <robot>"),
-        (["text.xml"], "text.xml: found no XML; expected URDF, which begins with <robot>"),
+        (["sdf.xml"], "sdf.xml: is an SDF file; expected URDF (<robot>) or MJCF (<mujoco>)"),
+        (["text.xml"], "text.xml: is no XML; expected URDF (<robot>) or MJCF (<mujoco>)"),
         (
             ["fig7.x3d"],
-            "fig7.x3d: found a scene in X3D; expected a robot in URDF. "
+            "fig7.x3d: found a scene in X3D; expected a robot in URDF or MJCF. "
             "`sero-mj convert fig7.x3d fig7.toml` writes it as a scene of ours",
         ),
         (["tree.urdf", "--out", "far"], "far is there already; choose another with --out"),
@@ -152,6 +163,8 @@ def test_what_cannot_be_imported_is_told(folder: Path, capsys, arguments, messag
     (folder / "mjcf.xml").write_text("<!-- <robot> -->\n<mujoco/>")
     (folder / "sdf.xml").write_text("<?xml version='1.0'?><sdf/>")
     (folder / "text.xml").write_text("no XML")
+    (folder / "arm.usda").write_text("#usda 1.0")
+    (folder / "ball.urdf").write_text(BALL)
     (folder / "fig7.x3d").write_text("#X3D V3.0 utf8")
     assert run("import", *arguments) == 2
     assert message in capsys.readouterr().err
@@ -175,14 +188,107 @@ def test_fk_takes_scenes(capsys) -> None:
     assert "T_base_flange of lwr, by its DH table" in capsys.readouterr().out
     assert run("fk", "lwr_hit_hand", "--of", "arm") == 0
     assert "T_base_flange of arm" in capsys.readouterr().out
+    file = paths.scenes_dir() / "lwr_udp.toml"
+    assert run("fk", str(file)) == 0
+    # One that another robot carries, as in the command's own help.
+    assert run("fk", "justin", "--of", "justin_left_arm", "--joint-angles", "0,0,0,0,0,0,0") == 0
+    assert "difference: " in capsys.readouterr().out
     for arguments, message in (
-        (("lwr_hit_hand",), "lwr_hit_hand: is a scene; expected --of with one of arm, hand_thumb"),
-        (("lwr_hit_hand", "--of", "foot"), "lwr_hit_hand: has no robot 'foot'; expected --of"),
-        (("lwr", "--of", "arm"), "--of arm: lwr is no scene; expected a scene's name or file"),
-        (("lwrr",), "no robot model 'lwrr'; did you mean 'lwr'?"),
+        (("lwr_hit_hand",), "lwr_hit_hand: has 6 robots; expected --of with one of arm, hand_"),
+        (
+            ("lwr_hit_hand", "--of", "foot"),
+            "lwr_hit_hand: has no robot 'foot'; available: arm",
+        ),
+        (("lwr", "--of", "arm"), "lwr: has no robot 'arm'; available: lwr"),
+        (("lwrr",), "no scene or robot 'lwrr'; did you mean 'lwr'?"),
     ):
         assert run("fk", *arguments) == 2
         assert message in capsys.readouterr().err
+
+
+def test_an_imported_mjcf_is_the_same(folder: Path, capsys) -> None:
+    (folder / "source" / "meshes").mkdir(parents=True)
+    trimesh.creation.box((0.1, 0.1, 0.4)).export(folder / "source" / "meshes" / "wedge.stl")
+    given = 'vertex="0 0 0  0.2 0 0  0 0.1 0  0 0 0.3  0.2 0 0.3"'
+    assert given in TWO_LEGS
+    inner = TWO_LEGS.replace(given, 'file="meshes/wedge.stl"')
+    write(folder / "source", inner, "legs.xml")
+    write(folder / "source", '<mujoco><include file="legs.xml"/></mujoco>', "scene.xml")
+    assert run("import", "source/scene.xml", "--out", "legs", "--convention", "craig") == 0
+    said = capsys.readouterr().out
+    assert "so there is no craig DH table" in said and "legs/robot.toml: 7 joints" in said
+    worlds = [World(load_scene(name), dynamic=True) for name in ("legs", "source/scene.xml")]
+    one, other = (next(iter(world.robots.values())).robot for world in worlds)
+    shutil.rmtree(folder / "source")
+    same(one, other)
+    assert one.home == pytest.approx(other.home)
+    for key in ("position_limits", "torque_limits", "base_frame", "flange_frame"):
+        np.testing.assert_allclose(getattr(one, key), getattr(other, key), atol=1e-12)
+    assert (one.free_base, one.link_names) == (other.free_base, other.link_names)
+    for key in ("body_mass", "body_inertia", "geom_size", "geom_pos", "dof_damping", "mesh_vert"):
+        found, expected = (getattr(world.model, key) for world in worlds)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert run("check", "legs.toml") == 0
+
+
+def test_a_chain_is_imported_in_either_convention(folder: Path) -> None:
+    option = f"arm_meshes={folder / 'far' / 'away'}"
+    robots = []
+    for name in ("craig", "standard"):
+        arguments = ["chain.urdf", "--out", name, "--package", option, "--convention", name]
+        assert run("import", *arguments) == 0
+        robots.append(SerialRobot.from_model(name))
+    one, other = robots
+    assert (one.dh_convention, other.dh_convention) == ("craig", "standard")
+    for q in np.random.default_rng(0).uniform(-2, 2, (10, one.n)):
+        flanges = one.fwd_kin_base_to_flange(q), other.fwd_kin_base_to_flange(q)
+        np.testing.assert_allclose(*flanges, atol=1e-9)
+        held = []
+        for robot in robots:
+            world = World(Scene(robots=[robot]), dynamic=True)
+            data = world.make_data()
+            data.qpos[:] = q
+            mujoco.mj_forward(world.model, data)
+            held.append(data.qfrc_bias.copy())
+        np.testing.assert_allclose(*held, atol=1e-9)
+
+
+UR = """<robot name="ur" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:arg name="fast" default="false"/>
+<xacro:property name="length" value="${dict(ur5e=0.4, ur10e=0.6)['$(arg ur_type)']}"/>
+<link name="a"/><link name="b"/>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+<origin xyz="0 0 ${length}"/>
+<limit lower="-1" upper="1" velocity="${2 if '$(arg fast)' == 'true' else 1}"/></joint>
+</robot>"""
+
+
+def test_xacro_takes_arguments(folder: Path, capsys, caplog) -> None:
+    pytest.importorskip("xacro")
+    path = write(folder, UR, "ur.urdf.xacro")
+    assert run("check", "ur.urdf.xacro") == 2
+    assert "--arg ur_type=VALUE says what it is" in capsys.readouterr().err
+    reach = {
+        kind: SerialRobot.from_urdf(path, arguments={"ur_type": kind}).reach
+        for kind in ("ur5e", "ur10e")
+    }
+    assert reach == {"ur5e": pytest.approx(0.4), "ur10e": pytest.approx(0.6)}
+    table = '[robots.{0}]\nmodel = "ur.urdf.xacro"\narguments = {{ ur_type = "{0}" }}\n'
+    scene = write(folder, table.format("ur5e") + table.format("ur10e"), "s.toml")
+    robots = load_scene(scene).robots
+    assert {name: robot.reach for name, robot in robots.items()} == reach
+    over = load_scene(scene, {"ur10e.show_axes": True}).robots["ur10e"]
+    assert (over.reach, over.show_axes) == (reach["ur10e"], True)
+    for wrong, message in (
+        ('model = "lwr"\narguments = { a = 1 }', "robots.x.arguments: are for xacro"),
+        ('model = "ur.urdf.xacro"\narguments = [1]', "expected texts and numbers by name"),
+    ):
+        with pytest.raises(DeclarationError, match=re.escape(message)):
+            load_scene(write(folder, f"[robots.x]\n{wrong}", "wrong.toml"))
+    # Last, as an option holds for all that is read after it.
+    assert run("check", "ur.urdf.xacro", "--arg", "ur_type=ur10e", "--arg", "fats=true") == 0
+    assert "reach 0.6 m" in capsys.readouterr().out
+    assert "xacro has no argument 'fats'; did you mean 'fast'?" in caplog.text
 
 
 @pytest.mark.gl

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 
 import mujoco
@@ -15,6 +16,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
+from sero_mj.load import load_scene
 
 HALF_PI = math.pi / 2
 SNIPPET = (
@@ -176,3 +178,51 @@ def test_exporting_twice_gives_the_same_files(tmp_path):
 def test_scene_without_joints_exports_without_a_key_frame(tmp_path):
     path = World(Scene()).export(tmp_path / "empty.xml")[0]
     assert mujoco.MjModel.from_xml_path(str(path)).nkey == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "kg", "told"),
+    [
+        ("lwr", 15.946, ["lwr: 15.95 kg, as declared"]),
+        ("hit_hand2", 1.597, ["hit_hand2_thumb: 0.1447 kg, as declared"]),
+        (
+            "justin",
+            114.84,
+            [
+                "justin_torso: 54.22 kg, estimated: none are declared, its shapes count with 400 "
+                "kg/m3",
+                "justin_left_arm: 15.95 kg, as declared",
+            ],
+        ),
+    ],
+)
+def test_an_export_weighs_what_is_simulated_and_says_what_is_estimated(tmp_path, name, kg, told):
+    scene = load_scene(name)
+    (path, *_) = World(scene).export(tmp_path / "scene.xml")
+    loaded = mujoco.MjModel.from_xml_path(str(path))
+    simulated = World(load_scene(name), dynamic=True).model
+    names = [loaded.body(i).name for i in range(1, loaded.nbody)]
+    for body in names:
+        found, expected = loaded.body(body), simulated.body(body)
+        np.testing.assert_allclose(found.mass, expected.mass, rtol=1e-9, atol=1e-8)
+        np.testing.assert_allclose(found.inertia, expected.inertia, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(found.ipos, expected.ipos, rtol=0, atol=1e-9)
+    assert loaded.body_mass.sum() == pytest.approx(kg, abs=0.005)
+    comment = path.read_text(encoding="utf-8").partition("-->")[0]
+    for line in told:
+        assert line in comment
+    # What is said of it in its file is what it weighs.
+    group = paths.models_dir() / name / "group.toml"
+    if group.exists():
+        text = group.read_text(encoding="utf-8")
+        (said,) = re.findall(r"it weighs ([\d.]+) kg|hand weighs ([\d.]+) kg", text)
+        assert float("".join(said)) == pytest.approx(kg, rel=0.005)
+
+
+def test_a_mass_of_zero_is_told_in_an_export(tmp_path):
+    text = "[dynamics]\nmasses = [1, 0, 2]\ncenters_of_mass = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]\n"
+    tensors = "[[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 0, 0], [1, 1, 1, 0, 0, 0]]"
+    table = 'dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2], [1, 0.2, 0, 0]]\n'
+    (tmp_path / "robot.toml").write_text(f"{table}{text}inertias = {tensors}\n")
+    (path, *_) = World(load_scene(str(tmp_path))).export(tmp_path / "x.xml")
+    assert ": 3 kg, as declared; link 1: without a mass -->" in path.read_text()

@@ -20,7 +20,7 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.describe import mesh_files
 from sero_mj.describe.mesh_files import MeshPiece, read_mesh
-from sero_mj.describe.package_files import find_file
+from sero_mj.describe.package_files import find_file, package_of
 from sero_mj.describe.urdf import read_urdf
 from sero_mj.errors import DeclarationError
 from sero_mj.frames import Array
@@ -338,11 +338,25 @@ def package(tmp_path: Path) -> Path:
         "../meshes/box.stl",
         "meshes/box.stl",
         "meshes\\box.stl",
+        "package://my_arm/Meshes/BOX.STL",
+        "../meshes/Box.stl",
+        "file://$(find my_arm)/meshes/box.stl",
+        "$(find-pkg-share my_arm)/meshes/box.stl",
     ],
 )
 def test_meshes_are_found_above_the_file(package: Path, name: str) -> None:
     found = find_file(name, package / "urdf" / "arm.urdf")
     assert found is not None and found.name == "box.stl" and package in found.parents
+
+
+def test_capital_letters_count_where_they_tell_files_apart(package: Path) -> None:
+    meshes = package / "meshes"
+    for name in ("BOX.stl", "bOX.stl"):
+        (meshes / name).write_bytes((meshes / "box.stl").read_bytes())
+    beside = package / "urdf" / "arm.urdf"
+    for name in ("box.stl", "BOX.stl", "bOX.stl"):
+        assert find_file(f"../meshes/{name}", beside) == meshes / name
+    assert package_of("file://$(find odd)/meshes/box.stl") == "odd"
 
 
 def test_packages_are_found_where_the_environment_and_the_user_say(

@@ -12,7 +12,7 @@ from sero_mj.assemble.double import DOUBLE_GROUP, Double
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
-from sero_mj.describe.mjcf_robot import tree_of
+from sero_mj.describe.mjcf_robot import mjcf_tables, tree_of
 from sero_mj.drive.wiring import wire
 from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
@@ -425,3 +425,17 @@ def test_robots_of_dm_control_are_those_of_plain_mujoco(name):
         np.testing.assert_allclose(found[:, :3, 3], data.xpos[mine], atol=1e-9)
     masses = world.model.body_mass[part.bodies].sum()
     assert masses == pytest.approx(model.body_mass[mine].sum(), rel=1e-6)
+
+
+def test_values_beyond_all_robots_are_taken_for_the_most_or_none(tmp_path):
+    joint = '<joint name="lift" type="slide" axis="0 0 1" {}/>'
+    stated = joint.format('damping="1e11" limited="true" range="-999999 999999"')
+    (tmp_path / "fetch.xml").write_text(ALONE.format(f'{stated}<geom size="0.1"/>'))
+    robot = SerialRobot.from_model(str(tmp_path / "fetch.xml"))
+    assert robot.dynamics.viscous_friction.tolist() == [1e9]
+    assert (robot.position_limits, robot.reach) == (None, 0.0)
+    _, lost = mjcf_tables("fetch.xml", tmp_path)
+    assert lost == [
+        "limits of 1000 m or rad and more are taken for none: lift",
+        "damping is taken for 1e+09, the most: lift",
+    ]

@@ -24,6 +24,7 @@ from sero_mj.assemble.scene_file import read_scene_file
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
+from sero_mj.load import load_scene
 from sero_mj.toml_file import key_lines
 
 MINIMAL = 'dh_convention = "craig"\n'
@@ -383,3 +384,41 @@ def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:
     assert [under[f"lines.{i}"] for i in range(4)] == [3, 5, 5, 6]
     assert (under["lines.0.unit"], under["lines.3.1"]) == (3, 6)
     assert (under["a.b.0"], under["a.b.1"], under["a.b.1.1"], under["c"]) == (9, 10, 10, 11)
+
+
+MJCF = '<mujoco><worldbody><body><joint axis="0 0 1"/><geom size=".1"/></body></worldbody></mujoco>'
+
+
+def test_a_folder_of_others_means_its_scene_or_its_one_model(elsewhere):
+    robot = write(elsewhere / "ur5e" / "ur5e.xml", MJCF)
+    write(elsewhere / "ur5e" / "package.xml", "<package/>")
+    write(elsewhere / "ur5e" / "assets" / "base.obj", "")
+    assert paths.find_model("ur5e/") == robot
+    inner = write(elsewhere / "talos_data" / "robots" / "talos.urdf", "<robot/>")
+    assert paths.find_model("talos_data") == inner
+    write(elsewhere / "ur5e" / "ur5e_mjx.xml", MJCF)
+    with pytest.raises(DeclarationError) as caught:
+        load_scene("ur5e")
+    (problem,) = caught.value.problems
+    assert problem.message == (
+        "found 2 models in this folder; expected one of ur5e.xml, ur5e_mjx.xml"
+    )
+    scene = write(elsewhere / "ur5e" / "scene.xml", '<mujoco><include file="ur5e.xml"/></mujoco>')
+    assert paths.find_model("ur5e") == scene
+    assert list(load_scene("ur5e").robots) == ["ur5e"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "what"),
+    [
+        ("arm.sdf", "<sdf/>", "an SDF file"),
+        ("arm.usda", "#usda 1.0\n", "a USD file"),
+        ("arm.doc", "an arm", "no file of a robot or a scene"),
+    ],
+)
+def test_a_model_in_another_format_is_told_as_what_it_is(elsewhere, name, text, what):
+    write(elsewhere / name, text)
+    scene = write(elsewhere / "s.toml", f'[robots.arm]\nmodel = "{name}"')
+    with pytest.raises(DeclarationError) as caught:
+        load_scene(scene)
+    assert f"{name}: is {what}; expected one of .toml, .urdf" in str(caught.value)

@@ -9,7 +9,9 @@ from pydantic import BaseModel
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene, View
 from sero_mj.assemble.scene_file import read_scene_file
+from sero_mj.assemble.world import World
 from sero_mj.errors import DeclarationError
+from sero_mj.load import load_scene
 
 ARM = '[robots.arm]\ndh_convention = "craig"\n'
 LIFTED = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
@@ -347,3 +349,27 @@ def test_folder_in_place_of_a_file_is_refused(tmp_path):
     with pytest.raises(DeclarationError) as caught:
         read_scene_file(tmp_path)
     assert str(caught.value) == f"{tmp_path}: cannot be read: Is a directory"
+
+
+def test_a_robot_of_a_urdf_stands_on_the_floor_as_when_it_is_opened(tmp_path):
+    # As many humanoids: the base is the trunk.
+    (tmp_path / "leg.urdf").write_text(
+        '<robot name="leg"><link name="hip"/><link name="shank"><visual><origin xyz="0 0 -0.4"/>'
+        '<geometry><box size="0.1 0.1 0.8"/></geometry></visual></link><joint name="knee" '
+        'type="continuous"><parent link="hip"/><child link="shank"/><axis xyz="0 1 0"/>'
+        '<origin xyz="0 0 -0.3"/></joint></robot>'
+    )
+    heights = {}
+    for name, text in (
+        ("stands", '[robots.leg]\nmodel = "leg.urdf"'),
+        ("sinks", 'floor = true\n[robots.leg]\nmodel = "leg.urdf"'),
+        ("lwr", '[robots.lwr]\nmodel = "lwr"\nbase_frame = { xyz = [0, 0, -0.5] }'),
+    ):
+        (tmp_path / f"{name}.toml").write_text(text)
+        scene = load_scene(str(tmp_path / f"{name}.toml"))
+        heights[name] = World(scene).model.geom("floor").pos[2]
+    alone = World(load_scene(str(tmp_path / "leg.urdf"))).model.geom("floor").pos[2]
+    assert alone == pytest.approx(-1.1, abs=1e-6)
+    assert heights == {"stands": alone, "sinks": 0.0, "lwr": 0.0}
+    with_leg = Scene(robots=[SerialRobot.from_urdf(tmp_path / "leg.urdf")])
+    assert World(with_leg).model.geom("floor").pos[2] == alone

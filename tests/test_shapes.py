@@ -252,10 +252,10 @@ def test_object_fields_are_checked():
 @pytest.mark.parametrize(
     ("fields", "text"),
     [
-        ({}, "found none of them; expected exactly one of shape, mesh, mjcf"),
+        ({}, "found none of them; expected exactly one of shape, mesh, mjcf, urdf"),
         (
             {"mesh": "a.stl", "mjcf": "a.xml"},
-            "found mesh and mjcf; expected exactly one of shape, mesh, mjcf",
+            "found mesh and mjcf; expected exactly one of shape, mesh, mjcf, urdf",
         ),
         (
             {"shape": "box"},

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj import DhTable, load_scene
+from sero_mj import DhTable, World, load_scene
+from sero_mj.assemble.robot_dynamics import robot_dynamics
 from sero_mj.describe.described import Described
 from sero_mj.describe.urdf import UrdfFile, read_urdf
 from sero_mj.errors import DeclarationError
@@ -322,7 +325,6 @@ def test_all_that_is_wrong_is_told_at_once_with_its_line(tmp_path: Path) -> None
         "robot.urdf:7: joint 'j1': found type 'revolut'; did you mean 'revolute'?",
         "robot.urdf:8: joint 'j2': <child>: no link 'bb'; did you mean 'b'?",
         "robot.urdf:11: joint 'j3': <axis>: found 0 0 0; expected a direction",
-        "robot.urdf:12: joint 'j3': <limit>: found lower = 1, upper = -1; expected lower < upper",
         "robot.urdf:12: joint 'j3': <limit>: found velocity = -1; expected 0 or more",
         "robot.urdf:13: joint 'j4': has no <parent link=\"...\">",
         "robot.urdf:13: joint 'j4': <origin>: found xyz = '0 0'; expected 3 numbers",
@@ -369,7 +371,8 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
         ),
         (
             "".join(joint(a + b, a, b, "fixed") for a, b in ("ab", "bc", "cd")),
-            ["robot.urdf:1: robot: has no joint that moves; expected one or more"],
+            ["robot.urdf:1: robot: has no joint that moves; expected one or more: what is rigid "
+             'is an object, urdf = "robot.urdf"'],
         ),
     ],
 )  # fmt: skip
@@ -400,6 +403,138 @@ ENTITIES = "".join(
 def test_what_is_no_urdf_is_refused(tmp_path: Path, text: str, expected: str) -> None:
     found = problems(tmp_path, text)
     assert expected in found[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "warning"),
+    [
+        (lambda text: text.replace('"1.0"', '"0.0"', 1), '<?xml version="0.0"?>'),
+        (lambda text: f"<!-- made by hand -->\n\n{text}", '<?xml version="1.0"?>'),
+        (
+            lambda text: text.replace("</robot>", "<sensor:camera a:b='1'/></robot>"),
+            "prefixes of names are not declared: a, sensor",
+        ),
+    ],
+)
+def test_what_is_not_quite_xml_is_read_as_others_read_it(
+    tmp_path: Path, change: Callable[[str], str], warning: str
+) -> None:
+    whole = described(tmp_path, GRIPPER)
+    read = described(tmp_path, change(GRIPPER))
+    np.testing.assert_equal(read.tables, whole.tables)
+    (told,) = [each for each in read.warnings if each not in whole.warnings]
+    assert warning in told
+
+
+@pytest.mark.parametrize("start", ['<?xml version="0.0"?>', '\n<?xml version="1.0"?>'])
+def test_what_is_not_quite_xml_is_guarded_as_any_other(tmp_path: Path, start: str) -> None:
+    (found,) = problems(tmp_path, f'{start}<!DOCTYPE r [<!ENTITY a "b">]><robot name="&a;"/>')
+    assert "declares entities ('a'); expected none" in found
+    (depth,) = problems(tmp_path, f"{start}<robot>" + "<s:a>" * 400)
+    assert "Excessive depth" in depth
+    (mismatch,) = problems(tmp_path, f"{start}\n<robot><s:link></robot>")
+    line = start.count("\n") + 2
+    assert f"robot.urdf:{line}: is not XML that can be read: Opening and ending tag" in mismatch
+
+
+def test_a_declaration_that_is_not_at_the_start_says_the_encoding(tmp_path: Path) -> None:
+    text = '\n<?xml version="1.0" encoding="ISO-8859-1"?>' + GRIPPER.partition("?>")[2]
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(text.replace('"lower"', '"nächster"').encode("latin-1"))
+    assert "nächster" in read_urdf(path).tables["link_names"]
+
+
+def test_numbers_that_make_no_sense_cost_themselves_alone(tmp_path: Path) -> None:
+    text = (
+        GRIPPER.replace('lower="-0.5" upper="1"', 'lower="1" upper="-0.5"', 1)
+        .replace('<mass value="2"/>', "")
+        .replace('xyz="0.3 0.1 0"', 'xyz="0.3 0.1 0 1"')
+        .replace('damping="0.5"', 'damping="1e11"')
+        .replace('lower="0.1" upper="0.4"', 'lower="-999999" upper="999999"')
+    )
+    whole, read = described(tmp_path, GRIPPER), described(tmp_path, text)
+    names = whole.tables["joint_names"]
+    assert read.tables["joint_names"] == names
+    limits = dict(zip(names, read.tables["position_limits"], strict=True))
+    assert limits["finger_a"] == limits["slide"] == [-np.inf, np.inf]
+    assert limits["finger-b"] == [-0.5, 1]
+    np.testing.assert_equal(read.tables["joint_frames"], whole.tables["joint_frames"])
+    assert read.tables["dynamics"]["viscous_friction"][0] == 1e9
+    assert read.tables["dynamics"]["masses"][1] == 0.5  # of the sensor that is fixed there
+    told = [each for each in read.warnings if each not in whole.warnings]
+    assert told == [
+        "<inertial> without <mass value=...>, taken for none: link 'upper' (line 17)",
+        "damping is taken for 1e+09, the most: joint 'turn.table' (line 14)",
+        "more than 3 numbers in xyz, the first are taken: joint 'sensor_joint' (line 23)",
+        "limits of 1000 m or rad and more are taken for none: 'slide' (line 32)",
+        "joints whose limits are in the wrong order are taken as without limits: 'finger a' "
+        "(line 37)",
+    ]
+
+
+def test_a_tensor_that_is_flat_but_for_rounding_is_raised(tmp_path: Path) -> None:
+    flat = '<inertia ixx="0.2125" ixy="-0.005" ixz="0.0225" iyy="0.205" iyz="0.045" izz="0.0125"/>'
+    own = '<inertia ixx="0.01" iyy="0.012" izz="0.005" ixy="0" ixz="0.001" iyz="0"/>'
+    path = write(tmp_path, CHAIN.replace(own, flat))
+    World(load_scene(path), dynamic=True)
+
+
+SLIDE = """<robot name="slide"><link name="a"/><link name="b"/><link name="c"/>
+<joint name="turn" type="continuous"><parent link="a"/><child link="b"/>
+<origin xyz="0 0 0.4"/><axis xyz="0 0 1"/></joint>
+<joint name="slide" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="1 0 0"/>
+<origin xyz="0.2 0 0.1"/><limit lower="-{0}" upper="{0}"/></joint></robot>"""
+
+
+def test_the_mass_of_a_slide_does_not_grow_with_its_travel(tmp_path: Path) -> None:
+    found = {}
+    for travel in (0.1, 1, 100, 999_999):
+        robot = load_scene(write(tmp_path, SLIDE.format(travel))).robots["robot"]
+        found[travel] = robot_dynamics(robot).masses
+    assert 0.1 < found[0.1].sum() < 10
+    for masses in found.values():
+        np.testing.assert_allclose(masses, found[0.1])
+    assert robot.reach < 1.0  # without limits, as 999,999 m are none
+
+
+BALL = """<robot name="a ball"><link name="ball">
+<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial>
+<visual><origin xyz="0 0 0.5"/><geometry><mesh filename="cube.obj" scale="0.1 0.2 0.3"/></geometry>
+<material name="red"><color rgba="1 0 0 1"/></material></visual>
+<collision><origin xyz="0 0 0.5"/><geometry><sphere radius="0.15"/></geometry></collision></link>
+<link name="pole"><visual><geometry><cylinder radius="0.01" length="1"/></geometry></visual></link>
+<joint name="held" type="fixed"><parent link="ball"/><child link="pole"/><origin xyz="0 0 -0.2"/>
+</joint></robot>"""
+CUBE = "".join(f"v {x} {y} {z}\n" for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)) + (
+    "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
+)
+
+
+def test_a_file_without_joints_is_an_object(tmp_path: Path) -> None:
+    path = write(tmp_path, BALL, "ball.urdf")
+    (tmp_path / "cube.obj").write_text(CUBE)
+    scene = load_scene(path, {"ball.frame": {"xyz": [1, 0, 0]}})
+    assert (list(scene.robots), [item.name for item in scene.objects]) == ([], ["ball"])
+    world = World(scene)
+    data = world.make_data()
+    geoms = [k for k in range(world.model.ngeom) if world.model.geom_bodyid[k]]
+    at = {int(world.model.geom_type[k]): data.geom_xpos[k] for k in geoms}
+    kinds = mujoco.mjtGeom
+    np.testing.assert_allclose(at[int(kinds.mjGEOM_MESH)], [1, 0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(at[int(kinds.mjGEOM_SPHERE)], [1, 0, 0.5])
+    np.testing.assert_allclose(at[int(kinds.mjGEOM_CYLINDER)], [1, 0, -0.2])
+    touching = [world.model.geom_type[k] for k in geoms if world.model.geom_contype[k]]
+    assert touching == [int(kinds.mjGEOM_SPHERE)]
+    assert world.model.geom("floor").pos[2] == pytest.approx(-0.7)  # as low as the pole reaches
+    beside = '[robots.lwr]\nmodel = "lwr"\n[[robots.lwr.children]]\nname = "b"\nurdf = "ball.urdf"'
+    World(load_scene(write(tmp_path, beside, "s.toml")))
+
+
+def test_an_mjcf_without_joints_is_an_object(tmp_path: Path) -> None:
+    text = '<mujoco><worldbody><geom name="top" type="box" size="1 1 .1"/></worldbody></mujoco>'
+    scene = load_scene(write(tmp_path, text, "table.xml"))
+    assert [item.name for item in scene.objects] == ["table"]
+    assert World(scene).model.geom("table/top").size[2] == 0.1
 
 
 def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from ..frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
 _ROUNDING = 1e-6
+_ZERO = 1e-12  # relative; a moment this small is rounding, and below zero in other axes
 # kg/m3 of a link's hull: hollow aluminium with motors and gears. At 840 the hulls of the LWR's
 # moving links have their true mass of 13.4 kg.
 LINK_DENSITY = 840.0
@@ -88,7 +89,7 @@ def inertia_problem(tensor: Array) -> str | None:
     """
     low, middle, high = np.linalg.eigvalsh(tensor)
     found = f"found principal moments {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
-    if low <= 0:
+    if low <= _ZERO * high:
         return f"{found}; expected all of them positive"
     if low + middle < high * (1 - _ROUNDING):
         return (

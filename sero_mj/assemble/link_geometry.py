@@ -81,25 +81,51 @@ def _declared(
     for i, parts in enumerate(getattr(robot, key)):
         for k, part in enumerate(parts):
             rgba = None if part.color is None else robot.colors[part.color]
-            at = pose(_placed(robot, part.frame, shrink))
             if part.shape == "generated":
                 for shape in generated(robot)[i]:
                     look = shape.rgba if rgba is None else rgba
                     geoms[i].append({"rgba": look, **shape_geom(shape, shrink)})
                 continue
-            if part.shape is not None:
-                assert part.size is not None  # checked by LinkGeometry
-                size = half_sizes(part.shape, part.size) * shrink
-                look = SHELL if rgba is None else rgba
-                geoms[i].append({"type": geom_type(part.shape), "size": size, "rgba": look, **at})
-                continue
+            placed = part.model_copy(
+                update={
+                    "frame": _placed(robot, part.frame, shrink),
+                    "scale": shrink * mesh_scale(robot, part),
+                    "size": None if part.size is None else part.size * shrink,
+                }
+            )
             with collect(problems, f"{key}.{i}"):
-                path = Path(robot.directory) / (part.file or "")
-                scale = shrink * mesh_scale(robot, part)
-                file = f"{scope}link{i}_{k}"
-                for mesh, own in mesh_assets(root, file, path, scale, hull=hull):
-                    look = next((each for each in (rgba, own) if each is not None), SHELL)
-                    geoms[i].append({"type": MESH, "meshname": mesh, "rgba": look, **at})
+                name, folder = f"{scope}link{i}_{k}", Path(robot.directory)
+                geoms[i] += part_geoms(root, placed, name, folder, rgba, hull)
+    return geoms
+
+
+def part_geoms(
+    root: mujoco.MjSpec, part: LinkGeometry, name: str, folder: Path, rgba: Any, hull: Hull
+) -> list[Geom]:
+    """Returns the attributes of the geoms of a mesh file, one for each colour, or of a shape.
+
+    Args:
+        root: gets the meshes.
+        part: with the scale of its mesh.
+        name: of its mesh.
+        folder: that its file is in.
+        rgba: its colour; None for the file's own.
+        hull: of its mesh, see `mesh_assets`.
+
+    Raises:
+        DeclarationError: the file cannot be read.
+    """
+    at = pose(part.frame)
+    if part.shape is not None:
+        assert part.size is not None  # checked by LinkGeometry
+        size = half_sizes(part.shape, part.size)
+        look = SHELL if rgba is None else rgba
+        return [{"type": geom_type(part.shape), "size": size, "rgba": look, **at}]
+    assert part.scale is not None
+    geoms = []
+    for mesh, own in mesh_assets(root, name, folder / (part.file or ""), part.scale, hull=hull):
+        look = next((each for each in (rgba, own) if each is not None), SHELL)
+        geoms.append({"type": MESH, "meshname": mesh, "rgba": look, **at})
     return geoms
 
 

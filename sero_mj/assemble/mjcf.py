@@ -35,6 +35,7 @@ from .mjcf_dynamics import (
 )
 from .mjcf_elements import MESH, SITE_GROUP, geom_type, half_sizes, mesh_assets, pose
 from .mounts import base_frames, carrier, mount_order
+from .rigid_urdf import urdf_piece
 from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics, declared_inertia
 from .scene import Scene
@@ -66,7 +67,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     root.modelname = scene.name
     root.compiler.degree = False
     # A moving body needs a mass, also a link without geometry (in a wrist).
-    root.compiler.boundmass, root.compiler.boundinertia = 1e-3, 1e-6
+    root.compiler.boundmass, root.compiler.boundinertia = 1e-9, 1e-12
     moved = moving(scene)
     _surroundings(root, scene, moved)
     if dynamics is not None:
@@ -172,7 +173,7 @@ def _clashes(scene: Scene) -> list[Problem]:
     taken = {"floor": "the floor has this name"} if scene.floor else {}
     pieces = {name: "a robot has this name" for name in scene.robots}
     for item in scene.objects:
-        names = taken if item.mjcf is None else pieces
+        names = pieces if item.mjcf is not None or item.urdf is not None else taken
         if item.name in names:
             message = f"{names[item.name]}; expected another name"
             problems.append(Problem(f"objects.{item.name}", message))
@@ -361,6 +362,9 @@ def _add_object(
 ) -> None:
     if item.mjcf is not None:
         _attach(root, body, as_spec(item.mjcf, Path(item.directory)), item.name, T)
+        return
+    if item.urdf is not None:
+        _attach(root, body, urdf_piece(Path(item.directory) / item.urdf), item.name, T)
         return
     if item.shape == "axes":
         body.add_site(name=f"axes_{item.name}", group=SITE_GROUP, **pose(T))

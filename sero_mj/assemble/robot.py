@@ -432,9 +432,9 @@ class SerialRobot(Declaration):
 
     @model_validator(mode="after")
     def _can_be_mirrored(self) -> SerialRobot:
-        pieces = [child.name for child in self.children if child.mjcf is not None]
+        pieces = [child.name for child in self.children if child.mjcf or child.urdf]
         if self.mirrored and pieces:
-            message = f"the child '{pieces[0]}' is MJCF, which cannot be mirrored"
+            message = f"the child '{pieces[0]}' is a piece of MJCF or URDF, and cannot be mirrored"
             raise ValueError(f"mirrored: {message}; expected shapes and meshes")
         return self
 
@@ -480,6 +480,7 @@ class SerialRobot(Declaration):
         cls,
         path: Path | str,
         packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
         **overrides: Any,
     ) -> SerialRobot:
         """Reads a URDF file, or xacro if the package `xacro` is installed.
@@ -492,13 +493,14 @@ class SerialRobot(Declaration):
             path: of the file.
             packages: folders of ROS packages by name, for `package://NAME/...`; others are
                 searched for above the file and on the paths that the environment names.
+            arguments: of xacro by name.
             **overrides: any field of this class.
 
         Raises:
             DeclarationError: what is wrong in the file or the overrides.
         """
         path = Path(path)
-        return build_robot({"name": paths.model_name(path), **overrides}, path, packages)
+        return build_robot({"name": paths.model_name(path), **overrides}, path, packages, arguments)
 
     @classmethod
     def from_mjcf(cls, source: Any, **overrides: Any) -> SerialRobot:
@@ -568,6 +570,13 @@ class SerialRobot(Declaration):
     def has_geometry(self) -> bool:
         """Whether its links' geometry is declared, not generated."""
         return bool(self.filenames) or self.mjcf is not None
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether it comes from URDF or MJCF, where bases are anywhere in a robot."""
+        return self.mjcf is not None or (
+            self._model is not None and self._model.suffix in paths.ROBOT_ENDINGS
+        )
 
     @property
     def T_n_flange(self) -> Array:
@@ -770,6 +779,7 @@ def build_robot(
     fields: Mapping[str, Any],
     model: Path | None = None,
     packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
 ) -> SerialRobot:
     """Builds a robot from its fields, which override those of a robot file if one is given.
 
@@ -778,13 +788,14 @@ def build_robot(
             and `torque_control` one by one.
         model: the robot file; its `directory` is relative to its folder.
         packages: folders of ROS packages by name, for URDF.
+        arguments: of xacro by name.
 
     Raises:
         DeclarationError: problems in the file carry its name and line; the others do not.
     """
     if model is None:
         return SerialRobot(**fields)
-    described = read_robot_file(model, packages)
+    described = read_robot_file(model, packages, arguments)
     below = dict(described.tables)
     for warning in described.warnings:
         log.warning("%s: %s", model, warning)

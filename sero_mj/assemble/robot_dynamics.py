@@ -16,7 +16,7 @@ import numpy as np
 from .. import frames
 from ..errors import DeclarationError, Problem
 from ..frames import MIRROR, Array
-from .dynamics import rotate_tensors
+from .dynamics import link_name, rotate_tensors
 from .link_geometry import drawn_geoms, generated
 from .mjcf_elements import MESH, hull_asset, shape_geom
 from .robot import SerialRobot
@@ -123,6 +123,17 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
     )
 
 
+def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
+    """Returns what a robot weighs, and what of that is not declared."""
+    text = f"{dynamics.masses.sum():.4g} kg"
+    declared = robot.dynamics.masses
+    if declared is None or "masses" in dynamics.estimated:
+        density = min(robot.dynamics.density, _STEEL)
+        return f"{text}, estimated: none are declared, its shapes count with {density:g} kg/m3"
+    none = [link_name(k) for k in np.flatnonzero(declared == 0).tolist()]
+    return f"{text}, as declared" + (f"; {', '.join(none)}: without a mass" if none else "")
+
+
 def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
     """Returns the parameters of the mirror image of a robot."""
     S = MIRROR[:3, :3]
@@ -208,6 +219,8 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInert
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
+    # How far a slide may travel, and so how long its rod is drawn, says nothing of what it weighs.
+    robot = robot.model_copy(update={"position_limits": None})
     drawn = drawn_geoms(mujoco.MjSpec(), robot, [])
     others = generated(robot)  # for links without geometry
     for i, hull in enumerate(hulls):

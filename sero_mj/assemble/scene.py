@@ -88,7 +88,8 @@ class Scene:
         cameras: by name.
         lights: by name; one that casts shadows when empty, in addition to a headlight.
         floor: whether there is a floor, at z = 0; `below`: it is as low as the robots reach where
-            they are declared, if that is lower.
+            they are declared, if that is lower. When None it is `below` with a robot from URDF or
+            MJCF, whose base may be its trunk, else at 0.
         view: the default view.
         toggles: initial toggles of the whole scene.
         description: one line about it, for `sero-mj list` and `check`.
@@ -115,7 +116,7 @@ class Scene:
         objects: list[Object] | None = None,
         cameras: Mapping[str, Camera] | None = None,
         lights: Mapping[str, Light] | None = None,
-        floor: bool | Literal["below"] = True,
+        floor: bool | Literal["below"] | None = None,
         view: View | None = None,
         toggles: SceneToggles | None = None,
         description: str = "",
@@ -154,7 +155,8 @@ class Scene:
         self.objects = list(objects or [])
         self.cameras = dict(cameras or {})
         self.lights = dict(lights or {})
-        self.floor = floor
+        self._finds_floor = floor is None
+        self.floor: bool | Literal["below"] = True if floor is None else floor
         self.view = view or View()
         self.toggles = toggles or SceneToggles()
         self.description = description
@@ -184,6 +186,8 @@ class Scene:
         if robot.name in self.robots:
             message = f"two robots have the name '{robot.name}'; expected different names"
             raise DeclarationError([Problem(f"robots.{robot.name}", message)])
+        if self._finds_floor and robot.is_foreign:
+            self.floor = "below"
         self.robots[robot.name] = self._with_defaults(robot)
         self.robots |= mounted_by_joints(self.robots)
         for group in self.membership.around.get(robot.name, []):  # inner ones first
@@ -501,7 +505,7 @@ def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
 
 
 def _floor_problems(floor: Any) -> list[Problem]:
-    if floor in (True, False, "below"):
+    if floor in (True, False, "below", None):
         return []
     return [Problem("floor", f"found {floor!r}; expected true, false or 'below'")]
 

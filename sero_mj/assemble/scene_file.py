@@ -406,7 +406,7 @@ class _Reader:
             with suppress(DeclarationError, UnknownName):
                 if isinstance(table.get("model"), str):
                     path = paths.find_model(table["model"], self.path.parent)
-                    below = read_robot_file(path).tables
+                    below = read_robot_file(path, arguments=_arguments(table)).tables
         for key, value in settings:
             try:
                 parts = parts_of(key)
@@ -437,8 +437,10 @@ class _Reader:
             message = f"belongs in the header: write [robots.{table['name']}] instead"
             raise DeclarationError([Problem("name", message)])
         fields = {**table, "name": name}
+        arguments = _arguments(fields)
+        fields.pop("arguments", None)
         model = fields.pop("model", None)
-        known = [*SerialRobot.model_fields, "model"]
+        known = [*SerialRobot.model_fields, "model", "arguments"]
         for key in fields:
             if key not in known and did_you_mean(key, known).endswith("did you mean 'model'?"):
                 raise DeclarationError([Problem(key, "unknown key; did you mean 'model'?")])
@@ -456,7 +458,10 @@ class _Reader:
             path = model if isinstance(model, Path) else paths.find_model(model, beside)
         except (DeclarationError, UnknownName) as error:
             raise DeclarationError([Problem("model", str(error))]) from None
-        return build_robot(fields, path)
+        if arguments is not None and path.suffix == ".toml":
+            message = f"are for xacro; {path.name} has none"
+            raise DeclarationError([Problem("arguments", message)])
+        return build_robot(fields, path, arguments=arguments)
 
     def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
         """Returns the table of a source, with file names relative to the scene's folder."""
@@ -468,6 +473,18 @@ class _Reader:
         fields = {**table, "name": name}
         set_directory([fields], self.path.parent)
         return Object(**fields)
+
+
+def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The arguments of xacro in a robot's table; None where it has none."""
+    found = table.get("arguments")
+    is_right = isinstance(found, dict) and all(
+        isinstance(value, str | int | float) for value in found.values()
+    )
+    if found is not None and not is_right:
+        message = f"found {found!r:.200}; expected texts and numbers by name"
+        raise DeclarationError([Problem("arguments", message)])
+    return found
 
 
 def _lists_of(robot: SerialRobot) -> dict[str, int]:

@@ -54,6 +54,11 @@ def _of_a_mesh(file: str) -> str:
     return file
 
 
+def _of_a_urdf(file: str | None) -> str | None:
+    """Returns a file name after checking its folder."""
+    return None if file is None else _inside(file)
+
+
 MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
 
 
@@ -82,7 +87,7 @@ def check_shape_size(shape: str, size: Array | None) -> None:
 
 
 class Object(Declaration):
-    """An object: a primitive shape, coordinate axes, a mesh, or a piece of MJCF.
+    """An object: a primitive shape, coordinate axes, a mesh, a piece of MJCF, or a URDF.
 
     It stands where it is declared, or on its flange; an object of a scene that has a mass is free
     in simulation: it falls, is pushed and is held by what touches it.
@@ -96,6 +101,8 @@ class Object(Declaration):
         mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in
             Python an object that contains MJCF: a `mujoco.MjSpec`, a PyMJCF
             `mjcf.RootElement`, a dm_control composer entity.
+        urdf: URDF file without joints relative to `directory`: a table, a tool; it stays where it
+            is declared.
         frame: pose in the world, or in the frame of a robot's link that a child is fixed to.
         on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
         rgba: colour; an MJCF piece has its own.
@@ -110,6 +117,7 @@ class Object(Declaration):
     mesh: MeshFile | None = None
     mesh_scale: float = Field(1.0, gt=0)
     mjcf: Any = None
+    urdf: Annotated[str | None, AfterValidator(_of_a_urdf)] = None
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
     on: str = "flange"
@@ -126,10 +134,10 @@ class Object(Declaration):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Object:
-        given = [key for key in ("shape", "mesh", "mjcf") if getattr(self, key) is not None]
+        given = [key for key in ("shape", "mesh", "mjcf", "urdf") if getattr(self, key) is not None]
         if len(given) != 1:
             found = " and ".join(given) or "none of them"
-            raise ValueError(f"found {found}; expected exactly one of shape, mesh, mjcf")
+            raise ValueError(f"found {found}; expected exactly one of shape, mesh, mjcf, urdf")
         self._check_solid()
         if self.shape is None:
             return self
@@ -141,9 +149,11 @@ class Object(Declaration):
     def _check_solid(self) -> None:
         """Refuses a mass and a friction of what has none, or its own."""
         for key in ("mass", "friction"):
-            if getattr(self, key) is None or (self.mjcf is None and self.shape != "axes"):
+            if getattr(self, key) is None or self.shape not in (None, "axes") or self.mesh:
                 continue
             found = f"{key}: found {getattr(self, key):g}"
+            if self.urdf is not None:
+                raise ValueError(f"{found} for a URDF, which stays where it is; expected none")
             if self.mjcf is not None:
                 raise ValueError(f"{found} for a piece of MJCF; expected it in its geoms")
             raise ValueError(f"{found} for axes; expected a shape that is a body, or a mesh")

@@ -8,10 +8,8 @@ the latest packet again afterwards.
 
 from __future__ import annotations
 
-import ctypes
 import logging
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,17 +17,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ..describe.mjcf_file import write_mjcf
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Bools, Ints
 from .decor_sizes import Seen, measure
 from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
-from .mjcf_dynamics import set_contact_defaults
+from .mjcf_dynamics import set_contact_defaults, set_inertia
 from .mjcf_elements import Hull, mesh_assets
 from .mounts import carrier
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
-from .robot_dynamics import RobotDynamics, robot_dynamics
+from .robot_dynamics import RobotDynamics, about_masses, robot_dynamics
 from .robot_parts import VALUE_INPUTS
 from .scene import Scene
 from .solids import geom_boxes
@@ -37,7 +36,6 @@ from .world_view import WorldView
 
 log = logging.getLogger(__name__)
 
-_LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 _IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
 
 
@@ -215,28 +213,30 @@ class World(WorldView):
     def export(self, path: Path) -> list[Path]:
         """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
 
+        Bodies weigh what they do in simulation; a comment says which masses are estimated.
+
         Args:
             path: the XML file; meshes go into a folder beside it, `NAME_assets`.
 
         Returns:
             the files written, the XML first.
         """
-        path.parent.mkdir(parents=True, exist_ok=True)
-        written, folder = [path], path.parent / f"{path.stem}_assets"
-        if self.model.nq and self._spec.key("home") is None:
-            self._spec.add_key(name="home", qpos=self.make_data().qpos)
-        with _full_precision():
-            text = self._spec.to_xml()
-        for name, contents in self._spec.assets.items():
-            file = folder / name.rpartition("/")[2]
-            if f'file="{name}"' not in text:
-                continue  # unused in the scene
-            folder.mkdir(exist_ok=True)
-            file.write_bytes(contents)
-            written.append(file)
-            text = text.replace(f'file="{name}"', f'file="{folder.name}/{file.name}"')
-        path.write_text(text, encoding="utf-8")
-        return list(dict.fromkeys(written))
+        spec, about = self._weighed()
+        if self.model.nq and spec.key("home") is None:
+            spec.add_key(name="home", qpos=self.make_data().qpos)
+        return write_mjcf(spec, path, about)
+
+    def _weighed(self) -> tuple[mujoco.MjSpec, str]:
+        """Returns its elements with the masses of simulation, and a comment about these."""
+        known = self.dynamics or dynamics_of(self.scene)
+        spec, lines = self._spec.copy(), []
+        for name, of in known.items():
+            bodies = [f"{name}/", *(f"{name}/link{i}" for i in range(1, len(of.masses)))]
+            for i, body in enumerate(bodies):
+                set_inertia(spec.body(body), of, i)
+            lines.append(f"{name}: {about_masses(self.scene.robots[name], of)}")
+        text = "\n    ".join(lines).replace("--", "- -")
+        return spec, f"  <!-- Masses, as in simulation:\n    {text} -->\n" if lines else ""
 
     def _ids(self, kind: Any, names: Iterable[str]) -> Ints:
         return np.array([mujoco.mj_name2id(self.model, kind, name) for name in names], np.intp)
@@ -395,23 +395,6 @@ def _compile(spec: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise _not_compiled(scene, error) from error
-
-
-@contextmanager
-def _full_precision() -> Iterator[None]:
-    """Makes MuJoCo write numbers with 17 digits instead of six.
-
-    MuJoCo 4.0.0 has no public function for it. A later one may lack this; then it writes six.
-    """
-    folder = Path(mujoco.__file__).parent
-    files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))
-    library = ctypes.CDLL(str(next(files)))
-    set_digits = getattr(library, "_mjPRIVATE__set_xml_precision", lambda digits: None)
-    set_digits(17)
-    try:
-        yield
-    finally:
-        set_digits(6)
 
 
 def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:

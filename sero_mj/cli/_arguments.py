@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..describe.package_files import PACKAGES_VARIABLE
+from ..describe.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 from ..errors import DeclarationError, Problem, RecordingError, UsageError
 
 if TYPE_CHECKING:
@@ -177,13 +177,31 @@ class _Package(argparse.Action):
         os.environ[PACKAGES_VARIABLE] = f"{own}{os.pathsep}{known}" if known else own
 
 
+class _Argument(argparse.Action):
+    """Tells this process, and those that it starts, an argument of xacro."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        """Checks and adds one."""
+        name, equals, value = str(values).partition("=")
+        if not (name and equals):
+            parser.error(f"--arg: found '{values}'; expected NAME=VALUE, an argument of xacro")
+        known = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
+        os.environ[ARGUMENTS_VARIABLE] = json.dumps({**known, name: value})
+
+
 def add_package_option(parser: argparse.ArgumentParser) -> None:
-    """Adds `--package`, for robots from URDF files."""
+    """Adds `--package` and `--arg`, for robots from URDF files and xacro."""
     parser.add_argument(
         "--package",
         action=_Package,
         metavar="NAME=DIR",
         help="folder of a ROS package that a URDF names; may be repeated",
+    )
+    parser.add_argument(
+        "--arg",
+        action=_Argument,
+        metavar="NAME=VALUE",
+        help="argument of a robot in xacro, e.g. ur_type=ur5e; may be repeated",
     )
 
 

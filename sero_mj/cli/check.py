@@ -96,7 +96,7 @@ def _kind(robot: SerialRobot) -> str:
 
 def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     """Lines about a robot: its joints, limbs and dynamics."""
-    from ..assemble.robot_dynamics import robot_dynamics
+    from ..assemble.robot_dynamics import about_masses, robot_dynamics
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
     lines.append(f"          flange: {_about_flange(robot)}")
@@ -104,7 +104,9 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     if len(limbs) > 1:
         each = ", ".join(f"{limb} {len(joints)}" for limb, joints in limbs.items())
         lines.append(fill(f"          limbs: {each}", 100, subsequent_indent=" " * 17))
-    estimated = robot_dynamics(robot).estimated
+    dynamics = robot_dynamics(robot)
+    lines.append(f"          weighs {about_masses(robot, dynamics)}")
+    estimated = [key for key in dynamics.estimated if key != "masses"]
     about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
     mended = [f"          mended  {line}" for line in robot.dynamics.mended]
     return [*lines, f"          dynamics: {about}", *mended]

@@ -13,8 +13,9 @@ example:
   sero-mj export lwr_udp out/lwr.xml && python -m mujoco.viewer --mjcf=out/lwr.xml
 
 Mesh files are written to a folder beside the XML. Bodies are named robot/link1 and so on; the key
-frame "home" has the joint angles that the scene declares. It is what is viewed: links with their
-masses, and no drives, motor inertia or friction, which are what `simulate` adds.
+frame "home" has the joint angles that the scene declares. It is what is viewed, without drives,
+motor inertia and friction, which are what `simulate` adds, but with the masses of simulation. A
+comment in the file says which of these are estimated.
 """
 
 

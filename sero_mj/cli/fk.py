@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import UnknownName, UsageError
+from ..errors import UsageError, did_you_mean
 from ._arguments import Commands, add_command, add_package_option, numbers
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ examples:
   sero-mj fk lwr --deg --joint-angles 0,30,0,-90,0,60,0
   sero-mj fk my_robot/robot.toml --joint-angles 0.1,0.2 --json
   sero-mj fk justin --of justin_left_arm
+  sero-mj fk my_scene.toml
 """
 
 
@@ -35,7 +36,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--joint-angles", metavar="Q", help="joint values with commas, rad or m (default: home)"
     )
-    parser.add_argument("--of", metavar="NAME", help="which robot of a scene; not for a single one")
+    parser.add_argument("--of", metavar="NAME", help="which robot of a scene that has several")
     parser.add_argument("--deg", action="store_true", help="angles are in degrees")
     parser.add_argument("--json", action="store_true", help="print JSON")
 
@@ -76,28 +77,18 @@ def _robot_of(name: str, of: str | None) -> SerialRobot:
     Raises:
         UsageError: the scene has several robots, or none of that name.
     """
-    from .. import paths
-    from ..load import load_robot, load_scene
+    from ..load import load_scene
 
-    try:
-        paths.find_model(name)
-        is_scene = False
-    except UnknownName:
-        try:
-            paths.find_scene(name)
-            is_scene = True
-        except UnknownName:
-            is_scene = False
-    if not is_scene:
-        if of is not None:
-            raise UsageError(f"--of {of}: {name} is no scene; expected a scene's name or file")
-        return load_robot(name)
     robots = load_scene(name).robots
+    if not robots:
+        raise UsageError(f"{name}: found no robot; expected one or more")
     if of is None and len(robots) == 1:
         (of,) = robots
-    if of not in robots:
-        found = "is a scene" if of is None else f"has no robot '{of}'"
+    if of is None:
+        found = f"has {len(robots)} robots"
         raise UsageError(f"{name}: {found}; expected --of with one of {', '.join(robots)}")
+    if of not in robots:
+        raise UsageError(f"{name}: has no robot '{of}'{did_you_mean(of, robots)}")
     return robots[of]
 
 
@@ -109,7 +100,9 @@ def compare(robot: Any, q: Any) -> dict[str, Any]:
     from ..assemble.scene import Scene
     from ..assemble.world import World
 
-    world = World(Scene(robots=[robot], floor=False))
+    # Alone: what carries it does not matter from its base on.
+    alone = robot.model_copy(update={"mount": None})
+    world = World(Scene(robots=[alone], floor=False))
     data = world.make_data()
     world.set_input(data, f"{robot.name}.joint_angles", q)
     mujoco.mj_kinematics(world.model, data)

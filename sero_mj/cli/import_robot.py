@@ -1,26 +1,26 @@
-"""`sero-mj import`: a robot folder in our format from a robot's URDF, and a scene to mirror it."""
+"""`sero-mj import`: a robot folder in our format from URDF or MJCF, and a scene to mirror it."""
 
 from __future__ import annotations
 
 import argparse
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from ..declaration import is_name
 from ..describe.robot_file import is_urdf
-from ..describe.xml_file import root_name
 from ..errors import UsageError
-from ..paths import SCENE_ENDINGS
+from ..paths import SCENE_ENDINGS, format_of_file, model_name
 from ._arguments import Commands, add_command, add_package_option, check_ending
 from .new import scene_text
 from .schema import schema_text
 
 if TYPE_CHECKING:
     from ..assemble.robot import SerialRobot
+    from ..describe.described import Described
 
 _EPILOG = """\
 example:
@@ -29,6 +29,8 @@ example:
 The robot file is commented: limits, masses and inertias, meshes with their frames, which joints
 belong to which limb, and a Denavit-Hartenberg table where there is one. It is to be changed by
 hand. Nothing that is there is written over. xacro becomes URDF if the package `xacro` is installed.
+Of MJCF the geoms stay in a copy of it, with all that it includes; joints, limits, inertias and
+couplings are in the robot file.
 """
 _TIED = "\0"  # a space at which no line is broken
 _BESIDE = re.compile(
@@ -39,24 +41,27 @@ _BESIDE = re.compile(
 
 def add_to(commands: Commands) -> None:
     """Adds the command."""
-    about = "write a robot folder and a scene from a URDF file"
+    about = "write a robot folder and a scene from a URDF or MJCF file"
     parser = add_command(commands, "import", run, about, _EPILOG)
-    parser.add_argument("file", metavar="FILE", type=Path, help="URDF or xacro; .xml if it is URDF")
+    parser.add_argument("file", metavar="FILE", type=Path, help="URDF, xacro or MJCF")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder to be made (default: the robot's name)"
     )
+    parser.add_argument(
+        "--convention", choices=("craig", "standard"),
+        help="of the Denavit-Hartenberg table, where there is one (default: craig)",
+    )  # fmt: skip
     add_package_option(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Writes the files; returns 0."""
     from ..assemble.robot import SerialRobot
-    from ..describe.robot_text import copied_meshes, urdf_robot_text
-    from ..describe.urdf import UrdfFile
 
     _check_format(options.file)
-    file = UrdfFile(options.file)
-    folder = Path(file.described.tables["name"] if options.out is None else options.out)
+    source = _read(options)
+    tables = source.described.tables
+    folder = Path(tables["name"] if options.out is None else options.out)
     scene = folder.parent / f"{folder.name}.toml"
     try:
         is_name(folder.name)
@@ -65,13 +70,11 @@ def run(options: argparse.Namespace) -> int:
     for path in (folder, scene):
         if path.exists():
             raise UsageError(f"{path} is there already; choose another with --out")
+    limbs = SerialRobot(**tables).limb_joints
     try:
         folder.mkdir(parents=True)
-        tables = copied_meshes(
-            file.described.tables, lambda mesh, name: _copy(mesh, folder / "meshes" / name)
-        )
-        limbs = SerialRobot(**file.described.tables).limb_joints
-        (folder / "robot.toml").write_text(urdf_robot_text(file, tables, limbs), encoding="utf-8")
+        text = source.write(folder, limbs)
+        (folder / "robot.toml").write_text(text, encoding="utf-8")
         robot = SerialRobot.from_model(str(folder / "robot.toml"))
         # The base of such a robot may be its trunk.
         joints = _about_joints(robot)
@@ -81,12 +84,72 @@ def run(options: argparse.Namespace) -> int:
             (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
-    for warning in file.described.warnings:
+    for warning in source.described.warnings:
         print(f"note: {warning}")
     how = f"{robot.dh_convention} DH table" if robot.dh is not None else "joint frames"
+    if robot.dh is None and options.convention is not None:
+        print(f"note: {source.no_table}, so there is no {options.convention} DH table")
     print(f"{folder}/robot.toml: {robot.n} joints, {how}\n{scene}: a scene that mirrors it")
     print(f"next, in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
     return 0
+
+
+_Limbs: TypeAlias = Mapping[str, Sequence[int]]
+
+
+class _Source(NamedTuple):
+    """A file that was read.
+
+    Attributes:
+        described: what it says.
+        write: writes its meshes into a folder and returns the text of the robot file.
+        no_table: why it has no DH table, where it has none.
+    """
+
+    described: Described
+    write: Callable[[Path, _Limbs], str]
+    no_table: str
+
+
+def _read(options: argparse.Namespace) -> _Source:
+    from ..describe.mjcf_file import as_spec, write_mjcf
+    from ..describe.mjcf_robot import plain_tables, read_mjcf
+    from ..describe.robot_text import copied_meshes, robot_text
+    from ..describe.urdf import UrdfFile
+
+    path: Path = options.file
+    if path.suffix == ".xml" and not is_urdf(path):
+        described = read_mjcf(path)
+        described.tables.update({"name": model_name(path), "directory": str(path.parent)})
+
+        def write_geoms(folder: Path, limbs: _Limbs) -> str:
+            spec = as_spec(path.name, path.parent)
+            spec.compile()
+            (copy, *_) = write_mjcf(spec, folder / f"{folder.name}.xml")
+            tables = plain_tables(described.tables)
+            count = len(tables["joint_names"])
+            about = f"{count} joint{'s' * (count > 1)}, from {path.name}"
+            tables |= {"mjcf": copy.name, "description": about}
+            bodies = [[link] for link in tables["link_names"]]
+            flange = f"behind {tables['flange_on']}"
+            return robot_text(
+                described, tables, limbs, file=path.name, bodies=bodies, flange=flange
+            )
+
+        return _Source(described, write_geoms, "geoms of MJCF stand in the frames of its joints")
+    file = UrdfFile(path, convention=options.convention or "craig")
+    file.check_joints()
+
+    def write_meshes(folder: Path, limbs: _Limbs) -> str:
+        tables = copied_meshes(
+            file.described.tables, lambda mesh, name: _copy(mesh, folder / "meshes" / name)
+        )
+        bodies, flange = file.tree.bodies, f"of the link '{file.tree.flange}' of the URDF"
+        return robot_text(
+            file.described, tables, limbs, file=path.name, bodies=bodies, flange=flange
+        )
+
+    return _Source(file.described, write_meshes, "no chain of such rows has its frames")
 
 
 def _about_joints(robot: SerialRobot) -> str:
@@ -115,24 +178,23 @@ def _comment(items: Sequence[str]) -> list[str]:
 
 
 def _check_format(path: Path) -> None:
-    """Raises UsageError for what is no URDF, and says what takes it."""
+    """Raises UsageError for what is no robot in URDF or MJCF, and says what takes it."""
     ending = path.suffix.lower()
     if ending in SCENE_ENDINGS:
         raise UsageError(
-            f"{path}: found a scene in X3D; expected a robot in URDF. `sero-mj convert {path} "
-            f"{path.stem}.toml` writes it as a scene of ours, `sero-mj view {path}` shows it"
+            f"{path}: found a scene in X3D; expected a robot in URDF or MJCF. `sero-mj convert "
+            f"{path} {path.stem}.toml` writes it as a scene of ours, `sero-mj view {path}` shows it"
         )
-    if ending != ".xml" or not path.exists() or is_urdf(path):
-        check_ending("FILE", path, (".urdf", ".xacro", ".xml"), ", ")
-        return
-    root = root_name(path)
-    if root == "mujoco":
-        raise UsageError(
-            f"{path}: found MJCF (<mujoco>), which is a robot as it is; expected URDF (<robot>). "
-            f'`sero-mj view {path}` shows it, model = "{path}" puts it into a scene'
-        )
-    found = "no XML" if root is None else f"<{root}>"
-    raise UsageError(f"{path}: found {found}; expected URDF, which begins with <robot>")
+    if ending not in (".urdf", ".xacro", ".xml") and (found := format_of_file(path)) is not None:
+        raise UsageError(f"{path}: is {found}; expected URDF, xacro or MJCF")
+    check_ending("FILE", path, (".urdf", ".xacro", ".xml"), ", ")
+    if not path.is_file():
+        raise UsageError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+    if ending == ".xml":
+        found = format_of_file(path)
+        if found not in ("a URDF file", "an MJCF file"):
+            expected = "expected URDF (<robot>) or MJCF (<mujoco>)"
+            raise UsageError(f"{path}: is {found or 'no XML'}; {expected}")
 
 
 def _copy(mesh: Path, to: Path) -> None:

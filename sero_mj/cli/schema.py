@@ -145,6 +145,7 @@ def _each(schema: Schema, of: str) -> Schema:
 
 _TEXT: Schema = {"type": "string"}
 _MODEL: Schema = {"type": "string", "description": "a shipped name, a folder, or a file beside it"}
+_ARGUMENTS: Schema = {"type": "object", "description": "arguments of a model in xacro, by name"}
 
 
 def _group_sections(definitions: _Definitions) -> dict[str, Schema]:
@@ -158,7 +159,9 @@ def _group_sections(definitions: _Definitions) -> dict[str, Schema]:
         key: definitions.fields("SerialRobot")[key] for key in ("mount", "mirrored")
     }
     sections = {
-        "robots": _each(table("SerialRobot", name=None, model=_MODEL), "robots"),
+        "robots": _each(
+            table("SerialRobot", name=None, model=_MODEL, arguments=_ARGUMENTS), "robots"
+        ),
         "groups": _each(group, "groups"),
         "objects": _each(table("Object", name=None), "objects"),
     }

@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+from ..errors import DeclarationError
+
+_MOST_NAMED = 8  # in one sentence
+
+
+class NoJoints(DeclarationError):
+    """A file has no joint that moves: a table, a tool, a ball, which are objects of a scene."""
 
 
 @dataclass(frozen=True)
@@ -21,3 +30,9 @@ class Described:
     tables: dict[str, Any]
     lines: dict[str, int] | None = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+
+
+def first_of(names: Sequence[str]) -> str:
+    """Names with commas, of many the first and how many more."""
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import ctypes
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,9 @@ from xml.etree import ElementTree
 import mujoco
 
 from ..errors import DeclarationError, Problem
-from ..paths import open_file, read_file
+from ..paths import format_of_file, open_file, read_file
 
+_LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 _MOST_BYTES = 100_000_000  # of a file of MJCF
 MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 
@@ -69,6 +72,9 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if is_file_name(source):
         open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe forever
+        found = format_of_file(folder / source)
+        if found not in (None, "an MJCF file", "a URDF file"):  # what is no XML MuJoCo tells
+            raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
         return mujoco.MjSpec.from_file(str(folder / source))
     spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
     spec.modelfiledir = str(folder)
@@ -130,3 +136,47 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
     file = f"{path.stem}-{digest[:16]}{path.suffix.lower()}"
     spec.assets[file] = contents
     return file
+
+
+def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]:
+    """Writes a compiled spec as MJCF, with its files in a folder beside it, `NAME_assets`.
+
+    Args:
+        spec: what `as_spec` returned, or was made of such.
+        path: of the XML file.
+        comment: a line for its beginning, or several.
+
+    Returns:
+        the files written, the XML first.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    written, folder = [path], path.parent / f"{path.stem}_assets"
+    with _full_precision():
+        text = spec.to_xml().replace(">\n", f">\n{comment}", 1)
+    for name, contents in spec.assets.items():
+        file = folder / name.rpartition("/")[2]
+        if f'file="{name}"' not in text:
+            continue  # unused
+        folder.mkdir(exist_ok=True)
+        file.write_bytes(contents)
+        written.append(file)
+        text = text.replace(f'file="{name}"', f'file="{folder.name}/{file.name}"')
+    path.write_text(text, encoding="utf-8")
+    return list(dict.fromkeys(written))
+
+
+@contextmanager
+def _full_precision() -> Iterator[None]:
+    """Makes MuJoCo write numbers with 17 digits instead of six.
+
+    MuJoCo 4.0.0 has no public function for it. A later one may lack this; then it writes six.
+    """
+    folder = Path(mujoco.__file__).parent
+    files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))
+    library = ctypes.CDLL(str(next(files)))
+    set_digits = getattr(library, "_mjPRIVATE__set_xml_precision", lambda digits: None)
+    set_digits(17)
+    try:
+        yield
+    finally:
+        set_digits(6)

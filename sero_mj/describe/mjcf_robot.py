@@ -14,25 +14,33 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ..declaration import LARGEST
 from ..errors import DeclarationError, Problem
 from ..frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
-from .described import Described
+from .described import Described, first_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_tree import MjcfTree, find_tree, torque_limits
+from .robot_tree import TOO_FAR, meant_limits, six_of
 
 _HOME = ("home", "stand", "init", "default")  # key frames that are taken for the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
 _IMPLAUSIBLE = 10  # times the torque that holds all of the robot, stretched
 _WITHIN = 1e-4  # rad or m
+# Keys of `[dynamics]` by MuJoCo's fields of degrees of freedom.
+_OF_JOINTS = {
+    "motor_inertias": "armature",
+    "viscous_friction": "damping",
+    "coulomb_friction": "frictionloss",
+}
 
 
 def read_mjcf(path: Path) -> Described:
-    """Reads the robot of an MJCF file; raises DeclarationError."""
+    """Reads the robot of an MJCF file; raises DeclarationError, of one without joints NoJoints."""
     try:
         tables, lost = mjcf_tables(path.name, path.parent)
     except DeclarationError as error:
         problems = [Problem("", problem.message, str(path)) for problem in error.problems]
-        raise DeclarationError(problems) from None
+        raise type(error)(problems) from None
     return Described({"directory": "", **tables}, {}, lost)
 
 
@@ -51,8 +59,11 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     revolute = _turns(tree)
     names = _names(model, joints)
     limited = model.jnt_limited[joints].astype(bool)
-    limits = np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
+    stated = np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
+    limits = meant_limits(stated)
     lost = list(tree.left_out)
+    if (far := (limits != stated).any(axis=1)).any():
+        lost.append(f"{TOO_FAR}: {_some(names, far)}")
     torques = _plausible(tree, torque_limits(model, joints), lost)
     dofs = model.jnt_dofadr[joints]
     link, T_link_flange = _flange(tree)
@@ -72,12 +83,13 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
         "fit_arrows": True,
         "dynamics": {
             **_inertias(tree),
-            "motor_inertias": model.dof_armature[dofs],
-            "viscous_friction": model.dof_damping[dofs],
-            "coulomb_friction": model.dof_frictionloss[dofs],
+            **{
+                key: _bounded(getattr(model, f"dof_{what}")[dofs], what, names, lost)
+                for key, what in _OF_JOINTS.items()
+            },
         },
     }
-    if limited.any():
+    if np.isfinite(limits).any():
         tables["position_limits"] = limits
     if np.isfinite(torques).any():
         tables["torque_limits"] = torques
@@ -85,6 +97,20 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
         del tables["parents"]
     tables |= _initial_pose(tree, names, couplings)
     return tables, lost
+
+
+def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
+    """Returns a robot's tables as one would write them by hand: without what says nothing."""
+    plain = {key: value for key, value in tables.items() if key != "directory"}
+    for key in ("couplings", "free_base"):
+        if not plain[key]:
+            del plain[key]
+    for key in ("base_frame", "flange_frame"):
+        if np.array_equal(plain[key], np.eye(4)):
+            del plain[key]
+    dynamics = dict(plain["dynamics"])
+    dynamics["inertias"] = [six_of(tensor) for tensor in dynamics["inertias"]]
+    return {**plain, "dynamics": dynamics}
 
 
 def _link_names(tree: MjcfTree) -> list[str]:
@@ -107,6 +133,8 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of attributes that MuJoCo will drop one day
             tree = find_tree(spec.compile())
+    except DeclarationError:
+        raise
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise DeclarationError([Problem("mjcf", reason)]) from None
@@ -197,6 +225,19 @@ def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: in
     while at is not None and at != names[one]:
         at = couplings[at]["to"] if at in couplings else None
     return at is not None or names[one] in couplings
+
+
+def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Array:
+    """Returns values of joints, (n,), up to the largest that a robot may have."""
+    if (far := values > LARGEST).any():
+        lost.append(f"{what} is taken for {LARGEST:g}, the most: {_some(names, far)}")
+    return np.minimum(values, LARGEST)
+
+
+def _some(names: list[str], which: Bools) -> str:
+    """Names of joints, of many the first."""
+    found = [name for name, is_one in zip(names, which.tolist(), strict=True) if is_one]
+    return first_of(found)
 
 
 def _plausible(tree: MjcfTree, limits: Array, lost: list[str]) -> Array:

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from ..errors import Problem
 from ..frames import Array, Ints, frame, inverse, rotation_about, rotation_to_z
+from .described import NoJoints, first_of
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
@@ -22,7 +24,6 @@ _OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
 _FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 _EARTH = 9.81  # m/s2
-_NAMED = 5  # of the names that a sentence lists
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
 
@@ -75,7 +76,7 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
     """Returns the robot of a model.
 
     Raises:
-        ValueError: it has no hinge or slide.
+        NoJoints: it has no hinge or slide.
     """
     kinds = model.jnt_type
     is_axis = (kinds == _HINGE) | (kinds == _SLIDE)
@@ -84,7 +85,11 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
     mine = is_axis & np.isin(roots, list(chosen))
     joints = np.flatnonzero(mine).astype(np.intp)
     if not len(joints):
-        raise ValueError("found no hinge and no slide; expected a robot with joints")
+        message = (
+            "found no hinge and no slide; expected a robot with joints: what is rigid is an "
+            "object, mjcf = ..."
+        )
+        raise NoJoints([Problem("mjcf", message)])
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     bodies = np.tile(np.eye(4), (model.nbody, 1, 1))
@@ -162,9 +167,7 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
     """Returns what of a model is no part of the robot, a sentence for each kind."""
 
     def names(kind: mujoco.mjtObj, ids: Ints) -> str:
-        found = [mujoco.mj_id2name(model, kind, int(i)) or f"number {i}" for i in ids]
-        more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
-        return ", ".join(found[:_NAMED]) + more
+        return first_of([mujoco.mj_id2name(model, kind, int(i)) or f"number {i}" for i in ids])
 
     sentences = []
     held = np.flatnonzero(model.jnt_type == _BALL)

@@ -24,8 +24,12 @@ _PACKAGE_PATHS = (
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 # NAME=DIR, as several of a path: what `--package` adds to.
 PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
+# Arguments of xacro as an object of JSON: what `--arg` adds to.
+ARGUMENTS_VARIABLE = "SERO_MJ_XACRO_ARGUMENTS"
 _MOST_ABOVE = 12  # folders above a file that are searched
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
+# As xacro and launch files name packages, whose own programs put a path there.
+_FIND = re.compile(r"(?:file:/*)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*")
 _MANIFEST_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
 
@@ -33,24 +37,41 @@ def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = Non
     """Returns the file that a description names; None where there is none.
 
     Args:
-        name: `package://NAME/...`, `model://NAME/...`, `file:///...`, or a path; relative ones
-            start at the folder of the description, or at any folder above it.
+        name: `package://NAME/...`, `model://NAME/...`, `file:///...`, `$(find NAME)/...`, or a
+            path; relative ones start at the folder of the description, or at any folder above it.
+            Capital letters count only where they tell files apart.
         beside: the description's own file.
         packages: folders of packages by name, before any others.
     """
     if "\0" in name:
         return None
-    for candidate in _candidates(name.strip(), beside, packages or {}):
-        try:
-            if candidate.is_file():
-                return Path(os.path.abspath(candidate))
-        except OSError:
-            continue  # a name that is too long, or a folder that may not be entered
+    candidates = list(dict.fromkeys(_candidates(name.strip(), beside, packages or {})))
+    for find in (lambda path: path, _in_other_case):
+        for candidate in candidates:
+            try:
+                found = find(candidate)
+                if found is not None and found.is_file():
+                    return Path(os.path.abspath(found))
+            except OSError:
+                continue  # a name that is too long, or a folder that may not be entered
     return None
+
+
+def _in_other_case(path: Path) -> Path | None:
+    """A file of this name but for capital letters, as Windows and macOS find it; None for none."""
+    if path.exists():
+        return path
+    above = _in_other_case(path.parent) if path.parent != path else None
+    if above is None or not above.is_dir():
+        return None
+    name = path.name.casefold()
+    return min((each for each in above.iterdir() if each.name.casefold() == name), default=None)
 
 
 def package_of(name: str) -> str | None:
     """The package that a file's name names; None where it names none."""
+    if (sought := _FIND.match(name)) is not None:
+        return sought[1]
     found = _SCHEME.match(name)
     if found is None or found[1].lower() not in ("package", "model"):
         return None
@@ -58,6 +79,7 @@ def package_of(name: str) -> str | None:
 
 
 def _candidates(name: str, beside: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
+    name = _FIND.sub(r"package://\1/", name)
     scheme = _SCHEME.match(name)
     kind = scheme[1].lower() if scheme is not None else ""
     rest = name if scheme is None else unquote(name[scheme.end() :])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from ..toml_file import read_toml
 from .described import Described
@@ -16,13 +17,18 @@ def is_urdf(path: Path) -> bool:
     return path.suffix == ".xml" and root_name(path) == "robot"
 
 
-def read_robot_file(path: Path, packages: Mapping[str, Path | str] | None = None) -> Described:
+def read_robot_file(
+    path: Path,
+    packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> Described:
     """Returns a robot's tables; file names in them are relative to the file's folder.
 
     Args:
         path: of the file, whose ending says its format: TOML, or one of `paths.ROBOT_ENDINGS`;
             of XML the first element does.
         packages: folders of ROS packages by name, for URDF.
+        arguments: of xacro by name.
 
     Raises:
         DeclarationError: the file cannot be read.
@@ -30,7 +36,7 @@ def read_robot_file(path: Path, packages: Mapping[str, Path | str] | None = None
     if path.suffix in (".urdf", ".xacro") or is_urdf(path):
         from .urdf import read_urdf
 
-        return read_urdf(path, packages)
+        return read_urdf(path, packages, arguments)
     if path.suffix == ".xml":
         return read_mjcf(path)
     return Described(read_toml(path), None)

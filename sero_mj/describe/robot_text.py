@@ -9,34 +9,43 @@ from typing import Any
 import numpy as np
 
 from ..frames import quat_from_rotation
+from .described import Described
 from .toml_text import inline, toml_entry
-from .urdf import UrdfFile
 
 _SCHEMA = "#:schema ./robot.schema.json"
 _ZERO = 1e-15  # m, rad, kg m2: rounding
 _WIDEST = 60  # of a column of entries, before comments
 
 
-def urdf_robot_text(
-    file: UrdfFile, tables: Mapping[str, Any], limbs: Mapping[str, Sequence[int]]
+def robot_text(
+    described: Described,
+    tables: Mapping[str, Any],
+    limbs: Mapping[str, Sequence[int]],
+    *,
+    file: str,
+    bodies: Sequence[Sequence[str]],
+    flange: str,
 ) -> str:
     """Returns the text of a robot file; `tomllib` reads tables of the same robot from it.
 
     Args:
-        file: that was read.
-        tables: those of `file.described`, with the mesh files as they are to be.
+        described: what was read.
+        tables: those of it, with files as they are to be.
         limbs: indices of joints by limb.
+        file: name of the file that it was read from.
+        bodies: names of what the base is made of, and each link.
+        flange: which frame of it is the flange.
     """
-    text = _RobotText(file.tree.bodies, _rounded(tables))
+    text = _RobotText(bodies, _rounded(tables))
     lines = [
-        f"Made of {file.path.name} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
+        f"Made of {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
         "torques in Nm (of prismatic joints forces in N). Links fixed to each other are one.",
     ]
-    if file.described.warnings:
+    if described.warnings:
         lines += ["", "What is not as in that file:"]
-        lines += [f"- {warning}" for warning in file.described.warnings]
+        lines += [f"- {warning}" for warning in described.warnings]
     text.lines += [_SCHEMA, *(f"# {line}".rstrip() for line in lines)]
-    text.add_kinematics(file.tree.flange, limbs)
+    text.add_kinematics(flange, limbs)
     text.add_limits()
     text.add_geometry()
     text.add_dynamics()
@@ -99,7 +108,7 @@ class _RobotText:
         self._given("link_names", about="names in that file, of the base first")
         self._given("parents", about="the joint whose link carries each joint")
         self._given("flange_on", about="the joint whose link carries the flange")
-        self._frame("flange_frame", f"of the link '{flange}' of the URDF")
+        self._frame("flange_frame", flange)
         self._given("free_base")
         self._frame("base_frame")
 
@@ -120,6 +129,7 @@ class _RobotText:
         """What is drawn and what touches, for every link, with a line for every part of it."""
         self.lines.append("")
         self._given("directory")
+        self._given("mjcf", about="what is drawn and what touches; its joints are these")
         for key, about in (
             ("filenames", "what is drawn"),
             ("collisions", "what touches in simulation"),
@@ -150,6 +160,7 @@ class _RobotText:
             "masses": "kg",
             "centers_of_mass": "m",
             "inertias": "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m2",
+            "motor_inertias": "kg m2, as seen at the joint",
             "viscous_friction": "Nm s/rad or N s/m",
             "coulomb_friction": "Nm or N",
         }
@@ -173,6 +184,8 @@ def _rounded(value: Any) -> Any:
     """Tables whose numbers are without the last digit, which is rounding."""
     if isinstance(value, Mapping):
         return {key: _rounded(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return _rounded(value.tolist())
     if isinstance(value, list | tuple):
         return [_rounded(each) for each in value]
     if isinstance(value, float):

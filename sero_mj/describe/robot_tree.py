@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,7 +27,9 @@ _FLANGES = (
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
 )  # fmt: skip
 _FARTHEST = 10.0  # a table's lengths, over the reach, before its normals are taken to be far away
-_MOMENT_ROUNDING = 1e-6  # relative
+_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `assemble.dynamics`
+_NO_LIMIT = 1e3  # rad or m; limits this far away stand for none
+TOO_FAR = f"limits of {_NO_LIMIT:g} m or rad and more are taken for none"
 
 
 @dataclass
@@ -113,11 +115,19 @@ class TreeTables:
         T_body_link: body and T_body_link (4, 4) of every link by name, in the frames of `tables`.
     """
 
-    def __init__(self, name: str, links: list[Link], joints: list[Joint], root: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        links: list[Link],
+        joints: list[Joint],
+        root: str,
+        convention: Literal["craig", "standard"] = "craig",
+    ) -> None:
         self.tables: dict[str, Any] = {}
         self.lines: dict[str, int] = {}
         self.warnings: list[str] = []
         self._name = name
+        self._convention = convention
         self._bodies = _merged(links, joints, root)
         self.joints = [body.joint for body in self._bodies[1:] if body.joint is not None]
         self.bodies = [[link.name for link, _ in body.links] for body in self._bodies]
@@ -127,7 +137,8 @@ class TreeTables:
         for body in self._bodies[1:]:
             self._depths.append(self._depths[body.parent] + 1)
         flange_body, self.flange, T_flange = self._flange()
-        self._kinematics(flange_body, T_flange)
+        if self.joints:
+            self._kinematics(flange_body, T_flange)
         # From the bodies' own frames to those of the tables.
         self._carried = [np.eye(4) for _ in self._bodies]
         if self._in_dh is not None:
@@ -137,8 +148,9 @@ class TreeTables:
             for i, body in enumerate(self._bodies)
             for link, T in body.links
         }
-        self._limits()
-        self._dynamics()
+        if self.joints:
+            self._limits()
+            self._dynamics()
         self._geometry()
 
     def _line(self, key: str, line: int | None) -> None:
@@ -198,7 +210,7 @@ class TreeTables:
             slides = [max(abs(x) for x in (j.lower, j.upper, 0) if np.isfinite(x))
                       for j in self.joints if j.kind == "prismatic"]  # fmt: skip
             far = _FARTHEST * max(float(steps.sum()) + sum(slides), 0.1)
-            chain = dh_from_frames(frames, revolute, T_flange)
+            chain = dh_from_frames(frames, revolute, T_flange, self._convention)
             if chain is not None and np.abs(chain.rows[:, [1, 3]]).max() < far:
                 self._in_dh = chain
         if self._in_dh is not None:
@@ -269,7 +281,7 @@ class TreeTables:
             dynamics = {
                 "masses": [mass for mass, _, _ in sums],
                 "centers_of_mass": [center.tolist() for _, center, _ in sums],
-                "inertias": [_six(tensor) for _, _, tensor in sums],
+                "inertias": [six_of(tensor) for _, _, tensor in sums],
             }
             self._check_masses(sums, dynamics)
         else:
@@ -294,7 +306,7 @@ class TreeTables:
                 none.append(f"'{name}'")
             elif mass > 0.0:
                 low, middle, high = np.linalg.eigvalsh(tensor)
-                if low <= 0 or low + middle < high * (1 - _MOMENT_ROUNDING):
+                if low <= _ZERO * high or low + middle < high * (1 - _MOMENT_ROUNDING):
                     odd.append(f"'{name}'")
         if none:
             self.warnings.append(f"moving links without mass: {', '.join(none)}")
@@ -351,6 +363,11 @@ class _Colors:
         name = plain_name(wanted or "color", self._taken)
         self.by_name[name] = rgba
         return name
+
+
+def meant_limits(limits: Array) -> Array:
+    """Returns position limits (..., 2), rad or m, infinite where they stand for none."""
+    return np.where(np.abs(limits) < _NO_LIMIT, limits, [-np.inf, np.inf])
 
 
 def plain_name(name: str, taken: set[str]) -> str:
@@ -427,7 +444,8 @@ def _inertia(parts: list[tuple[Link, Array]]) -> tuple[float, Array, Array]:
     return float(mass), center, (tensor + tensor.T) / 2
 
 
-def _six(tensor: Array) -> list[float]:
+def six_of(tensor: Array) -> list[float]:
+    """Returns Ixx, Iyy, Izz, Ixy, Ixz, Iyz of a tensor (3, 3)."""
     entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     return [float(tensor[i, j]) for i, j in entries]
 

@@ -9,11 +9,13 @@ with the line of its element. A mesh that cannot be read costs that mesh only.
 from __future__ import annotations
 
 import io
+import json
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import unquote
 
 import numpy as np
@@ -21,46 +23,109 @@ import numpy as np
 from ..declaration import LARGEST
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import Array, frame, rotation_from_rpy
-from ..paths import read_file
-from .described import Described
+from ..paths import format_of_file, read_file
+from .described import Described, NoJoints, first_of
 from .mesh_files import read_mesh
-from .package_files import find_file, package_folders, package_of
-from .robot_tree import MOVING, Geometry, Joint, Link, TreeTables, plain_name
-from .xml_file import Element, XmlError, parse_xml
+from .package_files import ARGUMENTS_VARIABLE, find_file, package_folders, package_of
+from .robot_tree import (
+    MOVING,
+    TOO_FAR,
+    Geometry,
+    Joint,
+    Link,
+    TreeTables,
+    meant_limits,
+    plain_name,
+)
+from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
 _MOST_BYTES = 50_000_000
-_MOST_NAMED = 8  # in one warning
 _MOST_JOINTS = 128  # that move
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
 _XACRO = re.compile(r"\{[^}]*xacro[^}]*\}")
+_NO_ARGUMENT = re.compile(r"Undefined substitution argument (\w+)")
 _NO_XACRO = (
     "is xacro, which becomes URDF by a package: `pip install sero-mj[xacro]`, or on a machine "
     "with ROS `xacro {name} > robot.urdf`"
 )
 
 
-def read_urdf(path: Path | str, packages: Mapping[str, Path | str] | None = None) -> Described:
+def read_urdf(
+    path: Path | str,
+    packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> Described:
     """Reads a robot from a URDF file, or from xacro if the package `xacro` is installed.
 
     Args:
         path: of the file.
         packages: folders of ROS packages by name, for `package://NAME/...`; others are searched
             for above the file and on the paths that the environment names.
+        arguments: of xacro by name, over its defaults.
 
     Returns:
         the tables of a robot file: a DH table (Craig's) for chains that have one, `joint_frames`
         else; `filenames`, `collisions`, `colors`, limits, couplings and `dynamics`.
 
     Raises:
+        NoJoints: nothing in it moves; `read_rigid_urdf` reads it.
         DeclarationError: everything that is wrong in it, with lines.
     """
-    return UrdfFile(Path(path), packages).described
+    file = UrdfFile(Path(path), packages, arguments)
+    file.check_joints()
+    return file.described
+
+
+def read_rigid_urdf(path: Path | str) -> Described:
+    """Reads a URDF file without joints that move: a table, a tool, a ball.
+
+    Returns:
+        of the tables of a robot file `filenames`, `collisions`, `colors` and `directory`, for
+        the base alone.
+
+    Raises:
+        DeclarationError: everything that is wrong in it, with lines; or there are joints.
+    """
+    file = UrdfFile(Path(path))
+    if file.tree.joints:
+        found = f"{len(file.tree.joints)} joints that move"
+        message = f"found {found}; expected none in an object: a robot is model = "
+        raise DeclarationError([Problem("robot", f'{message}"{file.path.name}"', str(path))])
+    return file.described
+
+
+class _Arguments(dict[str, str]):
+    """Arguments of xacro as texts, those of the environment first; remembers what is asked for."""
+
+    def __init__(self, arguments: Mapping[str, Any]) -> None:
+        over = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
+        super().__init__({name: _as_text(value) for name, value in {**arguments, **over}.items()})
+        self.given = set(self)
+        self.asked: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.asked.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked.add(name)
+        return super().__getitem__(name)
+
+
+def _as_text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 class UrdfFile:
     """One URDF file that is being read.
+
+    Args:
+        path: of the file.
+        packages: as of `read_urdf`.
+        arguments: as of `read_urdf`.
+        convention: of its DH table, where it has one.
 
     Attributes:
         path: of the file.
@@ -68,8 +133,15 @@ class UrdfFile:
         described: what `read_urdf` returns.
     """
 
-    def __init__(self, path: Path, packages: Mapping[str, Path | str] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+        convention: Literal["craig", "standard"] = "craig",
+    ) -> None:
         self.path = path
+        self._arguments = _Arguments(arguments or {})
         self._packages = {name: Path(folder) for name, folder in (packages or {}).items()}
         self._problems: list[Problem] = []
         self._warnings: list[str] = []
@@ -82,6 +154,7 @@ class UrdfFile:
         self._flat: set[Path] = set()
         self._odd: dict[str, list[str]] = {}  # what is taken for something else, and where
         root = self._root()
+        self._root_line = root.sourceline if self._has_lines else None
         self._materials = self._colors(root)
         links = self._links(root)
         joints = self._joints(root, {link.name for link in links})
@@ -90,15 +163,13 @@ class UrdfFile:
         self._stop()
         self._check_mimics(joints)
         moving = [joint for joint in joints if joint.kind in MOVING]
-        if not moving:
-            self._problem(root, "robot", "has no joint that moves; expected one or more")
-        elif len(moving) > _MOST_JOINTS:
+        if len(moving) > _MOST_JOINTS:
             found = f"{len(moving)} joints that move"
             self._problem(root, "robot", f"found {found}; expected at most {_MOST_JOINTS}")
         self._stop()
         self._tell_about_meshes()
         given = (root.get("name") or "").strip()
-        self.tree = TreeTables(given, links, joints, base)
+        self.tree = TreeTables(given, links, joints, base, convention)
         name = plain_name(given or path.stem, set())
         tables: dict[str, Any] = {
             "name": name,
@@ -110,12 +181,21 @@ class UrdfFile:
             tables["base_frame"] = base_frame.tolist()
         tables |= {**self.tree.tables, "fit_arrows": True}
         warnings = [
-            *(f"{what}: {_some(where)}" for what, where in self._odd.items()),
+            *(f"{what}: {first_of(where)}" for what, where in self._odd.items()),
             *self._warnings,
             *self.tree.warnings,
         ]
         lines = {"name": root.sourceline, **self.tree.lines} if self._has_lines else {}
         self.described = Described(tables, {k: v for k, v in lines.items() if v}, warnings)
+
+    def check_joints(self) -> None:
+        """Raises NoJoints where nothing moves."""
+        if not self.tree.joints:
+            message = (
+                "has no joint that moves; expected one or more: what is rigid is an object, "
+                f'urdf = "{self.path.name}"'
+            )
+            raise NoJoints([Problem("robot", message, str(self.path), self._root_line)])
 
     def _problem(self, element: Element | None, key: str, message: str) -> None:
         line = None if element is None or not self._has_lines else element.sourceline
@@ -131,7 +211,8 @@ class UrdfFile:
 
     def _root(self) -> Element:
         try:
-            root = parse_xml(read_file(self.path, _MOST_BYTES))
+            root, told = parse_loose_xml(read_file(self.path, _MOST_BYTES))
+            self._warnings += told
             if any(_XACRO.match(name) for each in root.iter() for name in _names(each)):
                 root = self._expanded()
         except DeclarationError:
@@ -148,8 +229,7 @@ class UrdfFile:
             self._problem(None, "", f"cannot be read: {reason}")
         self._stop()
         if _tag(root) != "robot":
-            what = {"mujoco": "an MJCF file", "sdf": "an SDF file", "COLLADA": "a mesh"}
-            found = what.get(_tag(root), f"XML <{_tag(root)}>")
+            found = format_of_file(self.path) or f"XML <{_tag(root)}>"
             self._problem(root, "", f"is {found}; expected a URDF file, whose root is <robot>")
         self._stop()
         return root
@@ -176,13 +256,18 @@ class UrdfFile:
             substitution_args._eval_find = find
             said = io.StringIO()
             with redirect_stderr(said), redirect_stdout(said):
-                text = xacro.process_file(str(self.path)).toxml()
+                text = xacro.process_file(str(self.path), mappings=self._arguments).toxml()
         except (Exception, SystemExit) as error:  # it evaluates expressions of the file
             reason = " ".join(str(error).split()) or type(error).__name__
+            if (lacking := _NO_ARGUMENT.search(reason)) is not None:
+                reason += f"; --arg {lacking[1]}=VALUE says what it is"
             self._problem(None, "", f"xacro cannot expand it: {reason}")
             self._stop()
         finally:
             substitution_args._eval_find = own
+        for name in self._arguments.given - self._arguments.asked:
+            near = did_you_mean(name, self._arguments.asked)
+            self._warnings.append(f"xacro has no argument '{name}'{near}")
         return parse_xml(text.encode())
 
     def _colors(self, root: Element) -> dict[str, Array]:
@@ -230,10 +315,10 @@ class UrdfFile:
             return
         T = self._origin(inertial, key)
         mass, inertia = _child(inertial, "mass"), _child(inertial, "inertia")
-        value = None if mass is None else self._number(mass, "value", key)
-        if mass is None:
-            self._problem(inertial, key, "<inertial> has no <mass value=...>")
-        elif value is not None and value < 0:
+        value = None
+        if mass is None or mass.get("value") is None:
+            self._note("<inertial> without <mass value=...>, taken for none", inertial, key)
+        elif (value := self._number(mass, "value", key)) is not None and value < 0:
             self._problem(mass, key, f"<mass>: found {value:g} kg; expected 0 or more")
         elif value == 0 and _all(element, "geometry"):  # else it is a frame that has a name
             self._note("links whose mass is zero", mass, f"'{link.name}'")
@@ -363,10 +448,9 @@ class UrdfFile:
             named = [f"{name} ({'; '.join(who)})" for name, who in self._lost.items()]
             how = "".join(f"; --package {package}=DIR says where it is" for package in unknown)
             count = len(named)
-            more = f" and {count - _MOST_NAMED} more" if count > _MOST_NAMED else ""
             self._warnings.append(
                 f"{count} mesh file{'s are' if count > 1 else ' is'} not found and not shown{how}: "
-                f"{', '.join(named[:_MOST_NAMED])}{more}"
+                f"{first_of(named)}"
             )
         self._warnings += [f"{reason}; it is not shown" for reason in self._unread.values()]
 
@@ -437,12 +521,7 @@ class UrdfFile:
         joint.kind = "revolute" if joint.kind == "continuous" else joint.kind
         dynamics = _child(element, "dynamics")
         if dynamics is not None:
-            damping = self._number(dynamics, "damping", key, 0.0)
-            friction = self._number(dynamics, "friction", key, 0.0)
-            for what, value in (("damping", damping), ("friction", friction)):
-                if value is not None and value < 0:
-                    self._problem(dynamics, key, f"{what}: found {value:g}; expected 0 or more")
-            joint.damping, joint.friction = damping or 0.0, friction or 0.0
+            self._friction(dynamics, joint, key)
         mimic = _child(element, "mimic")
         if mimic is not None:
             ratio = self._number(mimic, "multiplier", key, 1.0)
@@ -453,23 +532,28 @@ class UrdfFile:
             elif ratio is not None and offset is not None:
                 joint.mimic = (to, ratio, offset)
 
+    def _friction(self, dynamics: Element, joint: Joint, key: str) -> None:
+        for what in ("damping", "friction"):
+            value = self._number(dynamics, what, key, 0.0, largest=np.inf) or 0.0
+            if value < 0:
+                self._problem(dynamics, key, f"{what}: found {value:g}; expected 0 or more")
+            elif value > LARGEST:
+                self._note(f"{what} is taken for {LARGEST:g}, the most", dynamics, key)
+            setattr(joint, what, min(value, LARGEST))
+
     def _limit(self, limit: Element, joint: Joint, key: str) -> None:
         if joint.kind != "continuous":
             lower = self._number(limit, "lower", key, 0.0, largest=np.inf)
             upper = self._number(limit, "upper", key, 0.0, largest=np.inf)
             if lower is not None and upper is not None:
-                if lower > upper:
-                    found = f"lower = {lower:g}, upper = {upper:g}"
-                    self._problem(limit, key, f"<limit>: found {found}; expected lower < upper")
-                elif lower == upper:
-                    self._note(
-                        "joints whose limits are equal are taken as without limits",
-                        limit,
-                        f"'{joint.name}'",
-                    )
+                if lower >= upper:
+                    how = "equal" if lower == upper else "in the wrong order"
+                    what = f"joints whose limits are {how} are taken as without limits"
+                    self._note(what, limit, f"'{joint.name}'")
                 else:
-                    joint.lower = lower if abs(lower) < LARGEST else -np.inf
-                    joint.upper = upper if abs(upper) < LARGEST else np.inf
+                    joint.lower, joint.upper = meant_limits(np.array([lower, upper])).tolist()
+                    if (joint.lower, joint.upper) != (lower, upper):
+                        self._note(TOO_FAR, limit, f"'{joint.name}'")
         for name in ("velocity", "effort"):
             value = self._number(limit, name, key, 0.0, largest=np.inf)
             if value is not None and value < 0:
@@ -596,6 +680,9 @@ class UrdfFile:
             values = np.array([float(word) for word in text.split()])
         except ValueError:
             values = np.array([np.nan])
+        if len(values) > counts[-1] and not np.isnan(values).any():
+            self._note(f"more than {expected} in {name}, the first are taken", element, key)
+            values = values[: counts[-1]]
         if len(values) not in counts or np.isnan(values).any() or (abs(values) > largest).any():
             found = f"{name} = '{text[:80]}'"
             most = f" up to {largest:g}" if (abs(values) > largest).any() else ""
@@ -604,12 +691,6 @@ class UrdfFile:
             )
             return None
         return values
-
-
-def _some(names: list[str]) -> str:
-    """The first of names, and how many more there are."""
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more
 
 
 def _names(element: Element) -> Iterator[str]:

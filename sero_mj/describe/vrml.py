@@ -40,6 +40,7 @@ _MOST_DEPTH = 120  # of nodes inside nodes; reading one takes a few calls
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
 # Parts of robots are often written without the header, to be inlined.
+_OLDER = ("#VRML V1", "#Inventor")
 _HEADLESS = re.compile(r"(?:#[^\n]*\n\s*)*(?:(?:DEF\s+\S+\s+)?[A-Z]\w*\s*\{|(?:EXTERN)?PROTO\s)")
 # Signs by which papers and editors show that a line goes on.
 _CONTINUED = "←↩↵↲⏎⤶¬\\\\"
@@ -98,7 +99,8 @@ def _read_text(path: Path) -> str:
             raise wrong("is packed by gzip, and ends too soon")
     text = contents.decode("utf-8-sig", errors="replace")
     start = text[:400].lstrip()
-    if _HEADER.match(start) or _HEADLESS.match(start):
+    is_older = start.startswith(_OLDER)
+    if not is_older and (_HEADER.match(start) or _HEADLESS.match(start)):
         return text
     raise wrong(_what_else(start))
 
@@ -108,7 +110,7 @@ def _what_else(start: str) -> str:
     expected = "expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"
     if re.match(r"<\?xml|<!DOCTYPE X3D|<X3D", start):
         return f"is X3D in the XML encoding; {expected} (X3D's classic encoding)"
-    if start.startswith(("#VRML V1", "#Inventor")):
+    if start.startswith(_OLDER):
         return f"is {' '.join(start.split()[:2])[1:]}, which is older than VRML97; {expected}"
     if not start:
         return f"is empty; {expected}"
