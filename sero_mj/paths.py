@@ -337,3 +337,16 @@ def read_file(path: Path | str, most: int) -> bytes:
     """Returns what is in a file of at most so many bytes; raises as `open_file` does."""
     with open_file(path, most) as file:
         return file.read(most)
+
+
+def argument_of(file: Path) -> str:
+    """Returns what commands call a file: its name where it is shipped, else its path from here."""
+    name = model_name(file) if file.name == ROBOT_FILE else file.stem
+    for find in (find_scene, find_scenario, find_model, find_group_model):
+        try:
+            if find(name).samefile(file):
+                return name
+        except (UnknownName, OSError):
+            continue
+    here, file = Path.cwd(), file.resolve()
+    return str(file.relative_to(here)) if file.is_relative_to(here) else str(file)

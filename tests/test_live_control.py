@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from decor_tools import view_at
@@ -17,6 +18,7 @@ from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
 from sero_mj.errors import DeclarationError, SimulationError
 from sero_mj.frames import frame, rotation_angle, rotation_from_rpy
+from sero_mj.load import load_scene
 from sero_mj.runs.run_recording import read_run
 from sero_mj.show.clock import Clock
 from sero_mj.show.handle_drag import dragged
@@ -25,7 +27,7 @@ from sero_mj.show.pulling import Pulling
 from sero_mj.show.scene_decor import SceneDecor
 from sero_mj.show.steering import Steering
 from sero_mj.simulate import endless_run
-from sero_mj.simulate.endless_run import endless_scene
+from sero_mj.simulate.endless_run import bent_pose, endless_scene
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
 
@@ -433,3 +435,39 @@ def test_options_that_do_not_fit_are_refused(
     with pytest.raises(SystemExit):
         main(["view", "lwr", "--web", *options])
     assert why in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["lwr", "panda"])
+def test_an_arm_begins_where_it_can_move_and_is_loaded(name: str) -> None:
+    robot = sero_mj.SerialRobot.from_model(name)
+    if name == "panda":  # as a URDF has it: no pose, and limits that zero is beyond
+        robot = robot.model_copy(update={"joint_angles": None})
+    q = bent_pose(robot)
+    lower, upper = robot.position_limits.T
+    assert (q >= lower).all() and (q <= upper).all()
+    J = robot.kinematics.jacobian(q, None, robot.T_n_flange)
+    J[:3] /= robot.reach
+    values = np.linalg.svd(J, compute_uv=False)
+    assert values[-1] / values[0] > 0.05  # 0.03 counts as singular
+    x, _, z = robot.fwd_kin_base_to_flange(q)[:3, 3] / robot.reach
+    assert x > 0.2 and 0.2 < z < 0.6
+    scene = endless_scene(sero_mj.Scene(robots=[robot], floor=False))
+    run = scene.sources["simulation"].run
+    mujoco.mj_forward(run.plant.model, run.plant.data)
+    assert (np.abs(run.plant.data.qfrc_bias) / robot.torque_limits).max() > 0.05
+
+
+def test_a_declared_pose_stays_and_so_does_a_robot_that_is_no_arm() -> None:
+    declared = sero_mj.SerialRobot.from_model("lwr", joint_angles=np.zeros(7))
+    assert bent_pose(declared).tolist() == [0.0] * 7
+    torso = sero_mj.SerialRobot.from_model("justin_torso")
+    assert bent_pose(torso).tolist() == torso.home.tolist()
+
+
+@pytest.mark.parametrize("name", ["hit_hand2", "dlr_hand2"])
+def test_a_hand_that_is_simulated_alone_touches_nothing_and_holds_still(name: str) -> None:
+    run = endless_scene(load_scene(name, by_hand=True)).sources["simulation"].run
+    mujoco.mj_forward(run.plant.model, run.plant.data)
+    assert run.plant.data.ncon == 0
+    run.advance(300)
+    assert np.abs(run.plant.data.qvel).max() < 0.5

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import socket
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,18 +19,59 @@ from sero_mj.assemble.scene import Scene
 from sero_mj.assemble.world import World
 from sero_mj.decor.cards import move_below
 from sero_mj.decor.draw import Decor
+from sero_mj.decor.font import line_height
 from sero_mj.decor.panels import Panels
 from sero_mj.decor.pen import Kind
 from sero_mj.decor.status import FAULT_RGBA, Status
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
+from sero_mj.load import load_scene
 from sero_mj.receive.structure import Structure
+from sero_mj.show.typesetting import Typesetter
 
 
 def udp_scene(**udp: Any) -> Scene:
     lwr = SerialRobot.from_model("lwr")
     source = {"kind": "udp", "port": 0, "structure": "7F", **udp}
     return Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
+
+
+def test_what_is_awaited_is_said_until_something_comes() -> None:
+    scene = load_scene("lwr_udp")
+    scene.toggles.legend = False
+    world = World(scene)
+    decor, data, toggles = Decor(world), world.make_data(), Toggles(world)
+
+    def said() -> list[str]:
+        pen = decor.draw(data, toggles, view_at())
+        return [text for text in labels(pen.rows[: pen.count]) if "lwr: no data" not in text]
+
+    set_source(data, world, "udp", received=0, size=112, age=-1)
+    assert said() == [
+        "nothing yet on UDP 127.0.0.1:32000",
+        "  awaited: packets of 112 bytes",
+        "  to try: sero-mj send lwr_udp",
+    ]
+    toggles.status = False
+    assert said() == []
+    toggles.status = True
+    # What is wrong with packets is said instead.
+    set_source(data, world, "udp", received=1, malformed=1, wrong_size=1, last_size=5, size=112,
+               fault_age=0.1, age=-1)  # fmt: skip
+    assert said() == ["udp: 1 of 1 packets not applied", "  5 bytes, expected 112"]
+    set_source(data, world, "udp", received=1, size=112)
+    assert said() == []
+
+
+def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
+    scene = udp_scene()
+    scene.sources = {"replay": {"kind": "replay", "file": str(tmp_path / "run.mcap")}}
+    scene.routes = {}
+    world = World(scene)
+    data = world.make_data()
+    assert (
+        labels((pen := Decor(world).draw(data, Toggles(world), view_at())).rows[: pen.count]) == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,16 +159,18 @@ def test_faults_cover_no_billboard(
     world = World(scene)
     data = world.make_data()
     set_source(data, world, "udp", **counts)
-    view = view_at(azimuth, distance, *size)
+    font = Typesetter(line_height(world, *size)).font
+    view = replace(view_at(azimuth, distance, *size), font=font)
     pen = Decor(world).draw(data, Toggles(world), view)
     rows = pen.rows[: pen.count]
     panels = [rectangle(view, row) for row in belonging(pen, Kind.BILLBOARD)]
     boxes = of_kind(rows, GEOM.mjGEOM_BOX)
     faults = [row for row in boxes if tuple(row["rgba"]) == pytest.approx(FAULT_RGBA)]
     assert len(panels) >= 5 and len(faults) == 1
-    low, high = rectangle(view, faults[0])
-    for panel_low, panel_high in panels:
-        assert (panel_low >= high - 1e-3).any() or (panel_high <= low + 1e-3).any()
+    for (low, high), (other_low, other_high) in combinations(
+        [rectangle(view, faults[0]), *panels], 2
+    ):
+        assert (other_low >= high - 1e-3).any() or (other_high <= low + 1e-3).any()
 
 
 @pytest.mark.parametrize(("width", "lowered"), [(400.0, 40.0), (200.0, 0.0)])

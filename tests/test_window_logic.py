@@ -526,25 +526,6 @@ class Host(LiveHost):
         return None
 
 
-def test_what_has_not_come_is_told_once_with_what_would_send_it(lwr_world: World) -> None:
-    host = Host(lwr_world)
-    counters = SimpleNamespace(received=0, malformed=0)
-    source = SimpleNamespace(is_live=True, error=None, counters=counters, size=112,
-                             about="UDP 0.0.0.0:32000")  # fmt: skip
-    host.mirror.sources["udp"] = source  # type: ignore[index]
-    expected = (
-        "nothing yet on UDP 0.0.0.0:32000, where packets of 112 bytes are expected; try "
-        "`sero-mj send lwr`"
-    )
-    host._tell_what_is_awaited()
-    assert host.said == [expected]
-    for name in ("received", "malformed"):  # the robot says what is wrong with these
-        setattr(counters, name, 1)
-        host._tell_what_is_awaited()
-    assert host.said == [expected]
-    assert host._tells_at == float("inf")
-
-
 def test_keys_do_what_the_tables_say_in_every_host(
     lwr_world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -107,3 +107,31 @@ assert not [name for name in sys.modules if name.startswith("dm_control.")]
 """
     run_on_server(code, tmp_path)
     assert (tmp_path / "out" / "lwr.mp4").stat().st_size > 3000
+
+
+@pytest.mark.gl
+def test_a_picture_after_mujocos_own_renderer_has_failed_is_refused(tmp_path: Path) -> None:
+    """MuJoCo itself would end the process (134)."""
+    code = """
+import warnings
+warnings.simplefilter("ignore")
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><body><joint/><geom size='.2'/></body></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+try:
+    mujoco.Renderer(model)
+except mujoco.FatalError:
+    print("failed")
+import sero_mj
+from sero_mj.errors import RenderError
+for _ in range(2):
+    try:
+        sero_mj.overlay(model, data).image()
+    except RenderError as error:
+        print(error)
+"""
+    failed, first, second = run_on_server(code, tmp_path).splitlines()
+    assert failed == "failed" and first == second
+    assert "import sero_mj before mujoco, or set MUJOCO_GL=egl" in first

@@ -88,6 +88,12 @@ class Group(Declaration):
         fields = [key for key in type(self).model_fields if key not in _OWN]
         return {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
 
+    def without_defaults(self) -> Group:
+        """Returns the group as its members alone: poses and looks are those of its robots."""
+        group = Group(name=self.name, robots=self.robots)
+        group._declared = self._declared
+        return group
+
 
 SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values its robots share, in their order
 _OWN = ("name", "description", "robots", *SHARED)  # fields that are no defaults

@@ -13,6 +13,7 @@ import numpy as np
 from ..declaration import Declaration
 from ..errors import DeclarationError, Problem, collect, did_you_mean, nearest
 from ..frames import Array
+from ..paths import argument_of
 from ..toml_file import key_lines, located
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
@@ -453,6 +454,15 @@ class Scene:
         entries: Mapping[str, Any] = getattr(self, section)
         broken = [key.partition(".")[2] for key in self.broken if key.startswith(f"{section}.")]
         return [*entries, *broken]
+
+    @property
+    def argument(self) -> str:
+        """What commands call it, or its only robot: a name, where it is shipped, or a file."""
+        file = self.file
+        if file is None:
+            files = [robot._model for robot in self.robots.values()]
+            file = files[0] if len(files) == 1 else None
+        return self.name if file is None else argument_of(file)
 
     def located(self, problems: list[Problem]) -> list[Problem]:
         """Returns the problems with file and line added, for a scene read from a file."""

@@ -273,7 +273,14 @@ class Session:
 
             def simulate() -> Scene:
                 parts, data = host.world.robots, host.data
-                angles = {name: data.qpos[part.qpos].copy() for name, part in parts.items()}
+                shown = {name: data.qpos[part.qpos].copy() for name, part in parts.items()}
+                # A robot that nobody has posed starts where it can be moved.
+                angles = {
+                    name: q
+                    for name, q in shown.items()
+                    if parts[name].robot.joint_angles is not None
+                    or (q != parts[name].robot.home).any()
+                }
                 return _simulated(self.plain, self.options.control or "joint", angles)
 
             host.offers["simulate"] = simulate

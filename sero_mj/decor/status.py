@@ -1,9 +1,10 @@
-"""Faults of the sources, shown in the upper left corner of the picture."""
+"""What is awaited from sources, and their faults, in the upper left corner of the picture."""
 
 from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import mujoco
@@ -11,10 +12,12 @@ import numpy as np
 
 from ..assemble.inputs import SOURCE_FIELDS
 from ..assemble.world_view import WorldView
+from ..errors import SeroError
 from ..receive import fri
+from ..receive.source import make_source
 from .cards import move_below
 from .feature import Feature, Frame
-from .panels import Panels, panel_sizes
+from .panels import PANEL_RGBA, Panels, panel_sizes
 from .picture_view import PictureView
 from .quantities import implausible_torques
 from .toggles import Toggles
@@ -25,6 +28,7 @@ _MARGIN = 0.5  # of a line's height
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
 _MOST_MORE = 3  # lines
+_MOST_AWAITED = 3  # sources
 SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
 
 
@@ -89,6 +93,16 @@ def _controller_faults(name: str, state: Any, answers: bool) -> list[str]:
     return lines
 
 
+def _about(world: WorldView, name: str) -> str:
+    """Returns kind and address of a live source; empty for those that are read from files."""
+    with suppress(SeroError):
+        declared = world.scene.sources[name]
+        if isinstance(declared, Mapping):
+            declared = make_source(name, {**declared, "debug_level": 0})
+        return str(declared.about) if declared.is_live else ""
+    return ""
+
+
 def _answers(source: Any) -> bool:
     """Whether a source, or its declaration, sends answers."""
     if isinstance(source, Mapping):
@@ -97,7 +111,7 @@ def _answers(source: Any) -> bool:
 
 
 class Status(Feature):
-    """Shows the faults of the sources."""
+    """Shows the faults of the sources, and of those that have sent nothing yet what is awaited."""
 
     order = 50
 
@@ -109,17 +123,41 @@ class Status(Feature):
             if name in world.scene.sources_of()
         ]
 
+        self._where = {
+            name: about for name in world.scene.sources if (about := _about(world, name))
+        }
+
     def lay_out(self, frame: Frame) -> None:
-        """Adds the panel to the upper left corner, below the right one's if they overlap."""
+        """Adds panels to the upper left corner, below the right one's if they overlap."""
         wrong = implausible_torques(self.world, frame.values)
-        panel = self.panels(frame.data, frame.toggles, frame.view, wrong)
-        if panel is not None:
-            low, high = frame.view.free
-            middle = (low[1] + high[1]) / 2
-            for other in frame.corners:
-                if other.centres[:, 1].max() > middle:
-                    panel = move_below(other, panel)
-            frame.corners.append(panel)
+        panels = [
+            self.panels(frame.data, frame.toggles, frame.view, wrong),
+            self._awaited(frame.data, frame.toggles, frame.view),
+        ]
+        low, high = frame.view.free
+        middle = (low[1] + high[1]) / 2
+        for found in panels:
+            if found is not None:
+                panel = found
+                for other in frame.corners:
+                    if other.centres[:, 1].max() > middle:
+                        panel = move_below(other, panel)
+                frame.corners.append(panel)
+
+    def _awaited(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Panels | None:
+        """Returns what is awaited from sources that have sent nothing, and what would send it."""
+        if not toggles.status:
+            return None
+        lines = []
+        for name, slot, _ in self._slots:
+            state: Any = SourceState(*data.userdata[slot])
+            if name in self._where and not state.received:
+                lines.append(f"nothing yet on {self._where[name]}")
+                lines.append(f"  awaited: packets of {state.size:.0f} bytes")
+        if not lines:
+            return None
+        lines = [*lines[: 2 * _MOST_AWAITED], f"  to try: sero-mj send {self.world.scene.argument}"]
+        return _corner(lines, PANEL_RGBA, view)
 
     def panels(
         self, data: mujoco.MjData, toggles: Toggles, view: PictureView, more: Sequence[str] = ()
@@ -137,12 +175,17 @@ class Status(Feature):
             state = SourceState(*data.userdata[slot])
             lines += _source_faults(name, state) + _link_faults(name, state)
             lines += _controller_faults(name, state, answers)
-        if not lines or not toggles.status:
-            return None
-        texts = [line.encode("ascii", "replace")[:99] for line in lines]
-        widest = max(view.font.width(text) for text in texts)
-        size = panel_sizes(np.array([widest]), len(texts), view)
-        margin = _MARGIN * view.font.height
-        low, high = view.free
-        corner = np.array([low[0] + margin, high[1] - margin])
-        return Panels(corner + size * (0.5, -0.5), size, [texts], FAULT_RGBA)
+        return _corner(lines, FAULT_RGBA, view) if lines and toggles.status else None
+
+
+def _corner(
+    lines: Sequence[str], rgba: tuple[float, float, float, float], view: PictureView
+) -> Panels:
+    """Returns a panel with lines of text in the upper left corner."""
+    texts = [line.encode("ascii", "replace")[:99] for line in lines]
+    widest = max(view.font.width(text) for text in texts)
+    size = panel_sizes(np.array([widest]), len(texts), view)
+    margin = _MARGIN * view.font.height
+    low, high = view.free
+    corner = np.array([low[0] + margin, high[1] - margin])
+    return Panels(corner + size * (0.5, -0.5), size, [texts], rgba)

@@ -13,7 +13,6 @@ from platformdirs import user_state_path
 
 from ..assemble.scene import Scene
 from ..errors import UsageError
-from .pose_text import scene_argument
 from .view_state import ViewState
 
 log = logging.getLogger(__name__)
@@ -26,7 +25,7 @@ def file_of(scene: Scene) -> Path:
     name = scene.name if scene.file is None else str(scene.file.resolve())
     name = "\n".join([name, *scene.robots, *scene.doubles])
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
-    stem = "".join(c if c.isalnum() else "_" for c in Path(scene_argument(scene)).stem)[:40]
+    stem = "".join(c if c.isalnum() else "_" for c in Path(scene.argument).stem)[:40]
     return state_folder() / "views" / f"{stem}-{digest}.json"
 
 

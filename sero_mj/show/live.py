@@ -36,7 +36,7 @@ from .panels.robot_panel import RobotPanel
 from .panels.steering_panel import SteeringPanel
 from .panels.widgets import Widgets
 from .picking import Picked, Pixel
-from .pose_text import scene_argument, setting
+from .pose_text import setting
 from .pulling import Pulling
 from .scene_decor import SceneDecor
 from .steering import Steering
@@ -69,7 +69,6 @@ _REPEATED = (
     "last_event",
 )
 _JUMP = 1.0  # s
-_HINT_AFTER = 3.0  # s after which is said what has not come
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
 
@@ -150,7 +149,6 @@ class LiveHost(ABC):
         self.next_scene: Scene | None = None
         self.offers: dict[str, Callable[[], Scene | None]] = {}
         self.opener: Callable[[Path], Scene] | None = None
-        self._tells_at = time.monotonic() + _HINT_AFTER  # what is awaited, if nothing has come
         self._advanced = time.monotonic()
         self._robots = RobotPanel(world, self.toggles)
         self._robots.on_select = self.select
@@ -289,20 +287,6 @@ class LiveHost(ABC):
         else:
             self._go_on_with(lambda: opener(path))
 
-    def _tell_what_is_awaited(self) -> None:
-        """Says once which source has sent nothing yet, and what would."""
-        self._tells_at = float("inf")
-        for source in self.mirror.sources.values():
-            counters = source.counters
-            if source.is_live and source.error is None and not counters.received:
-                if counters.malformed:  # the robot says what is wrong with them
-                    continue
-                self.say(
-                    f"nothing yet on {source.about}, where packets of {source.size} bytes are "
-                    f"expected; try `sero-mj send {scene_argument(self.world.scene)}`"
-                )
-                return
-
     def _go_on_with(self, make: Callable[[], Scene | None]) -> None:
         """Ends, so that another scene is shown, if any; or says why it cannot be."""
         try:
@@ -331,8 +315,6 @@ class LiveHost(ABC):
         self.jogging.advance(passed)
         self.steering.advance()
         self._undo.watch()
-        if now > self._tells_at:
-            self._tell_what_is_awaited()
         try:
             advance()
         except SeroError as error:  # for example a deleted file; the display does not change
@@ -489,7 +471,7 @@ class LiveHost(ABC):
 
     def _render_words(self, state: ViewState) -> list[str]:
         """Scene, camera and switches as arguments of `sero-mj render`."""
-        words = [*(self.command or [scene_argument(self.world.scene)])]
+        words = [*(self.command or [self.world.scene.argument])]
         if self.decor.fixed:  # by a photo that is drawn over
             return words
         for name, goal in self.jogging.goals.items():

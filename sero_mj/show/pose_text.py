@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from pathlib import Path
 
-from .. import paths
 from ..assemble.scene import Scene
-from ..errors import UnknownName
 from ..frames import Array
 
 _DIGITS = 6  # of rad and m
@@ -26,32 +23,12 @@ def as_python(robot: str, angles: Array) -> str:
 def as_command(scene: Scene, robot: str, angles: Array) -> str:
     """Returns the command that shows the scene with a robot like that."""
     given = setting(robot, angles)
-    return f"sero-mj view {shlex.quote(scene_argument(scene))} --set {given}\n"
+    return f"sero-mj view {shlex.quote(scene.argument)} --set {given}\n"
 
 
 def setting(robot: str, values: Array, field: str = "joint_angles") -> str:
     """Returns what `--set` takes for a field of a robot with a number for each joint."""
     return f"{robot}.{field}={_listed(values, ',')}"
-
-
-def scene_argument(scene: Scene) -> str:
-    """Returns what commands call a scene or a lone robot: its name where it is shipped, or file."""
-    file = scene.file
-    if file is None:
-        files = [robot._model for robot in scene.robots.values()]
-        file = files[0] if len(files) == 1 else None
-    if file is None:
-        return scene.name
-    name = paths.model_name(file) if file.name == paths.ROBOT_FILE else file.stem
-    for find in (paths.find_scene, paths.find_scenario, paths.find_model, paths.find_group_model):
-        try:
-            if find(name).samefile(file):
-                return name
-        except (UnknownName, OSError):
-            continue
-    here = Path.cwd()
-    file = file.resolve()
-    return str(file.relative_to(here)) if file.is_relative_to(here) else str(file)
 
 
 def _listed(angles: Array, separator: str = ", ") -> str:

@@ -6,6 +6,9 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..frames import Array
 from ..runs.run_source import RunSource
@@ -16,6 +19,13 @@ from .simulation import Simulation
 
 KEPT = 60.0  # s of the past that can be seen again, at least
 _LONGEST = 90.0  # s of the log, before its oldest rows are forgotten
+# Where a start is looked for: poses, and rad or m to either side of zero.
+_POSES, _RANGE = 1000, 1.6
+_SINGULAR = 0.03  # inverse condition number, below which a start is looked for
+# What this number must gain for a mean rad or m away from zero, and what it may lose for the flange
+# to be farther in front of the base by the reach.
+_PER_MOTION, _PER_REACH = 0.06, 0.3
+_HEIGHTS = (0.2, 0.6)  # of the reach, of the flange above the base
 
 
 class EndlessRun(RunSource):
@@ -78,7 +88,7 @@ def endless_scene(
     Args:
         scene: with robots.
         control: of all of them, at first.
-        angles: where they begin, (n,), rad or m; others at the declared pose.
+        angles: where they begin, (n,), rad or m; others at the declared pose, see `bent_pose`.
 
     Raises:
         DeclarationError: what only shows when robots are simulated: starts beyond limits, no
@@ -92,7 +102,7 @@ def endless_scene(
     shown.robots = {
         name: robot.model_copy(
             update={
-                "joint_angles": starts.get(name, robot.home),
+                "joint_angles": starts[name] if name in starts else bent_pose(robot),
                 "torques": None,
                 "show_arrows": robot.show_arrows or "show_arrows" not in robot.model_fields_set,
             }
@@ -109,3 +119,44 @@ def endless_scene(
     for robot in simulation.live.robots.values():
         robot.choose(control)
     return simulated_scene(simulation, EndlessRun(run=simulation))
+
+
+def bent_pose(robot: SerialRobot) -> Array:
+    """Returns the declared pose (n,), rad or m; without one a pose from which an arm can move.
+
+    At zeros many an arm is stretched upwards: its flange is in a singularity and its joints carry
+    nothing. Of random poses within the limits, the same ones each time, this one has its flange in
+    front of the base and above it, is far from singularities (by the inverse condition number of
+    the Jacobian, lengths in units of the reach) and not far from zero.
+    """
+    if robot.joint_angles is not None or robot.free_base:
+        return robot.home
+    home = robot.home
+    if robot.position_limits is not None:
+        home = np.clip(home, *robot.position_limits.T)
+    chain = robot.kinematics.moves[robot.flange_link]
+    low, high = np.full(robot.n, -_RANGE), np.full(robot.n, _RANGE)
+    if robot.position_limits is not None:
+        low, high = np.clip((low, high), *robot.position_limits.T)
+    rng = np.random.default_rng(0)
+    poses = np.concatenate([home[None], rng.uniform(low, high, (_POSES, robot.n))])
+    stays = rng.random(poses.shape) < 0.5
+    stays[0], stays[:, ~chain] = True, True
+    poses = np.where(stays, home, poses)
+    poses = robot.coupled.positions(poses[:, robot.coupled.independent])
+    frames = robot.kinematics.frames(poses, robot.base_frame)
+    tips = (frames[:, robot.flange_link] @ robot.T_n_flange)[:, :3, 3] - robot.base_frame[:3, 3]
+    J = robot.kinematics.jacobian(poses, robot.base_frame, robot.T_n_flange, robot.flange_link)
+    J[:, :3] /= robot.reach
+    values = np.linalg.svd(J[:, :, chain], compute_uv=False)
+    inverse = values[:, -1] / np.maximum(values[:, 0], 1e-12)
+    if inverse[0] > _SINGULAR:
+        return home
+    tips /= robot.reach
+    score = inverse + _PER_REACH * tips[:, 0] - _PER_MOTION * np.abs(poses - home).mean(axis=1)
+    lowest = frames[:, 1:, 2, 3].min(axis=1) - robot.base_frame[2, 3]
+    is_good = (tips[:, 2] > _HEIGHTS[0]) & (tips[:, 2] < _HEIGHTS[1]) & (lowest > -1e-6)
+    is_good &= inverse > _SINGULAR
+    if not is_good.any():
+        return home
+    return np.asarray(poses[np.where(is_good, score, -np.inf).argmax()])

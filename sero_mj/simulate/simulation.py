@@ -100,6 +100,8 @@ class Simulation:
         # carried is a mass of the flange, and nothing to run into.
         stripped = Scene(
             robots=list(self.robots.values()),
+            # Links of a group's robots that stand together do not collide.
+            groups=[group.without_defaults() for group in scene.groups.values()],
             objects=scenario.obstacles,
             floor=scene.floor,
             name=scene.name,

@@ -16,6 +16,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from ...errors import RenderError
+
 BACKENDS = ("egl", "osmesa", "glfw")
 # Debian and Ubuntu packages for software rendering with each backend.
 PACKAGES = {
@@ -93,13 +95,33 @@ def adopt_backend() -> None:
 
     Call it before the first picture. A user who imports mujoco before sero_mj on a server gets
     GLFW's backend, which cannot work there. A `MUJOCO_GL` set by the user is kept.
+
+    Once that backend has been tried, MuJoCo 4.0.0 would end the process (134) at the next picture,
+    whichever way it is made: then every picture raises a RenderError.
     """
     if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
         return
     from mujoco.rendering.classic import gl_context
 
     # MuJoCo 4.0.0 has no public function for it; `Renderer` reads this name for every context.
-    gl_context.GLContext = _make_context
+    if gl_context.GLContext is not _refuse_context:
+        gl_context.GLContext = _refuse_context if _has_glfw_failed() else _make_context
+
+
+def _has_glfw_failed() -> bool:
+    """Whether GLFW was asked for a window that it could not make; asking clears it."""
+    if "glfw" not in sys.modules:
+        return False
+    import glfw
+
+    return bool(glfw.get_error()[0] == glfw.NOT_INITIALIZED)
+
+
+def _refuse_context(*_: int) -> None:
+    raise RenderError(
+        "a mujoco.Renderer has failed in this process for want of a display, and MuJoCo would end "
+        "it now: import sero_mj before mujoco, or set MUJOCO_GL=egl"
+    )
 
 
 def has_display() -> bool:
