@@ -19,7 +19,7 @@ _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
 _STEEPEST_DEG = 89.0
 _PER_NOTCH = 0.9  # change of distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
-_NARROW = 4 / 3  # width over height, below which the camera stands back
+_WIDEST = 4 / 3  # width over height, at and above which no camera stands back
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
@@ -30,7 +30,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
         world: the compiled scene.
         wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m), and if it does
             not look at the middle `,x,y,z` (m) of what it looks at; or None for the scene's `view`.
-            In a picture narrower than 4:3 it stands farther away, see `standing_back`.
+            In a narrow picture it stands farther away, see `needed_aspect`.
 
     Raises:
         UnknownName: no camera of that name.
@@ -112,6 +112,7 @@ class Navigator:
 
     Attributes:
         camera: of the renderer.
+        needed: as returned by `needed_aspect` for the initial view.
         following: the frame that it follows; None for none.
 
     Raises:
@@ -120,6 +121,7 @@ class Navigator:
 
     def __init__(self, world: WorldView, wanted: str | None = None) -> None:
         self.camera = find_camera(world, wanted)
+        self.needed = needed_aspect(world, self.camera)
         self.following: str | None = None
         self._world = world
         self._start = wanted
@@ -221,16 +223,32 @@ def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]
     return forward, right, up
 
 
-def standing_back(width: float, height: float) -> float:
+def needed_aspect(world: WorldView, camera: mujoco.MjvCamera) -> float:
+    """Returns the width of a picture over its height that a free camera needs, at most 4/3.
+
+    It shows a sphere about all but the floor, as declared. Distances are those of pictures that are
+    as wide; in narrower ones the camera stands back.
+    """
+    centre, radius = bounding_sphere(world)
+    radius = _MARGIN * radius + float(np.linalg.norm(centre - camera.lookat))
+    half = np.arcsin(min(radius / camera.distance, 1.0))
+    tan_half_fovy = np.tan(np.deg2rad(world.model.vis.global_.fovy) / 2)
+    return float(min(np.tan(min(half, np.pi / 3)) / tan_half_fovy, _WIDEST))
+
+
+def standing_back(width: float, height: float, needed: float) -> float:
     """Returns by how much farther away a free camera stands in a narrow picture; 1 in others.
 
-    Distances are those of pictures of 4:3 and wider. A narrower one shows across what 4:3 does.
+    Args:
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        needed: as returned by `needed_aspect`.
     """
-    return max(_NARROW * height / max(width, 1.0), 1.0)
+    return max(needed * height / max(width, 1.0), 1.0)
 
 
 def stand_back(
-    scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float
+    scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float, needed: float
 ) -> None:
     """Moves the camera of a scene back for a narrow picture, see `standing_back`.
 
@@ -239,8 +257,9 @@ def stand_back(
         camera: with which it has; only a free one is moved.
         width: of the picture, pixels.
         height: of the picture, pixels.
+        needed: as returned by `needed_aspect`.
     """
-    back = (standing_back(width, height) - 1.0) * camera.distance
+    back = (standing_back(width, height, needed) - 1.0) * camera.distance
     if back > 0.0 and camera.type == _FREE:
         for eye in scene.camera:
             eye.pos = np.array(eye.pos) - back * np.array(eye.forward)

@@ -29,7 +29,7 @@ from ...drive.mirror import Mirror, restore
 from ...errors import RenderError
 from ...frames import Array
 from ..added_surroundings import added_surroundings
-from ..camera import bounding_sphere, find_camera, stand_back
+from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from ..interaction import Gesture
 from ..picking import TOUCH_TOLERANCE, Picked, Pixel
 from ..scene_decor import SceneDecor
@@ -143,6 +143,7 @@ class HeadlessRenderer:
         check_size("picture", width * self._scale, height * self._scale)
         self.world = world
         self.camera = find_camera(world, camera)
+        self._needed = needed_aspect(world, self.camera)
         self.size = (width, height)
         self._stereo, self._eye_distance = stereo, eye_distance
         # What one eye sees.
@@ -213,7 +214,7 @@ class HeadlessRenderer:
     def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
         renderer.update_scene(data, self.camera)
-        stand_back(renderer.scene, self.camera, *self._half)
+        stand_back(renderer.scene, self.camera, *self._half, self._needed)
         if self._surroundings is not None:
             self._surroundings.add(renderer.scene)
         return PictureView.of_scene(renderer.scene, *self._half, self._typesetter.font)

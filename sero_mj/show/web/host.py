@@ -15,7 +15,7 @@ from mujoco.studio import launch_thread, messages, sim_history, ux, viewer_handl
 from ...drive.mirror import LiveWorld
 from ...errors import RenderError, UsageError
 from ...frames import Array
-from ..camera import find_camera, list_cameras, standing_back
+from ..camera import find_camera, list_cameras, needed_aspect, standing_back
 from ..headless.film import Pixels
 from ..live import LiveHost
 from ..picking import Pixel
@@ -79,7 +79,8 @@ class WebHost(LiveHost):
         self._is_closed = False
         self._under: Pixel | None = None
         self._start_camera = camera
-        self._is_framed = False
+        self._needed = needed_aspect(world, find_camera(world))
+        self._back = 1.0  # by how much farther away the camera stands, see `standing_back`
         self._app = StudioApp(self)
         self._panels = PageWindows(self, self.decor, self._app)
         self._actions["help"] = self._toggle_help
@@ -183,9 +184,7 @@ class WebHost(LiveHost):
             viewer.server.browsers.forget_presses()
             viewer.dispatch(messages.BuildGuiEvent())
         self.decor.show_in(viewer, self.data, self._panels.inset)
-        if not self._is_framed and min(self.decor.size) > 0:
-            self._is_framed = True
-            self._frame(viewer.camera)
+        self._stand_back(viewer.camera)
         self._greying.show(self.decor.pen.grey)
         viewer.sync()
         self.work = time.monotonic() - begin
@@ -244,10 +243,14 @@ class WebHost(LiveHost):
         """See `LiveHost`: that of the browser in control."""
         self.viewer.server.browsers.copy(text)
 
-    def _frame(self, camera: mujoco.MjvCamera) -> None:
-        """Lets the scene's own view stand back for a narrow page; the browser moves it later."""
-        if self._start_camera is None and camera.type == mujoco.mjtCamera.mjCAMERA_FREE:
-            camera.distance *= standing_back(*self.decor.size)
+    def _stand_back(self, camera: mujoco.MjvCamera) -> None:
+        """Lets the camera stand back as the page becomes narrow; the browser moves it as well."""
+        width, height = self.decor.size
+        if min(width, height) < 1 or camera.type != mujoco.mjtCamera.mjCAMERA_FREE:
+            return
+        back = standing_back(width, height, self._needed)
+        camera.distance *= back / self._back
+        self._back = back
 
     def choose_camera(self, number: int) -> str:
         """Selects a camera by number, 1 for the first; 0 for the scene's own view."""
@@ -260,7 +263,7 @@ class WebHost(LiveHost):
         if number == 0:
             current.lookat[:], current.distance = camera.lookat, camera.distance
             current.azimuth, current.elevation = camera.azimuth, camera.elevation
-            self._frame(current)
+            self._back = 1.0
         is_fixed = camera.type == mujoco.mjtCamera.mjCAMERA_FIXED
         self._app.reset_camera_index(camera.fixedcamid if is_fixed else ux.TUMBLE_CAMERA_IDX)
         return f"camera {names[number - 1]}" if number else "initial view"

@@ -57,6 +57,7 @@ class Viewport(SceneDecor):
 
     Attributes:
         rect: of the last picture in the window.
+        needed: see `camera.needed_aspect`.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class Viewport(SceneDecor):
         self._stereo, self._eye_distance = stereo, eye_distance
         self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
         self._distance = 1.0  # m, of what the camera looks at
+        self.needed = 0.0
         self._surroundings = added_surroundings(world, context)
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
@@ -106,7 +108,7 @@ class Viewport(SceneDecor):
         if self._surroundings is not None:
             self._surroundings.add(scene)
         self.rect, self._typesetter = rect, typesetter
-        stand_back(scene, camera, self._width, rect.height)
+        stand_back(scene, camera, self._width, rect.height, self.needed)
         if self._stereo is not None:
             self._distance = looked_at(scene, camera, self._centre)
         inset = (min(covered, 0.6 * self._width), 0.0, 0.0, 0.0)
@@ -236,6 +238,7 @@ class Window(LiveHost):
         made = (world, self.toggles, self.gl.context)
         make = make_viewport or partial(Viewport, stereo=stereo, eye_distance=eye_distance)
         self.decor = make(*made)
+        self.decor.needed = self.navigator.needed
         self._hud = Hud(self.gl)
         self._panel: PanelLayer | None = None  # until it is opened for the first time
         self._mouse = Mouse()
@@ -468,7 +471,8 @@ class Window(LiveHost):
         if how == "zoom":
             navigator.zoom(down)
         elif how == "pan":
-            depth = navigator.camera.distance * standing_back(view.width, view.height)
+            back = standing_back(view.width, view.height, navigator.needed)
+            depth = navigator.camera.distance * back
             navigator.pan(right, down, view.tan_half_fovy, depth)
         else:
             navigator.orbit(right, down)
