@@ -92,12 +92,12 @@ class Keeping:
         """Called on the recorder's thread, when an event begins, and when it is complete."""
         if math.isnan(event.ended):
             return
-        text = f"kept {event.ended - event.began:.1f} s, {event.packets} packets: {event.path.name}"
+        text = f"kept {event.ended - event.began:.1f} s: {event.path.name}"
         if self._mirror.world.scene.file is not None:
             seconds = max(event.ended - event.began, 0.1)
             words = [*self._view, "--replay", str(event.path), "--duration", f"{seconds:.2f}"]
             before = self._films.add(words, event.path.with_suffix(".mp4"))
-            text += f"; its film is made after {before} more" if before else "; its film is made"
+            text += f"; film after {before} more" if before else "; its film is made"
         self._said.put((text, False))
 
     def next_message(self) -> tuple[str, bool] | None:
