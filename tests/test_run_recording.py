@@ -17,6 +17,7 @@ from sero_mj.errors import RecordingError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.record.recording import Recording
 from sero_mj.record.recording_writer import FLUSH_AFTER
+from sero_mj.runs._recorded_signals import spread_bunches
 from sero_mj.runs.run_csv import read_run_csv, write_run_csv
 from sero_mj.runs.run_log import event_of
 from sero_mj.runs.run_recording import read_run
@@ -424,3 +425,17 @@ def test_a_recorded_group_by_itself_is_called_after_its_folder(tmp_path: Path) -
     )
     record_packets(tmp_path / "run.mcap", structure, rows, np.arange(4) * 0.01, files)
     assert [*read_run(tmp_path / "run.mcap").robots] == ["claw_one", "claw_two"]
+
+
+def test_bunches_are_spread_evenly_and_other_packets_are_left_where_they_came() -> None:
+    rng = np.random.default_rng(3)
+    sent = 1e-3 * np.arange(4000)
+    sent[2000:] += 5.0  # a pause
+    uneven = sent + rng.uniform(0.0, 4e-4, len(sent))
+    np.testing.assert_array_equal(spread_bunches(uneven), uneven)
+    few = np.array([0.0, 0.1, 0.1, 0.5])
+    np.testing.assert_array_equal(spread_bunches(few), few)
+    held = sent.reshape(-1, 4).repeat(4, axis=0)[::4, -1].repeat(4)  # all four with the last one
+    np.testing.assert_allclose(spread_bunches(held), sent, atol=1e-9)
+    lost = np.delete(held, np.arange(3, 4000, 100))
+    assert np.abs(spread_bunches(lost) - np.delete(sent, np.arange(3, 4000, 100))).max() < 2e-3

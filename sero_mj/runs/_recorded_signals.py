@@ -28,6 +28,10 @@ from .run_log import event_of
 _SIGNALS = ("joint_angles", "torques", "commanded_torques")
 _TARGET = "target_angles"  # of a double
 _AT_ONCE = 8192  # packets
+# Packets over which a typical period is found; its share by which those of a bunch are apart, most
+# bunches per packet, and the longest period in a bunch, by the typical one, before it is a pause.
+_TYPICAL, _LEAST_TYPICAL = 64, 8
+_AT_ONCE_SHARE, _MOST_BUNCHES, _LONGEST = 0.25, 0.6, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,8 @@ def read_events(recording: Recording, receiver: Source, name: str) -> Series:
     """Decodes a source's packets; malformed ones are left out, as they were when they came.
 
     Where packets carry the time at which they were sent, and it only rises, that is their time,
-    moved so that the first has the time of its arrival; else it is the time of their arrival.
+    moved so that the first has the time of its arrival; else it is the time of their arrival, of
+    bunches spread evenly, see `spread_bunches`.
 
     Args:
         recording: where from.
@@ -73,15 +78,45 @@ def read_events(recording: Recording, receiver: Source, name: str) -> Series:
         event: _flat(np.concatenate([part.values[event] for part in parts]))
         for event in receiver.events
     }
-    times = np.concatenate([part.arrivals for part in parts])
+    arrivals = np.concatenate([part.arrivals for part in parts])
+    times = spread_bunches(arrivals)
     if receiver.time:
         sent = events[receiver.time][:, 0] * receiver.time_scale
         if np.isfinite(sent).all() and (np.diff(sent) > 0).all():
-            times = sent - sent[0] + times[0]
+            times = sent - sent[0] + arrivals[0]
     # Of packets that came at once the last is what was shown.
     later = np.minimum.accumulate(times[::-1])[::-1]
     keep = np.append(times[:-1] < later[1:], True)
     return Series(times[keep], {event: values[keep] for event, values in events.items()})
+
+
+def spread_bunches(arrivals: Array) -> Array:
+    """Times at which packets that came in bunches may have been sent: evenly between two bunches.
+
+    What buffers or a slow network hold back comes all at once, and differences between such rows
+    mean nothing. The last of a bunch was sent when it came, as far as is known, the first just
+    after the bunch before.
+
+    Args:
+        arrivals: (T,), s, never decreasing.
+
+    Returns:
+        (T,), s; arrivals as they are where they do not come in bunches.
+    """
+    size = min(_TYPICAL, len(arrivals) - 1)
+    if size < _LEAST_TYPICAL:
+        return arrivals
+    period = float(np.median(arrivals[size:] - arrivals[:-size])) / size  # whatever the pauses
+    begins = np.append(True, np.diff(arrivals) >= _AT_ONCE_SHARE * period)
+    if begins.mean() > _MOST_BUNCHES:
+        return arrivals
+    firsts = np.flatnonzero(begins)
+    counts = np.diff(np.append(firsts, len(arrivals)))
+    ends = arrivals[firsts + counts - 1]
+    usual, spans = counts * period, np.diff(ends, prepend=-np.inf)
+    spans = np.where(spans > _LONGEST * usual, usual, spans)  # a pause, and before the first
+    behind = np.repeat(counts + firsts, counts) - 1 - np.arange(len(arrivals))
+    return np.asarray(np.repeat(ends, counts) - np.repeat(spans / counts, counts) * behind)
 
 
 def receiver_of(recording: Recording, name: str) -> Source:
