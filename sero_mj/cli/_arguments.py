@@ -293,13 +293,15 @@ def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) ->
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
     """Reads `--set robot.field=value` options: TOML, or numbers with commas; raises UsageError."""
     result: dict[str, Any] = {}
+    wrong = []
     for setting in settings:
         key, equals, text = setting.partition("=")
         if not equals or not key.strip():
-            raise UsageError(
-                f"--set {setting}: expected ROBOT.FIELD=VALUE, e.g. lwr.show_axes=true"
-            )
+            wrong.append(f"--set {setting}")
         result[key.strip()] = _value(text.strip())
+    if wrong:
+        expected = "expected ROBOT.FIELD=VALUE, e.g. lwr.show_axes=true"
+        raise UsageError(f"{', '.join(wrong)}: {expected}")
     return result
 
 
