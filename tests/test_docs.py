@@ -175,8 +175,6 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
             elif language == "bash":
                 shell.type(shortened(text))
             elif language == "python":
-                if "dm_control" in text:
-                    pytest.importorskip("dm_control", reason="dm-control is not installed")
                 script = tmp_path / "script.py"
                 script.write_text(shortened(textwrap.dedent(text)))
                 shell.run(sys.executable, str(script))
