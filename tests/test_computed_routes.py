@@ -118,7 +118,7 @@ def test_a_condition_turns_a_switch_on_and_off(condition: str, holds: bool | Non
             "(udp.values0 > 1) + 1 > 0",
             "expected numbers; comparisons are joined",
         ),
-        ("lwr.show_arrows", "udp.values0 = 1", "expected +, -, * or / between spaces"),
+        ("lwr.show_arrows", "udp.values0 = 1", "between spaces, or the end; equal is =="),
         ("lwr.show_arrows", "udp.values0 > udp.values2", "there are 2 values and 3 values"),
         ("lwr.show_arrows", "2 * deg > 1 * mm", "there are an angle (rad) and a length (m)"),
         (

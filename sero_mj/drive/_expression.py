@@ -197,7 +197,8 @@ def _expected(before: Sequence[str], found: Token) -> str:
         return f"expected {' '.join([*filter(fits, ':,'), 'or ]'])}"
     end = ", or )" if fits(")") else ", or the end"
     named = found.kind in ("name", "number") and end != ", or )"
-    return f"expected +, -, * or / between spaces{' before it' if named else end}"
+    hint = "; equal is ==" if found.text == "=" else ""
+    return f"expected +, -, * or / between spaces{' before it' if named else end}{hint}"
 
 
 def _first_word(node: ast.expr) -> int:
