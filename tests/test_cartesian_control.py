@@ -281,6 +281,18 @@ def test_a_target_is_met_at_rest_near_a_stretched_elbow() -> None:
     assert rotation_angle(pose[:3, :3].T @ target.pose[:3, :3]) < 1e-4
 
 
+def test_where_a_direction_is_nearly_blocked_the_arm_comes_to_rest_as_well() -> None:
+    goal = np.array([-1.7056, -0.3836, 2.1033, -0.3642, 0.9774, 0.0418, 0.1892])
+    loop = Loop(angles=goal)  # 2 % of the best manipulability
+    target = target_at(loop.robot, goal)
+    target.posture[:] = goal + np.array([0.0, -0.36, 0.07, 0.29, 0.05, -0.22, -0.49])
+    control = CartesianImpedance().make(loop.robot, 1e-3)
+    loop.run(14.0, lambda sensed, out: control.torques(sensed, target, out))
+    assert np.abs(loop.data.qvel).max() < 1e-3
+    pose = flange_at(loop.robot, loop.data.qpos)
+    assert np.linalg.norm(pose[:3, 3] - target.pose[:3, 3]) < 1e-4
+
+
 def test_torques_are_continuous_through_a_singularity() -> None:
     def jump(step: float) -> float:
         control = CartesianImpedance().make(MODEL, 1e-3)

@@ -79,6 +79,61 @@ def test_a_packet_is_computed_with() -> None:
     assert all(fed.has(target) for target in targets)
 
 
+@pytest.mark.parametrize(
+    ("condition", "holds"),
+    [
+        ("udp.values2[0] == 2", True),
+        ("udp.values2[0] != 2", False),
+        ("udp.values0 > 25", True),  # for any of them
+        ("udp.values0 > 25 and udp.values0 < 29", False),  # of the same one
+        ("0 <= udp.values1 - udp.values0 < 100", True),
+        ("not udp.values2[0] == 2 or udp.values2[1] >= 5", True),
+        ("not (udp.values2[0] == 2 and udp.values2[1] >= 5)", False),
+        ("udp.values0[0] * deg > 0.5 * rad", True),
+        ("udp.receiving == 1", None),
+    ],
+)
+def test_a_condition_turns_a_switch_on_and_off(condition: str, holds: bool | None) -> None:
+    fed = Fed({"lwr.show_arrows": condition})
+    if holds is None:  # no packet alone tells it
+        assert [route.direct for route in fed.wiring.routes] == [None]
+        return
+    fed.feed("udp", values0=[30.0, -90.0], values1=[1.0, 2.0], values2=[2.0, 5.0, 0.25])
+    assert fed["lwr.show_arrows"] == [float(holds)]
+    fed.feed("udp", values0=[np.nan] * 2, values1=[np.nan] * 2, values2=[np.nan] * 3)
+    assert np.isnan(fed["lwr.show_arrows"]).all()  # no data, as of any switch
+
+
+@pytest.mark.parametrize(
+    ("target", "condition", "said"),
+    [
+        (
+            "lwr.torques",
+            "udp.values0 > 1",
+            "comparisons are for switches; lwr.torques takes 2, one",
+        ),
+        ("lwr.show_arrows", "udp.values0 > 1 and udp.values1", "expected a comparison such as"),
+        (
+            "lwr.show_arrows",
+            "(udp.values0 > 1) + 1 > 0",
+            "expected numbers; comparisons are joined",
+        ),
+        ("lwr.show_arrows", "udp.values0 = 1", "between spaces, or the end; equal is =="),
+        ("lwr.show_arrows", "udp.values0 > udp.values2", "there are 2 values and 3 values"),
+        ("lwr.show_arrows", "2 * deg > 1 * mm", "there are an angle (rad) and a length (m)"),
+        (
+            "lwr.show_arrows",
+            "udp.values0 > 1 or udp.values2 > 1",
+            "as many on both sides of and, or",
+        ),
+    ],
+)
+def test_conditions_that_mean_nothing_are_told(target: str, condition: str, said: str) -> None:
+    (problem,) = wire(scene_of({target: condition})).problems
+    assert problem.key == f"routes.{target}"
+    assert said in problem.message
+
+
 def test_one_of_several_matrices_places_a_base() -> None:
     fed = Fed({"lwr.base_frame": "udp.matrices0[1]"})
     T = frame_from({"xyz": [0.1, 0.2, 0.3], "rpy": [0.3, -0.2, 1.0]}, np.asarray)

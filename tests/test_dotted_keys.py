@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +145,35 @@ masses = [1.0, 2.0, 1.0]
 centers_of_mass = [[0, 0, 0], [0, 0, 0.1], [0.1, 0, 0]]
 inertias = [[0.01, 0.01, 0.01, 0, 0, 0], [0.02, 0.02, 0.01, 0, 0, 0], [0.01, 0.01, 0.01, 0, 0, 0]]
 """
+
+
+WRONG = {
+    "lwr.show_arows": True,
+    "lwr.joint_angles[9]": 1.0,
+    "lwr.dynamics.motor_inertia[1]": 4.0,
+    "lwr.dynamics.coulomb_friction": "x",
+    "controllers.lwr.dampin": 1.0,
+    "targets.lwr.speed": -1.0,
+    "run.duratio": 3.0,
+    "expect.it_arrives.belo": 1.0,
+    "view.azimut": 3.0,
+    "foo": 1,
+}
+
+
+@pytest.mark.parametrize(("one", "other"), [*itertools.permutations(WRONG, 2)])
+def test_two_wrong_keys_are_told_both(one: str, other: str) -> None:
+    with pytest.raises(DeclarationError) as raised:
+        read_scenario("drive_home", {key: WRONG[key] for key in (one, other)})
+    told = [problem.key for problem in raised.value.problems]
+    assert len(told) == 2
+    assert all(any(each.endswith(key) for each in told) for key in (one, other)), told
+
+
+def test_what_is_set_as_no_key_with_a_value_is_told_at_once(capsys: Any) -> None:
+    with pytest.raises(SystemExit):
+        main(["simulate", "drive_home", "--set", "nonsense", "--set", "lwr.show_axes"])
+    assert "--set nonsense, --set lwr.show_axes: expected ROBOT" in capsys.readouterr().err
 
 
 def test_what_stands_in_a_robots_file_is_set_as_it_stands_there(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -11,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runs import HOME, record_run, two_joints
+from runs import HOME, record_packets, record_run, two_joints
 
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.assemble.scene import Scene
@@ -19,7 +21,9 @@ from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.control.robot_model import RobotModel
 from sero_mj.errors import SimulationError, UsageError
+from sero_mj.frames import Array
 from sero_mj.runs.run_log import RunLog
+from sero_mj.runs.run_recording import read_run
 from sero_mj.simulate.external_loads import attach_payload
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
@@ -36,23 +40,47 @@ from sero_mj.study.torque_residuals import (
 )
 
 BEGIN = 1.3
+# A robot that sends what is measured and commanded, and not when.
+LATE = """
+[robots.lwr]
+model = "lwr"
+
+[sources.udp]
+kind = "udp"
+port = 32000
+structure = "7F7F7F"
+
+[routes]
+"lwr.joint_angles" = "udp.values0"
+"lwr.torques" = "udp.values1"
+"lwr.commanded_torques" = "udp.values2"
+"""
 
 
 def simulated_swing(
     fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False
 ) -> Simulation:
     """An LWR with sensors as they are, that swings for 2.6 s, and something that goes wrong."""
+    return finished(Simulation(swinging(fault, load, seed, loop)))
+
+
+def swinging(
+    fault: str, load: str, seed: int = 0, loop: bool = False, *,
+    stiffness: float = 1200, duration: float = 2.6,
+) -> Scenario:  # fmt: skip
     faults, loads = json.loads(fault), json.loads(load)
-    scenario = Scenario(
+    return Scenario(
         Scene(robots=[SerialRobot.from_model("lwr", joint_angles=HOME)], floor=False),
-        controllers={"lwr": {"kind": "joint_impedance", "stiffness": 1200}},
+        controllers={"lwr": {"kind": "joint_impedance", "stiffness": stiffness}},
         targets={"lwr": {"kind": "sine", "amplitude_deg": 9.0, "frequency": 0.5}},
         sensors={"lwr": {"angles": {"resolution": 1e-5}, "torques": {"noise": 0.03}}},
         faults={"it": {"begin": BEGIN, **faults}} if faults else None,
         disturbances={"load": {"begin": BEGIN, **loads}} if loads else None,
-        duration=2.6, seed=seed, torque_control=loop, name="swing",
+        duration=duration, seed=seed, torque_control=loop, name="swing",
     )  # fmt: skip
-    simulation = Simulation(scenario)
+
+
+def finished(simulation: Simulation) -> Simulation:
     with suppress(SimulationError):  # a drive of the wrong sign runs off
         for _ in simulation.run():
             pass
@@ -138,6 +166,67 @@ def test_a_drive_of_the_wrong_sign_is_named_though_its_loop_runs_off_at_once(joi
     found, *_ = [each for each in told(log) if each.joint == joint]
     assert (found.kind, found.part) == ("sign", "drive")
     assert found.begin == pytest.approx(BEGIN, abs=0.05)
+
+
+def with_drive(
+    joint: str,
+    drive: Callable[[float, float], float],
+    stiffness: float = 1200,
+    duration: float = 2.6,
+) -> RunLog:
+    """A run in which a joint's drive does something else: of time and commanded torque."""
+    simulation = Simulation(swinging("{}", "{}", stiffness=stiffness, duration=duration))
+    plant, k = simulation.plant, simulation.log.robots["lwr"].names.index(joint)
+    step = plant.step
+
+    def stepped(torques: Array) -> None:
+        given = torques.copy()
+        given[k] = drive(simulation.time, float(torques[k]))
+        step(given)
+
+    plant.step = stepped  # type: ignore[method-assign]
+    return finished(simulation).log
+
+
+@pytest.mark.parametrize(("joint", "share"), [("A1", 2.0), ("A2", 1.7), ("A3", 2.3)])
+def test_a_drive_off_by_twice_what_gravity_asks_for_has_no_wrong_sign(
+    joint: str, share: float
+) -> None:
+    k = swing().robots["lwr"].names.index(joint)
+    bias = share * float(swing().of("lwr", "torques")[-200:, k].mean())  # commands are its opposite
+    (found,) = told(with_drive(joint, lambda t, u: u + bias * (t >= BEGIN)))
+    assert (found.joint, found.kind, found.part) == (joint, "bias", "drive")
+    assert found.size == pytest.approx(bias, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("joint", "delay", "begin"), [("A6", 0.06, BEGIN), ("A3", 0.1, 0.0), ("A2", 0.06, 0.0)]
+)
+def test_a_drives_delay_is_named_also_where_it_makes_the_arm_shake(
+    joint: str, delay: float, begin: float
+) -> None:
+    late = deque[float](maxlen=round(delay / 1e-3) + 1)
+
+    def drive(time: float, torque: float) -> float:
+        late.append(torque)
+        return late[0] if time >= begin else torque
+
+    (found,) = told(with_drive(joint, drive, stiffness=400, duration=3.0))
+    assert (found.joint, found.kind, found.part) == (joint, "delay", "drive")
+    assert found.size == pytest.approx(delay, abs=0.002)
+    assert found.begin == pytest.approx(begin, abs=0.11)
+
+
+@pytest.mark.parametrize("fault", [{}, {"kind": "sensor", "bias": -4.0, "joints": ["A2"]}])
+def test_packets_that_come_in_bunches_are_no_contact(fault: dict[str, Any], tmp_path: Path) -> None:
+    log, size = swing(json.dumps(fault)), 4
+    signals = ("joint_angles", "torques", "commanded_torques")
+    rows = {f"values{i}": log.of("lwr", signal) for i, signal in enumerate(signals)}
+    number = np.arange(len(log.times))
+    arrivals = 1e-3 * (size * (number // size + 1) - 1) + 8e-6 * (number % size)
+    path = record_packets(tmp_path / "held.mcap", "7F7F7F", rows, arrivals, {"scene.toml": LATE})
+    found = [(each.joint, each.kind) for each in told(read_run(path))]
+    assert found == ([("A2", "bias")] if fault else [])
 
 
 def test_several_faults_are_told_apart() -> None:

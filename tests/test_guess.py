@@ -71,6 +71,56 @@ def test_the_first_guess_is_right(
         assert Structure(guess.structure, is_double=guess.is_double).size == rows.shape[1]
 
 
+FLAG = np.array([[0], [1], [1], [0], [0], [1]], np.uint8)
+MODE = np.full((6, 1), 0x0234, "<u2")
+SMOOTH = np.sin(np.arange(6)[:, None] / 50.0 + np.arange(14))
+
+
+@pytest.mark.parametrize(
+    ("rows", "structure", "about"),
+    [
+        (as_rows(JOINTS, FLAG), "7F7F 1B", "float64: 7 joints twice, 1 byte"),
+        (as_rows(JOINTS, FLAG, np.zeros((6, 7), np.uint8)), "7F7F 1B 7x",
+         "float64: 7 joints twice, 1 byte, 7 bytes of padding"),
+        (as_rows(SMOOTH, FLAG, np.zeros((6, 7), np.uint8)), "7F7F 1B 7x",
+         "float64: 7 joints twice, 1 byte, 7 bytes of padding"),
+        (as_rows(FLAG, JOINTS.astype("<f4")), "1B 7F7F", "1 byte, float32: 7 joints twice"),
+        (as_rows(JOINTS.astype(">f8"), FLAG), ">7F7F 1B",
+         "big-endian float64: 7 joints twice, 1 byte"),
+        (as_rows(counted("u4"), JOINTS[:, :1], JOINTS[:, :7].astype("<f4"), FLAG),
+         "number:1I 1d 7f 1B", "a counter, 1 float64, 7 float32, 1 byte"),
+        (as_rows(MODE, JOINTS[:, :7], counted("u4")), "1H 7F number:1I",
+         "1 uint16, float64: 7 numbers, a counter"),
+        (as_rows(counted("u4"), (1000 * JOINTS[:, :7]).astype("<i4")), "number:1I 7i",
+         "a counter, 7 int32"),
+    ],
+)  # fmt: skip
+def test_numbers_of_several_types_are_told_apart(
+    rows: np.ndarray, structure: str, about: str
+) -> None:
+    first, *_ = guess_layouts(rows)
+    assert (first.structure, first.about) == (structure, about)
+    layout = Structure(first.structure, is_double=first.is_double)
+    assert layout.size == rows.shape[1]
+    assert first.plausible > 0.9
+
+
+@pytest.mark.parametrize(
+    ("structure", "size", "said"),
+    [
+        ("7F7F1B", 120, "with 7x at its end it has 120"),
+        ("7F7F", 56, "with double = false it has 56"),
+        ("1I 7F", 64, "with alignment = 8 it has 64"),
+        ("1I 7F", 62, ""),
+        ("1B 7F 1B", 72, "with alignment = 8 and 7x at its end it has 72"),
+        ("7F", 57, ""),
+        ("7F", 48, ""),
+    ],
+)
+def test_another_size_may_be_one_of_alignment(structure: str, size: int, said: str) -> None:
+    assert Structure(structure).for_size(size) == said
+
+
 def test_112_bytes_may_be_doubles_or_twice_as_many_floats() -> None:
     rows = as_rows(JOINTS)
     guesses = {guess.about: guess for guess in guess_layouts(rows)}

@@ -78,6 +78,7 @@ MUTATIONS: dict[str, dict[str, Mutation]] = {
         "torque loop": {"run.torque_control": True},
     },
     "drive_home": {
+        "a heavier motor": {"lwr.dynamics.motor_inertias[1]": 4.5},
         "target off by 1 mrad": {
             "targets.lwr.way_points": [[0.0, 0.35, 0.0, -1.2, 0.0, 1.101, 0.0]]
         },
@@ -128,6 +129,8 @@ MUTATIONS: dict[str, dict[str, Mutation]] = {
         "drive delay": {"run.drive_delay": 0.01},
     },
     "haptic_position": {
+        "less damping": {"controllers.left.damping": 0.6},
+        "less damping on the right": {"controllers.right.damping": 0.6},
         "no left hand": {"disturbances.left_hand.force": [0.0, 0.0, -1e-9]},
         "no damping": {"controllers.left.damping": 0.0},
         "no right hand": {"disturbances.right_hand.force": [1e-9, 0.0, 0.0]},
@@ -180,6 +183,7 @@ MUTATIONS: dict[str, dict[str, Mutation]] = {
         "low torque limits": {"controllers.left.torque_limits": 10.0},
     },
     "impedance_push": {
+        "ends early": {"disturbances.push.end": 2.95},
         "damping halved": {f"{GAINS}.damping": 0.35},
         "observer half as fast": {"run.observer_gain": 25.0},
         "no push": {"disturbances.push.force": [0.0, 0.0, -1e-9]},
@@ -208,6 +212,8 @@ MUTATIONS: dict[str, dict[str, Mutation]] = {
         "no gravity compensation": {GAINS: OFF},
     },
     "payload": {
+        "centre of mass aside": {"disturbances.load.center_of_mass": [0.0, 0.05, 0.07]},
+        "put down too late": {"disturbances.load.end": 6.2},
         "10 % more": {"disturbances.load.mass": 4.4},
         "encoder off": fault("encoder_offset", joints=["A2"], offset_deg=0.05),
         "no load": {"disturbances.load.mass": 1e-6},

@@ -379,12 +379,19 @@ def test_models_of_others_have_arrows_that_move(name: str) -> None:
 
 def test_data_without_frames_is_told(caplog: pytest.LogCaptureFixture) -> None:
     model, _ = arm()
-    sero_mj.overlay(model, mujoco.MjData(model), name="bare")
+    data, canvas = mujoco.MjData(model), mujoco.MjvScene(model, 2000)
+    early = sero_mj.overlay(model, data, name="early")
+    mujoco.mj_forward(model, data)
+    early.draw(canvas, "150,-20,2.5")
+    assert not caplog.records  # it has them when it is drawn
+    bare = sero_mj.overlay(model, mujoco.MjData(model), name="bare")
+    for _ in range(2):
+        bare.draw(canvas, "150,-20,2.5")
     (record,) = caplog.records
     assert record.getMessage().startswith("the data of bare has no frames yet")
     assert "call mujoco.mj_forward(model, data)" in record.getMessage()
     caplog.clear()
-    sero_mj.overlay(model)  # makes its own
+    sero_mj.overlay(model).draw(canvas, "150,-20,2.5")  # makes its own
     assert not caplog.records
 
 

@@ -11,10 +11,12 @@ import pytest
 from PIL import Image
 from runs import simulated, sine_run, two_joints
 
+from sero_mj.assemble.scene import Scene
 from sero_mj.cli import main
 from sero_mj.errors import CsvError, UsageError
-from sero_mj.runs.run_csv import read_run_csv, write_run_csv
+from sero_mj.runs.run_csv import write_run_csv
 from sero_mj.runs.run_log import RunLog
+from sero_mj.runs.run_recording import read_run_table
 from sero_mj.simulate.log_output import RunRecorder
 
 
@@ -118,9 +120,9 @@ def test_what_is_no_figure_or_no_table_is_told(
     table = tmp_path / "t.csv"
     table.write_text("time,a,b[0]\n0,1,2\n")
     with pytest.raises(CsvError, match=r"found the columns a, b\[0\].*such as arm_torques\[0\] to"):
-        read_run_csv(table, {"arm": two_joints()})
+        read_run_table(table, Scene(robots=[two_joints()]))
     with pytest.raises(CsvError, match=r"expected such as ROBOT_torques\[0\]"):
-        read_run_csv(table, {})
+        read_run_table(table, Scene())
 
 
 def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) -> None:

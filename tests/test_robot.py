@@ -311,6 +311,23 @@ def test_limits_in_both_units_are_refused_beside_other_problems():
     assert "axes_size: found -1; expected greater than 0" in text.splitlines()
 
 
+def test_a_pose_in_degrees_is_kept_in_radians_and_replaces_that_of_a_model():
+    degrees = [0, 30, 0, -60, 0, 90, 0]
+    bent = SerialRobot.from_model("lwr", joint_angles_deg=degrees)
+    np.testing.assert_allclose(bent.joint_angles, np.deg2rad(degrees), rtol=1e-15)
+    assert bent.joint_angles_deg is None
+    hand = SerialRobot.from_model("hit_finger")  # the last joint follows
+    bent = SerialRobot.from_model("hit_finger", joint_angles_deg=np.full(hand.coupled.k, 10.0))
+    free = np.full(hand.coupled.k, np.deg2rad(10.0))
+    np.testing.assert_allclose(bent.joint_angles, hand.coupled.positions(free), rtol=1e-15)
+    with pytest.raises(DeclarationError, match="found both joint_angles and joint_angles_deg"):
+        robot(joint_angles=[0], joint_angles_deg=[0])
+    with pytest.raises(DeclarationError, match="joint_angles_deg is for revolute joints only"):
+        robot(joint_types=["prismatic"], joint_angles_deg=[0])
+    with pytest.raises(DeclarationError, match=r"joint_angles_deg: found 3 entries; expected 1"):
+        robot(joint_angles_deg=[0, 0, 0])
+
+
 def test_limits_in_degrees_are_refused_for_sliding_joints():
     text = refusal(joint_types=["prismatic"], velocity_limits_deg=[1])
     wanted = "velocity_limits_deg is for revolute joints only; use velocity_limits in rad, m"

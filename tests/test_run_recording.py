@@ -11,15 +11,17 @@ from mcap.writer import Writer
 from runs import HOME, in_old_words, record_packets, record_run, simulated
 
 from sero_mj.assemble.scene_file import read_scene_file
+from sero_mj.cli import main
 from sero_mj.cli._arguments import replay_instead
 from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import RecordingError, UsageError
+from sero_mj.errors import CsvError, RecordingError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.record.recording import Recording
 from sero_mj.record.recording_writer import FLUSH_AFTER
-from sero_mj.runs.run_csv import read_run_csv, write_run_csv
+from sero_mj.runs._recorded_signals import spread_bunches
+from sero_mj.runs.run_csv import write_run_csv
 from sero_mj.runs.run_log import event_of
-from sero_mj.runs.run_recording import read_run
+from sero_mj.runs.run_recording import read_run, read_run_table
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
@@ -281,6 +283,21 @@ def test_values_as_json_belong_to_their_rows(tmp_path: Path) -> None:
         assert found_angles == pytest.approx(expected, rel=1e-6, abs=1e-300)
 
 
+DEGREES = """
+[robots.lwr]
+model = "lwr"
+
+[sources.udp]
+kind = "udp"
+port = 32000
+structure = "7F7F"
+
+[routes]
+"lwr.joint_angles" = "udp.values0 * deg"
+"lwr.torques" = "udp.values1"
+"""
+
+
 # ---- files of before, in which measured angles and velocities had other names
 
 
@@ -292,13 +309,71 @@ def test_an_old_recording_is_the_same_run(tmp_path: Path) -> None:
         np.testing.assert_array_equal(old.signals[event], values)
 
 
+def exported(recording: Path) -> Path:
+    table = recording.with_suffix(".csv")
+    with pytest.raises(SystemExit) as ended:
+        main(["export-csv", str(recording), str(table)])
+    assert not ended.value.code
+    return table
+
+
+def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_from(
+    tmp_path: Path,
+) -> None:
+    simulation = simulated()
+    run = read_run(record_run(simulation, tmp_path / "simulated.mcap"))
+    write_run_csv(simulation.layout, simulation.rows, tmp_path / "rows.csv")
+    for table in (tmp_path / "rows.csv", exported(tmp_path / "simulated.mcap")):
+        log = read_run_table(table, simulation.scenario.scene)
+        np.testing.assert_array_equal(log.times, run.times)
+        for signal in ("joint_angles", "joint_velocities", "torques", "commanded_torques"):
+            np.testing.assert_array_equal(log.of("lwr", signal), run.of("lwr", signal))
+    # Of a robot, in the units of its packets.
+    path = tmp_path / "scene.toml"
+    path.write_text(DEGREES)
+    times = 1e-3 * np.arange(len(run.times))
+    rows = {
+        "values0": np.rad2deg(run.of("lwr", "joint_angles")),
+        "values1": run.of("lwr", "torques"),
+    }
+    files = {"scene.toml": DEGREES}
+    recording = record_packets(tmp_path / "robot.mcap", "7F7F", rows, times, files)
+    expected, table = read_run(recording), exported(recording)
+    found = read_run_table(table, load_scene(str(path)))
+    np.testing.assert_allclose(found.times, expected.times, atol=1e-9)
+    for signal in ("joint_angles", "joint_velocities", "torques"):
+        np.testing.assert_allclose(found.of("lwr", signal), expected.of("lwr", signal), rtol=1e-6)
+    path.write_text(DEGREES + DEGREES[DEGREES.index("[sources") : DEGREES.index("[routes")].replace(
+        "udp", "other").replace("other\"", "udp\"").replace("32000", "32001"))  # fmt: skip
+    with pytest.raises(UsageError, match=r"robot.csv may be of udp, other; choose one"):
+        read_run_table(table, load_scene(str(path)))
+    assert read_run_table(table, load_scene(str(path)), "udp").robots.keys() == {"lwr"}
+    with pytest.raises(CsvError, match=r"no source in it moves a robot"):
+        read_run_table(table, load_scene(str(path)), "other")
+    with pytest.raises(UsageError, match=r"no source 'upd' in the scene; did you mean 'udp'\?"):
+        read_run_table(table, load_scene(str(path)), "upd")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["compare", "{csv}", "{mcap}", "--tolerance-torque", "1e-6"], ["compare", "{csv}"],
+     ["identify", "{csv}"], ["plot", "{csv}", "-o", "{out}"]],
+)  # fmt: skip
+def test_commands_for_recordings_take_tables(arguments: list[str], tmp_path: Path) -> None:
+    mcap = record_run(simulated(), tmp_path / "run.mcap")
+    names = {"csv": exported(mcap), "mcap": mcap, "out": tmp_path / "out.svg"}
+    with pytest.raises(SystemExit) as ended:
+        main([each.format(**names) for each in arguments] + ["--scene", "lwr"])
+    assert not ended.value.code
+
+
 def test_an_old_table_is_the_same_run(tmp_path: Path) -> None:
-    robots = simulated().scenario.scene.robots
+    scene = simulated().scenario.scene
     write_run_csv(simulated().layout, simulated().rows, tmp_path / "new.csv")
     text = (tmp_path / "new.csv").read_text()
     assert "lwr_joint_angles[0]" in text
     (tmp_path / "old.csv").write_text(in_old_words(text))
-    new, old = (read_run_csv(tmp_path / f"{name}.csv", robots) for name in ("new", "old"))
+    new, old = (read_run_table(tmp_path / f"{name}.csv", scene) for name in ("new", "old"))
     assert new.signals.keys() == old.signals.keys() >= {"lwr_joint_angles", "lwr_joint_velocities"}
 
 
@@ -424,3 +499,17 @@ def test_a_recorded_group_by_itself_is_called_after_its_folder(tmp_path: Path) -
     )
     record_packets(tmp_path / "run.mcap", structure, rows, np.arange(4) * 0.01, files)
     assert [*read_run(tmp_path / "run.mcap").robots] == ["claw_one", "claw_two"]
+
+
+def test_bunches_are_spread_evenly_and_other_packets_are_left_where_they_came() -> None:
+    rng = np.random.default_rng(3)
+    sent = 1e-3 * np.arange(4000)
+    sent[2000:] += 5.0  # a pause
+    uneven = sent + rng.uniform(0.0, 4e-4, len(sent))
+    np.testing.assert_array_equal(spread_bunches(uneven), uneven)
+    few = np.array([0.0, 0.1, 0.1, 0.5])
+    np.testing.assert_array_equal(spread_bunches(few), few)
+    held = sent.reshape(-1, 4).repeat(4, axis=0)[::4, -1].repeat(4)  # all four with the last one
+    np.testing.assert_allclose(spread_bunches(held), sent, atol=1e-9)
+    lost = np.delete(held, np.arange(3, 4000, 100))
+    assert np.abs(spread_bunches(lost) - np.delete(sent, np.arange(3, 4000, 100))).max() < 2e-3

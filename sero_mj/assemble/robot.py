@@ -136,6 +136,7 @@ class SerialRobot(Declaration):
         flange_frame: T_n_flange, from the last joint's frame.
         flange_on: name of the joint whose link carries the flange; None for the last one.
         joint_angles: (n,), initial pose, used until something is received.
+        joint_angles_deg: the same in degrees; converted to joint_angles.
         children: objects fixed to the flange, or to the frame that they are `on`.
         enable_touch_sensor: whether a click on the robot toggles its features.
         stale_after: s without a packet until the robot is shown grey.
@@ -203,6 +204,7 @@ class SerialRobot(Declaration):
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_on: str | None = None
     joint_angles: Vector | None = None
+    joint_angles_deg: Vector | None = None
     children: Children = []
     enable_touch_sensor: bool = True
     stale_after: float = Field(0.5, gt=0)
@@ -247,9 +249,11 @@ class SerialRobot(Declaration):
         n = _count(info.data)
         if value is None or n is None:
             return value
-        if info.field_name in ("joint_angles", *VALUE_INPUTS):
+        if info.field_name in ("joint_angles", "joint_angles_deg", *VALUE_INPUTS):
             if not {"couplings", "joint_names"} <= info.data.keys():
                 return value  # it is unknown which joints are coupled
+            if info.data["couplings"] and info.field_name == "joint_angles_deg":
+                return np.rad2deg(_with_coupled(np.deg2rad(value), info))
             if info.data["couplings"]:
                 return _with_coupled(value, info)
         if len(value) != n:
@@ -754,7 +758,7 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     if len(values) not in (coupled.n, coupled.k):
         count = f"{coupled.n}, {_each(info.data)}, or {coupled.k} without the coupled joints"
         raise ValueError(f"found {len(values)} entries; expected {count}")
-    if info.field_name != "joint_angles":
+    if info.field_name in VALUE_INPUTS:
         return values
     if len(values) == coupled.k:
         return coupled.positions(values)

@@ -28,7 +28,11 @@ BILLBOARD_VALUES = (
 )
 MAX_JOINTS = 128
 # Fields that can be given in degrees instead.
-IN_DEGREES = {"position_limits_deg": "position_limits", "velocity_limits_deg": "velocity_limits"}
+IN_DEGREES = {
+    "position_limits_deg": "position_limits",
+    "velocity_limits_deg": "velocity_limits",
+    "joint_angles_deg": "joint_angles",
+}
 # Fields with one entry per joint, checked against dh_params.
 PER_JOINT = (
     "joint_types",
@@ -39,6 +43,7 @@ PER_JOINT = (
     "velocity_limits_deg",
     "torque_limits",
     "joint_angles",
+    "joint_angles_deg",
     "offsets_to_center_of_joints",
     "acceleration_limits",
     "torques",

@@ -40,13 +40,14 @@ MOST_ENTRIES = {
 # Sections whose entries have frames or are moved.
 _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 NOT = "not"
+JOINING = ("and", "or", NOT)  # words between comparisons
 _FOR, _BETWEEN = " for ", ";"  # of origins that are for some joints only
 _OF_JOINTS = ("from", "joints")
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
 _TOKENS = re.compile(
     r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_./-]*)"
-    r"|(?P<sign>[-+*/()\[\],:])"
+    r"|(?P<sign>[<>=!]=|[-+*/()\[\],:<>])"
     r"|(?P<other>[^ \t\r\n])"
 )
 
@@ -588,7 +589,7 @@ def tokens_of(origin: str) -> Iterator[Token]:
 def names_in(origin: str) -> list[str]:
     """Returns the distinct names in an origin: events, outputs, frames and units."""
     names = (word.text for word in tokens_of(origin) if word.kind == "name")
-    return [name for name in dict.fromkeys(names) if name != NOT]
+    return [name for name in dict.fromkeys(names) if name not in JOINING]
 
 
 def origin_text(origin: Any) -> str:

@@ -15,7 +15,7 @@ from ..describe.described import Described
 from ..describe.robot_file import read_robot_file
 from ..describe.x3d import read_x3d
 from ..dotted_keys import lacking, parts_of, with_value
-from ..errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
+from ..errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
 from ..toml_file import read_toml
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
@@ -407,13 +407,18 @@ class _Reader:
                 if isinstance(table.get("model"), str):
                     path = paths.find_model(table["model"], self.path.parent)
                     below = read_robot_file(path, arguments=_arguments(table)).tables
+        problems: list[Problem] = []
         for key, value in settings:
             try:
                 parts = parts_of(key)
                 table = with_value(table, parts, value, built=built, below=below, lists=lists)
             except ValueError as error:
-                raise DeclarationError([Problem(key, str(error))]) from None
-        return build(name, table)
+                problems.append(Problem(key, str(error)))
+        with collect(problems, ""):
+            found = build(name, table)
+            if not problems:
+                return found
+        raise DeclarationError(problems)
 
     def _routes(self) -> dict[str, str]:
         routes = {}

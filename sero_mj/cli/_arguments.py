@@ -311,13 +311,15 @@ def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) ->
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
     """Reads `--set robot.field=value` options: TOML, or numbers with commas; raises UsageError."""
     result: dict[str, Any] = {}
+    wrong = []
     for setting in settings:
         key, equals, text = setting.partition("=")
         if not equals or not key.strip():
-            raise UsageError(
-                f"--set {setting}: expected ROBOT.FIELD=VALUE, e.g. lwr.show_axes=true"
-            )
+            wrong.append(f"--set {setting}")
         result[key.strip()] = _value(text.strip())
+    if wrong:
+        expected = "expected ROBOT.FIELD=VALUE, e.g. lwr.show_axes=true"
+        raise UsageError(f"{', '.join(wrong)}: {expected}")
     return result
 
 
@@ -450,7 +452,7 @@ def add_part_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene",
         metavar="SCENE",
-        help="robots and routes, where a recording has no scene (default: what is in it)",
+        help="robots and routes, where a recording has none, or of tables (default: what is in it)",
     )
     parser.add_argument("--source", metavar="NAME", help="which source (default: all)")
 
@@ -462,9 +464,13 @@ def check_part(options: argparse.Namespace) -> None:
 
 
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
-    """Calls `read_run`, for a command that can be given the `--scene` that may be missing."""
-    from ..runs.run_recording import read_run
+    """Reads a recording or a table, for a command that can be given the `--scene` it may lack."""
+    from ..runs.run_recording import read_run, read_run_table
 
+    if path.suffix.lower() == ".csv":
+        if scene is None:
+            raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
+        return read_run_table(path, scene, source)
     try:
         return read_run(path, source, scene=scene)
     except RecordingError as error:

@@ -37,6 +37,7 @@ examples:
   sero-mj compare a.mcap b.mcap --tolerance-torque 2 --tolerance-angle 0.5 && echo the same
   sero-mj compare run.mcap                                  commanded with measured torque
   sero-mj compare run.mcap --against-model --plot run.pdf   the robot with its own model
+  sero-mj compare a.csv b.mcap --scene lwr_udp              a table of export-csv, simulate --csv
 
 Recordings of simulations and of robots alike; differences are A less B. Time counts from the start
 of a simulation, or from the first packet of a robot. Beneath stands for every joint what explains
@@ -51,7 +52,7 @@ def add_to(commands: Commands) -> None:
     parser = add_command(
         commands, "compare", run, "compare recordings of a robot, joint by joint", _EPILOG
     )
-    parser.add_argument("a", type=Path, metavar="A.mcap", help="a recording")
+    parser.add_argument("a", type=Path, metavar="A.mcap", help="a recording, or a table (.csv)")
     parser.add_argument(
         "b", type=Path, nargs="?", metavar="B.mcap",
         help="another one (default: commanded with measured torques of A)",
@@ -66,7 +67,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--scene",
         metavar="SCENE",
-        help="robots and routes, where a recording has no scene (default: what is in it)",
+        help="robots and routes, where a recording has none, or of tables (default: what is in it)",
     )
     parser.add_argument(
         "--source", metavar="NAME", help="which source; NAME,NAME for A and B (default: all)"

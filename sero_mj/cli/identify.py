@@ -23,6 +23,7 @@ examples:
   sero-mj identify run.mcap --robot lwr
   sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines of a robot's file
   sero-mj identify run.mcap --from 2 --to 12 --json
+  sero-mj identify run.csv --scene lwr                     of simulate --csv, or export-csv
 
 Linear regression on both sides of the torque sensors: friction and motor inertia by commanded less
 measured torque, payload and offsets by measured torque less that of the robot's model, each with
@@ -36,7 +37,9 @@ def add_to(commands: Commands) -> None:
     parser = add_command(
         commands, "identify", run, "estimate friction, payload and torque offsets", _EPILOG
     )
-    parser.add_argument("recording", type=Path, metavar="RUN.mcap", help="a recording")
+    parser.add_argument(
+        "recording", type=Path, metavar="RUN.mcap", help="a recording, or a table (.csv)"
+    )
     parser.add_argument("--robot", metavar="NAME", help="which robot (default: the only one)")
     add_part_options(parser)
     parser.add_argument(

@@ -25,7 +25,7 @@ examples:
   sero-mj plot run.mcap -o run.pdf
   sero-mj plot run.mcap -o elbow.png --joints A3,A4 --from 2 --to 5
   sero-mj plot monday.mcap tuesday.mcap -o week.pdf       a page for each recording
-  sero-mj plot run.csv --scene lwr -o run.svg             of simulate --csv
+  sero-mj plot run.csv --scene lwr -o run.svg             of simulate --csv, or export-csv
 
 A row for each joint: commanded and measured torque with the limit, and beside them the error,
 commanded less measured. Recordings of simulations and of robots alike; time counts from the start
@@ -84,14 +84,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _read(path: Path, scene: Scene | None, options: argparse.Namespace) -> RunLog:
     """A recording or a table, and of it the time that was asked for."""
-    from ..runs.run_csv import read_run_csv
-
-    if path.suffix.lower() == ".csv":
-        if scene is None:
-            raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
-        log = read_run_csv(path, scene.robots)
-    else:
-        log = read_recorded_run(path, options.source, scene)
+    log = read_recorded_run(path, options.source, scene)
     if options.begin is None and options.end is None:
         return log
     return log.between(options.begin, options.end)

@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -364,10 +364,15 @@ def _values(stream: Stream, layout: Structure | None) -> str:
     if layout is None:
         return ""
     if stream.size != layout.size:
-        return f"{stream.size} bytes; '{layout.text}' has {layout.size}"
+        hint = layout.for_size(stream.size)
+        return f"{stream.size} bytes; '{layout.text}' has {layout.size}{hint and f'; {hint}'}"
     if wrong := layout.describe_wrong_constant(stream.rows[-1:]):
         return wrong
-    values = layout.decode(stream.last[-1])
+    return _numbers(layout.decode(stream.last[-1]))
+
+
+def _numbers(values: Mapping[str, Any]) -> str:
+    """The first numbers of every event."""
     return "  ".join(f"{event} {_first(array)}" for event, array in values.items())
 
 
@@ -381,12 +386,22 @@ def _guess_lines(stream: Stream) -> list[str]:
         return []  # its description says what it is
     guesses = stream.guesses()
     if not guesses:
-        return ["would fit nothing that is made of numbers of 4 or 8 bytes"]
+        return ["would fit nothing that is made of numbers, counters, flags and padding"]
     width = min(max(len(guess.structure) for guess in guesses), 40)
-    return [
-        f"{'would fit ' if i == 0 else '':10}{guess.structure:{width}}  {_about(guess)}"
-        for i, guess in enumerate(guesses)
-    ]
+    lines = []
+    for i, guess in enumerate(guesses):
+        begin = "would fit " if i == 0 else ""
+        lines.append(f"{begin:10}{guess.structure:{width}}  {_about(guess)}")
+        lines.append(f"{'':12}{_numbers(_values_by(guess, stream))}")
+    return lines
+
+
+def _values_by(guess: Guess, stream: Stream) -> dict[str, Any]:
+    """The numbers of the last packet by a guess."""
+    from ..receive.structure import Structure
+
+    layout = Structure(guess.structure, is_double=guess.is_double, column_major=guess.column_major)
+    return dict(layout.decode(stream.last[-1]))
 
 
 def _about(guess: Guess) -> str:
@@ -405,7 +420,11 @@ def _sniffed_as_json(sniffer: Sniffer, layout: Structure | None, seconds: float)
             "packets": stream.count,
             "rate": stream.timing.rate,
             "jitter": stream.timing.jitter,
-            "guesses": [asdict(guess) for guess in stream.guesses()],
+            "guesses": [
+                asdict(guess)
+                | {"values": {k: each.tolist() for k, each in _values_by(guess, stream).items()}}
+                for guess in stream.guesses()
+            ],
         }
         if layout is not None and _fits(stream, layout):
             values = layout.decode(stream.last[-1])

@@ -41,7 +41,7 @@ from .robot_model import ModelArrays, RobotModel
 # For the null space: of 20,000 random poses of an LWR, a Puma 560 and a Panda none with more than
 # 1 % of the best manipulability has a pivot of less than 8e-6, so that there nothing leaks.
 _BLOCKED = 5e-6
-_LIMP = 1e-3  # for the damping, which is designed for poses some way around as well
+_LIMP = 1e-4  # for the damping, which is designed for poses some way around as well
 # Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
 _MIN_STIFFNESS = 1.0
 

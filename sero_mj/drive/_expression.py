@@ -1,11 +1,13 @@
 """Expressions in routes: their grammar, parsed by Python's `ast`, and what they mean.
 
-origin     = ["not"] expression
+origin     = ["not"] expression, or a condition
 expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]` and indices `a[0]`,
              `a[0,3,5]`, `a[1:4]`, as in Python
+condition  = comparisons of expressions with `<`, `<=`, `>`, `>=`, `==`, `!=`, joined by `and`,
+             `or` and `not`
 
 Names hold `-`, `.` and `/`, so these two have spaces about them where they are operators. Python
-parses a text in which a single character stands for each name and number.
+parses a text in which cells of one width stand for the words.
 
 A value is an array, each entry of which is a constant plus multiples of received numbers. It is
 computed once, when a scene is read; `Value.compile` makes of it what runs with every packet.
@@ -15,34 +17,43 @@ computed once, when a scene is read; `Value.compile` makes of it what runs with 
 - A list puts the numbers of its entries one after the other.
 - Matrices cannot be indexed or combined, but for one of several that can be picked, and for
   another unit of length: `udp.matrices0 * mm` and `0.001 * udp.matrices0` scale their positions.
+- A condition is for switches. It compares differences with 0, and on several numbers it holds where
+  it holds for any of them.
 """
 
 from __future__ import annotations
 
 import ast
+import operator
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import zip_longest
 from math import isfinite, isnan
-from operator import add
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.scene import NOT, Token, tokens_of
+from ..assemble.scene import JOINING, NOT, Token, tokens_of
 from ..errors import RouteError
 from ..frames import Array, Ints
 from ._units import LENGTH, NONE, Dimension, describe
-from .route import Affine, Origin, Term, make_affine
+from .route import Affine, Condition, Origin, Term, Truths, make_affine
 
 _MAX_DEPTH = 40  # brackets within each other
 _MAX_WORDS = 2000  # their sum takes the square of it
 _ALLOWED = (
     ast.Name, ast.Constant, ast.Load, ast.List, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div,
-    ast.UnaryOp, ast.UAdd, ast.USub,
+    ast.UnaryOp, ast.UAdd, ast.USub, ast.Not, ast.BoolOp, ast.And, ast.Or, ast.Compare,
+    ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq,
 )  # fmt: skip
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq,
+    "!=": operator.ne,
+}  # fmt: skip
+_CELL = 4  # characters that stand for each word
 
 
 @dataclass(frozen=True)
@@ -51,15 +62,17 @@ class Expression:
 
     Attributes:
         text: as it is written.
-        negated: whether it begins with `not`.
-        tree: of the rest; the k-th word is at column 2 k + 1.
+        negated: whether it is no condition and begins with `not`.
+        tree: of the rest.
         words: the words of the rest.
+        is_condition: whether there are comparisons, or what joins them.
     """
 
     text: str
     negated: bool
     tree: ast.expr
     words: list[Token]
+    is_condition: bool = False
 
     @property
     def name(self) -> str | None:
@@ -94,7 +107,8 @@ def parse(text: str) -> Expression:
         word, found = words[_MAX_WORDS], f"{len(words)} numbers, names and signs"
         reason = f"expected at most {_MAX_WORDS} before the end; there are {found}"
         raise RouteError(text, word.at, reason, len(word.text))
-    negated = bool(words) and words[0].text == NOT
+    is_condition = any(word.text in (*COMPARISONS, "and", "or") for word in words)
+    negated = bool(words) and words[0].text == NOT and not is_condition
     words = words[negated:]
     depth = 0
     for word in words:
@@ -102,19 +116,19 @@ def parse(text: str) -> Expression:
         if depth > _MAX_DEPTH:
             reason = f"expected at most {_MAX_DEPTH} brackets within each other"
             raise RouteError(text, word.at, reason)
-    signs = [_sign_of(word) for word in words]
+    signs = [_sign_of(word, is_condition) for word in words]
     tree = _tree_of(signs)
     if tree is None:
         counts = range(1, len(words) + 1)
         right = bisect_left(counts, True, key=lambda count: not _is_beginning(signs[:count]))
         word = words[right] if right < len(words) else Token("end", "", len(text))
         raise RouteError(text, word.at, _expected(signs[:right], word), len(word.text))
-    return Expression(text, negated, tree, words)
+    return Expression(text, negated, tree, words, is_condition)
 
 
-def _sign_of(word: Token) -> str:
-    """What stands for a word in the text that Python parses, one character."""
-    if word.kind == "sign":
+def _sign_of(word: Token, is_condition: bool) -> str:
+    """What stands for a word in the text that Python parses, fewer characters than `_CELL`."""
+    if word.kind == "sign" or (is_condition and word.text in JOINING):
         return word.text
     if word.kind == "other" or word.text == NOT:
         return "$"
@@ -125,7 +139,8 @@ def _sign_of(word: Token) -> str:
 def _tree_of(signs: Sequence[str]) -> ast.expr | None:
     """The tree of an expression; None of anything else."""
     try:
-        tree = ast.parse(f"({' '.join(signs)})", mode="eval").body
+        cells = "".join(sign.ljust(_CELL) for sign in signs)
+        tree = ast.parse(f"({cells})", mode="eval").body
     except (SyntaxError, RecursionError, MemoryError):
         return None
     indices: set[ast.AST] = set()
@@ -182,17 +197,18 @@ def _expected(before: Sequence[str], found: Token) -> str:
         return f"expected {' '.join([*filter(fits, ':,'), 'or ]'])}"
     end = ", or )" if fits(")") else ", or the end"
     named = found.kind in ("name", "number") and end != ", or )"
-    return f"expected +, -, * or / between spaces{' before it' if named else end}"
+    hint = "; equal is ==" if found.text == "=" else ""
+    return f"expected +, -, * or / between spaces{' before it' if named else end}{hint}"
 
 
 def _first_word(node: ast.expr) -> int:
     """Index of a part's first word."""
-    return node.col_offset // 2
+    return node.col_offset // _CELL
 
 
 def _word_after(node: ast.expr) -> int:
     """Index of the word behind a part."""
-    return (node.end_col_offset or 0) // 2
+    return ((node.end_col_offset or 0) + _CELL - 2) // _CELL
 
 
 Numbers = NDArray[Any]  # of `_Number`
@@ -211,7 +227,7 @@ class _Number:
         return _Number(self.offset + other.offset, unit, self.terms + other.terms)
 
     def times(self, constant: _Number) -> _Number:
-        unit = tuple(map(add, self.unit, constant.unit))
+        unit = tuple(map(operator.add, self.unit, constant.unit))
         terms = tuple((origin, index, by * constant.offset) for origin, index, by in self.terms)
         return _Number(self.offset * constant.offset, unit, terms)
 
@@ -351,6 +367,36 @@ def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
     """
     with np.errstate(all="ignore"):  # what is not finite is refused below
         value = _Evaluator(expression, names).evaluate(expression.tree)
+    return _finite(value, expression, names)
+
+
+def evaluate_condition(
+    expression: Expression, names: Mapping[str, Value]
+) -> tuple[Value, Condition]:
+    """Computes what a condition compares with 0, and how.
+
+    Args:
+        expression: what `parse` returned, a condition.
+        names: what every name in it stands for.
+
+    Raises:
+        RouteError: points at what has no meaning, and says why.
+    """
+    evaluator = _Evaluator(expression, names)
+    with np.errstate(all="ignore"):
+        truths = evaluator.truths(expression.tree)
+    value = _finite(joined(evaluator.differences), expression, names)
+    condition = Condition(truths)
+    try:
+        condition(np.zeros(value.entries.size))
+    except ValueError:
+        reason = "expected as many on both sides of and, or"
+        raise RouteError(expression.text, 0, reason, len(expression.text)) from None
+    return value, condition
+
+
+def _finite(value: Value, expression: Expression, names: Mapping[str, Value]) -> Value:
+    """A value with the sizes of its origins; refuses what is not finite."""
     for entry in value.entries.flat:
         if not all(map(isfinite, (entry.offset, *(times for _, _, times in entry.terms)))):
             raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
@@ -362,11 +408,44 @@ class _Evaluator:
     def __init__(self, expression: Expression, names: Mapping[str, Value]) -> None:
         self._expression, self._names = expression, names
         self._refuse = expression.refuse
+        self.differences: list[Value] = []  # that `truths` compares with 0
+
+    def truths(self, node: ast.expr) -> Truths:
+        """Where a condition holds, of the numbers of `differences`."""
+        match node:
+            case ast.Compare(left=first, comparators=rest):
+                sides = [self.evaluate(each) for each in (first, *rest)]
+                nodes = [first, *rest]
+                return _all_of([self._compared(nodes[k], *sides[k : k + 2])
+                                for k in range(len(rest))])  # fmt: skip
+            case ast.BoolOp(op=ast.And(), values=parts):
+                return _all_of([self.truths(part) for part in parts])
+            case ast.BoolOp(values=parts):
+                several = [self.truths(part) for part in parts]
+                return lambda numbers: reduce(np.logical_or, (each(numbers) for each in several))
+            case ast.UnaryOp(op=ast.Not(), operand=inner):
+                held = self.truths(inner)
+                return lambda numbers: ~held(numbers)
+            case _:
+                self._refuse(_first_word(node), "expected a comparison such as udp.values0 > 20")
+
+    def _compared(self, node: ast.expr, left: Value, right: Value) -> Truths:
+        at = self._behind(node)
+        if left.is_frames or right.is_frames:
+            self._refuse_frames(node)
+        compare = COMPARISONS[self._expression.words[at].text]
+        difference = self._sum(at, left, Value(_each(_Number.times, right.entries, _MINUS_ONE)))
+        first = sum(each.entries.size for each in self.differences)
+        self.differences.append(difference)
+        own, shape = slice(first, first + difference.entries.size), difference.shape
+        return lambda numbers: compare(numbers[own].reshape((*shape, *numbers.shape[1:])), 0.0)
 
     def evaluate(self, node: ast.expr) -> Value:
         chain = []  # a sum of 1,000 terms is as deep a tree; it is evaluated without recursion
         while True:
             match node:
+                case ast.UnaryOp(op=ast.Not()):
+                    break
                 case (
                     ast.BinOp(left=inner) | ast.UnaryOp(operand=inner) | ast.Subscript(value=inner)
                 ):
@@ -388,6 +467,9 @@ class _Evaluator:
         return value
 
     def _operand(self, node: ast.expr) -> Value:
+        if isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp):
+            reason = "expected numbers; comparisons are joined by and, or"
+            self._refuse(_first_word(node), reason)
         if isinstance(node, ast.List):
             values = [self.evaluate(item) for item in node.elts]
             if any(value.is_frames for value in values):
@@ -412,19 +494,27 @@ class _Evaluator:
         sign = self._expression.words[at].text
         if left.is_frames or right.is_frames:
             return self._scaled_frames(at, sign, left, right)
+        if sign in "*/":
+            self._pairs(at, left, right)
+            return self._product(at, sign, left, right)
+        if sign == "-":
+            right = Value(_each(_Number.times, right.entries, _MINUS_ONE))
+        return self._sum(at, left, right)
+
+    def _pairs(self, at: int, left: Value, right: Value) -> np.broadcast:
+        """Numbers beside each other of two operands; refuses those that do not fit together."""
         try:
-            pairs = np.broadcast(left.entries, right.entries)
+            return np.broadcast(left.entries, right.entries)
         except ValueError:
             shapes = f"{_amount(left)} and {_amount(right)}"
             self._refuse(at, f"expected as many on both sides; there are {shapes}")
-        if sign in "*/":
-            return self._product(at, sign, left, right)
-        for one, other in pairs:
+
+    def _sum(self, at: int, left: Value, right: Value) -> Value:
+        for one, other in self._pairs(at, left, right):
             if any(one.unit) and any(other.unit) and one.unit != other.unit:
                 units = f"{describe(one.unit)} and {describe(other.unit)}"
                 self._refuse(at, f"expected one unit on both sides; there are {units}")
-        added = right.entries if sign == "+" else _each(_Number.times, right.entries, _MINUS_ONE)
-        return Value(_each(_Number.plus, left.entries, added))
+        return Value(_each(_Number.plus, left.entries, right.entries))
 
     def _product(self, at: int, sign: str, left: Value, right: Value) -> Value:
         factor = right.entries
@@ -505,6 +595,10 @@ class _Evaluator:
     def _refuse_frames(self, node: ast.expr) -> NoReturn:
         reason = "expected no frames beside it: these cannot be indexed or combined"
         self._refuse(_first_word(node), reason)
+
+
+def _all_of(parts: Sequence[Truths]) -> Truths:
+    return lambda numbers: reduce(np.logical_and, (part(numbers) for part in parts))
 
 
 def _amount(value: Value) -> str:

@@ -246,7 +246,7 @@ class _InputWriter:
     def __init__(self, world: WorldView, route: Route) -> None:
         item = route.to
         self._world = world
-        self._negated = route.negated
+        self._negated, self._condition = route.negated, route.condition
         self._blankable = item.kind in BLANKABLE
         self._flag = world.flags[item.target]
         self._pose = item.name if item.kind == "pose" else None
@@ -256,6 +256,8 @@ class _InputWriter:
 
     def put(self, data: mujoco.MjData, values: Array) -> None:
         """Writes the numbers; overflow is no data, and is not applied to what would move."""
+        if self._condition is not None:
+            values = self._condition(values)
         if self._negated:
             values = (values <= 0.5).astype(np.float64)
         finite = np.isfinite(values)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -115,6 +115,30 @@ def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int
     return Affine(offset, tuple(terms), whole, only)
 
 
+Truths = Callable[[Array], Any]  # of numbers, (n, ...)
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """Comparisons of numbers with 0, joined by `and`, `or` and `not`.
+
+    Attributes:
+        truths: of numbers, (n, ...), where it holds.
+    """
+
+    truths: Truths
+
+    def __call__(self, numbers: Array) -> Array:
+        """Returns 1 where it holds for any of the numbers (n,), or over time (T, n), else 0.
+
+        NaN where one of them is not known.
+        """
+        found = np.asarray(self.truths(numbers.T))
+        beside = tuple(range(found.ndim - (numbers.ndim - 1)))
+        known = np.isfinite(numbers).all(axis=-1)
+        return np.where(known, found.any(axis=beside), np.nan)[..., None]
+
+
 @dataclass(frozen=True, eq=False)
 class Route:
     """One checked route of numbers.
@@ -129,6 +153,7 @@ class Route:
         texts: where it leads from for each of the input's numbers, where these are for some joints
             each; empty for joints that nothing leads to, and as a whole for other routes.
         rest: numbers of the input without what is received, then: the declared pose, or no data.
+        condition: of a toggle, what compares the numbers; None where it takes one as it is.
     """
 
     to: Input
@@ -138,6 +163,7 @@ class Route:
     numbers: tuple[int, ...] = ()
     texts: tuple[str, ...] = ()
     rest: Array | None = None
+    condition: Condition | None = None
 
     def origin_of(self, index: int) -> str:
         """Returns where one of the input's numbers leads from: `values0[3]`; empty for nothing."""

@@ -23,10 +23,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from ..assemble.scene import Scene, Token, tokens_of
+from ..assemble.scene import JOINING, Scene, Token, tokens_of
 from ..errors import RouteError, did_you_mean
 from ..frames import Array, Bools
 from ..receive.source import SIGNALS
+from ._expression import COMPARISONS
 from ._units import robot_of
 from .route import Origin, Route
 from .wiring import Wiring
@@ -34,14 +35,9 @@ from .wiring import Wiring
 ERROR = "torque_error"
 _CELL = 5  # characters that stand for each word
 _MOST_WORDS = 500
-_COMPARE: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]] = {
-    ast.Lt: ("<", operator.lt),
-    ast.LtE: ("<=", operator.le),
-    ast.Gt: (">", operator.gt),
-    ast.GtE: (">=", operator.ge),
-    ast.Eq: ("==", operator.eq),
-    ast.NotEq: ("!=", operator.ne),
-}
+_SIGNS: dict[type[ast.cmpop], str] = {
+    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=",
+}  # fmt: skip
 _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -51,8 +47,6 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 _OF_NUMBERS = ("abs", "min", "max", "norm")
 _OF_CONDITIONS = ("any", "all")
 _FUNCTIONS = (*_OF_NUMBERS, *_OF_CONDITIONS)
-_WORDS = ("and", "or", "not")
-_SIGNS = ("<=", ">=", "==", "!=", "<", ">")
 Events = Mapping[str, Array]  # event to its numbers over time, (T, ...)
 
 
@@ -135,7 +129,7 @@ class Trigger:
         self._scene = scene
         self._routes = {route.to.target: route for route in [*wiring.routes, *wiring.later]}
         self._sources = wiring.sources
-        self._words = _words_of(text)
+        self._words = list(tokens_of(text))
         self._tree = self._parse()
         self._latest: dict[str, dict[str, Array]] = {}
         self._compared: list[_Compared] = []
@@ -175,10 +169,10 @@ class Trigger:
             raise RouteError(self.text, word.at, f"expected at most {_MOST_WORDS} words")
         for i, word in enumerate(self._words):
             behind = self._words[i + 1].text if i + 1 < len(self._words) else ""
-            if behind == "(" and word.kind == "name" and word.text not in (*_FUNCTIONS, *_WORDS):
+            if behind == "(" and word.kind == "name" and word.text not in (*_FUNCTIONS, *JOINING):
                 near = did_you_mean(word.text, _FUNCTIONS)
                 raise RouteError(self.text, word.at, f"expected a function{near}", len(word.text))
-            if word.kind == "other" and word.text not in _SIGNS:
+            if word.kind == "other":
                 hint = "; equal is ==" if word.text == "=" else ""
                 raise RouteError(self.text, word.at, f"expected a comparison, + - * /{hint}")
         tree = _tree_of(self._words)
@@ -325,9 +319,10 @@ class Trigger:
         nodes = [node.left, *node.comparators]
         result: _Signal | None = None
         for k, op in enumerate(node.ops):
-            if type(op) not in _COMPARE:
+            if type(op) not in _SIGNS:
                 self._refuse(node, "expected <, <=, >, >=, == or !=")
-            sign, function = _COMPARE[type(op)]
+            sign = _SIGNS[type(op)]
+            function = COMPARISONS[sign]
             a, b = sides[k], sides[k + 1]
             one = self._joined(node, function, a, b)
             known = self._joined(node, lambda x, y: np.isfinite(x) & np.isfinite(y), a, b)
@@ -431,6 +426,8 @@ class _Reader:
 
             values = route.value.evaluate(numbers_of)
             rows = values if values.ndim > 1 else values[None]
+            if route.condition is not None:
+                rows = route.condition(rows)
             if route.to.kind == "toggle" and route.negated:
                 rows = 1.0 - (rows != 0)
             self._inputs[target] = rows
@@ -448,23 +445,6 @@ def _labels(scene: Scene, route: Route) -> list[str]:
 _ONE = Token("number", "1", 0)
 
 
-def _words_of(text: str) -> list[Token]:
-    """The words of a condition: those of routes, and signs of comparison."""
-    words: list[Token] = []
-    for token in tokens_of(text):
-        last = words[-1] if words else None
-        if (
-            last is not None
-            and last.kind == token.kind == "other"
-            and last.at + len(last.text) == token.at
-            and last.text + token.text in _SIGNS
-        ):
-            words[-1] = Token("other", last.text + token.text, last.at)
-        else:
-            words.append(token)
-    return words
-
-
 def _tree_of(words: Sequence[Token]) -> ast.expr | None:
     """The tree of a condition; None of anything else."""
     if not words:
@@ -474,7 +454,7 @@ def _tree_of(words: Sequence[Token]) -> ast.expr | None:
         cell = word.text
         if word.kind == "number":
             cell = "1"
-        elif word.kind == "name" and word.text not in (*_FUNCTIONS, *_WORDS):
+        elif word.kind == "name" and word.text not in (*_FUNCTIONS, *JOINING):
             cell = "_"
         cells.append(cell.ljust(_CELL))
     try:

@@ -37,7 +37,16 @@ from ..errors import (
     nearest,
 )
 from ..receive.source import SIGNALS, Source, make_source
-from ._expression import Expression, Value, constant, evaluate, joined, numbers_of, parse
+from ._expression import (
+    Expression,
+    Value,
+    constant,
+    evaluate,
+    evaluate_condition,
+    joined,
+    numbers_of,
+    parse,
+)
 from ._units import UNITS, robot_of, units_of, wrong_unit
 from .joint_routes import (
     JointPart,
@@ -286,8 +295,9 @@ class _RouteChecker:
             expression = parse(origin)
         except RouteError as error:
             raise DeclarationError([Problem("", str(error))]) from None
-        if expression.negated:
-            message = f"'{NOT}' is for switches; joints take numbers"
+        if expression.negated or expression.is_condition:
+            found = f"'{NOT}' is" if expression.negated else "comparisons are"
+            message = f"{found} for switches; joints take numbers"
             raise DeclarationError([Problem("", message)])
         return self._evaluated(expression, [])
 
@@ -295,12 +305,8 @@ class _RouteChecker:
         self, expression: Expression, problems: list[Problem]
     ) -> tuple[Value, str] | None:
         """What a parsed origin means, and its text; raises with `problems` beside its own."""
-        found = {name: self._find(name) for name in names_in(expression.text)}
-        problems = [*problems, *(v for v in found.values() if isinstance(v, Problem))]
-        if problems:
-            raise DeclarationError(problems)
-        known = {name: value for name, value in found.items() if isinstance(value, Value)}
-        if len(known) < len(found):
+        known = self._known(expression, problems)
+        if known is None:
             return None
         text = expression.text.strip()
         text = text.removeprefix(NOT).lstrip() if expression.negated else text
@@ -308,6 +314,17 @@ class _RouteChecker:
             return evaluate(expression, known), text
         except RouteError as error:
             raise DeclarationError([Problem("", str(error))]) from None
+
+    def _known(
+        self, expression: Expression, problems: Sequence[Problem]
+    ) -> dict[str, Value] | None:
+        """What its names stand for; None where a fault is told elsewhere. Raises as above."""
+        found = {name: self._find(name) for name in names_in(expression.text)}
+        problems = [*problems, *(v for v in found.values() if isinstance(v, Problem))]
+        if problems:
+            raise DeclarationError(problems)
+        known = {name: value for name, value in found.items() if isinstance(value, Value)}
+        return known if len(known) == len(found) else None
 
     def _group_inputs(
         self, group: str, key: str, members: Sequence[str]
@@ -339,6 +356,8 @@ class _RouteChecker:
             if problems:
                 raise DeclarationError(problems)
             return [] if route is None else [route]
+        if expression.is_condition:
+            return self._switches(inputs, expression, problems, target)
         found = self._evaluated(expression, problems)
         if found is None or len(inputs) < len(items):
             return []
@@ -362,6 +381,27 @@ class _RouteChecker:
             if len(inputs) > 1 and share is not value:
                 first += share.entries.size
         return routes
+
+    def _switches(
+        self,
+        items: Sequence[Input],
+        expression: Expression,
+        problems: list[Problem],
+        target: str,
+    ) -> list[Route | FrameRoute]:
+        """Routes from a condition."""
+        if items and items[0].kind != "toggle":
+            message = f"comparisons are for switches; {target} takes {items[0].meaning}"
+            problems = [*problems, Problem("", message)]
+        names = self._known(expression, problems)
+        if names is None:
+            return []
+        try:
+            value, condition = evaluate_condition(expression, names)
+        except RouteError as error:
+            raise DeclarationError([Problem("", str(error))]) from None
+        compiled, text = value.compile(value.entries.size), expression.text.strip()
+        return [Route(item, text, compiled, condition=condition) for item in items]
 
     def _input(self, target: str) -> Input | Problem | None:
         """The input that a route leads to, what is wrong with it, or None where that is known."""

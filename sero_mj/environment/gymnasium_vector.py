@@ -42,6 +42,7 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
         "render_modes": [],
     }
+    render_mode = None
 
     def __init__(self, many: ManyEnvironments, *, is_seeded: bool = False) -> None:
         self.many, self.num_envs = many, many.m
@@ -108,6 +109,10 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
             infos["error"][terminated] = "the motion has become unstable"
             infos["_error"] = terminated.copy()
         return self._within(seen), rewards, terminated, truncated, infos
+
+    def begin_next(self) -> Observation:
+        """Begins the next episodes where one is over, at once; returns what all observe."""
+        return self._within(self.many.begin_next())
 
     def _episodes(self, which: Bools) -> dict[str, Any]:
         """Numbers of the episodes that some have begun, as gymnasium hands information on."""

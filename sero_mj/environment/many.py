@@ -95,7 +95,16 @@ class ManyEnvironments:
         """
         if seeds is not None:
             self.seeds, self.episodes = np.array(seeds), np.full(self.m, -1)
-        self._begin(np.ones(self.m, bool))
+        self.is_over[:] = True
+        return self.begin_next()
+
+    def begin_next(self) -> dict[str, Array]:
+        """Begins the next episode where one is over.
+
+        Returns:
+            as of `reset`, of all.
+        """
+        self._begin(self.is_over.copy())
         self._seen = self._observe(self._states_now())
         return {name: value.copy() for name, value in self._seen.items()}
 

@@ -165,7 +165,9 @@ class Intake:
             bad = lengths != layout.size
             counters.wrong_size += int(bad.sum())
             counters.last_size = int(lengths[bad][-1])
-            self._fault(f"{counters.last_size} bytes; expected {layout.size}", arrivals[bad][-1])
+            hint = layout.for_size(counters.last_size)
+            found = f"{counters.last_size} bytes; expected {layout.size}{hint and f'; {hint}'}"
+            self._fault(found, arrivals[bad][-1])
             rows, arrivals = rows[~bad], arrivals[~bad]
             senders = None if senders is None else senders[~bad]
         if len(rows) and (bad := layout.find_wrong_constants(rows)).any():

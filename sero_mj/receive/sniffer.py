@@ -19,13 +19,13 @@ from ..errors import SourceError
 from ._tracking import Timing
 from ._udp_socket import Batch, Datagrams, open_socket, unpack_address
 from .fri import COMMAND, MEASUREMENT
-from .language import MAX_PACKET_BYTES
+from .language import MAX_PACKET_BYTES, TYPES
+from .mixed_layout import LARGEST, SMALLEST, mixed_layout
 from .structure import Rows, Structure, are_frames
 
 _KEPT = 16  # packets of a stream that guesses are made from
 _MOST_STREAMS = 100  # more senders and sizes than anyone reads
 
-SMALLEST, LARGEST = 1e-6, 1e6  # sizes of numbers that look like measurements in SI units
 _MOST_JOINTS = 64
 _MOST_GUESSES = 4
 _MOST_NUMBERS = 512  # among which frames are looked for
@@ -36,6 +36,10 @@ _TYPES = {
     ">f8": "big-endian float64",
     ">f4": "big-endian float32",
 }
+_IN_WORDS = {
+    "d": "float64", "f": "float32", "I": "uint32", "i": "int32", "H": "uint16", "h": "int16",
+    "B": "byte", "x": "byte of padding",
+}  # fmt: skip
 # Packets of robots that are on the market, by size: structure, row by row, and words.
 KNOWN = {
     916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
@@ -198,6 +202,9 @@ def guess_layouts(rows: Rows) -> list[Guess]:
         )
     ]
     guesses = [guess for _, guess in sorted(ranked, key=lambda pair: pair[0], reverse=True)]
+    if not guesses or guesses[0].plausible < 1.0:
+        known_ones = {guess.structure for guess in guesses}
+        guesses[:0] = [each for each in _mixed(rows) if each.structure not in known_ones]
     if size in KNOWN:
         text, about = KNOWN[size]
         known = Structure(text, column_major=False)
@@ -205,6 +212,39 @@ def guess_layouts(rows: Rows) -> list[Guess]:
         rank = 0 if is_it else _MOST_GUESSES - 1
         guesses.insert(rank, Guess(text, False, False, about, float(is_it)))
     return guesses[:_MOST_GUESSES]
+
+
+def _mixed(rows: Rows) -> list[Guess]:
+    """A layout of several types, where there is one."""
+    found = mixed_layout(rows)
+    if found is None:
+        return []
+    order, runs, likely = found
+    floats = {run.letter for run in runs} & {"d", "f"}
+    only = f"{order}f{8 if 'd' in floats else 4}" if len(floats) == 1 else None
+    parts: list[str] = []
+    words: list[str] = []
+    column_major, at = True, 0
+    for run in runs:
+        letter, width = run.letter, 1 if run.letter == "x" else np.dtype(TYPES[run.letter]).itemsize
+        end = at + run.count * width
+        name = "number:" if run.is_counter and not any("number" in part for part in parts) else ""
+        part, word = f"{name}{run.count}{letter}", _plural(run.count, _IN_WORDS[letter])
+        if run.is_counter:
+            word = "a counter"
+        if letter in floats and only is not None:
+            numbers = np.ascontiguousarray(rows[:, at:end]).view(only)
+            part, by_columns, word = _body(numbers)
+            column_major &= by_columns
+            word = f"{_TYPES[only].removeprefix('big-endian ')}: {word}"
+        parts.append(part)
+        words.append(word)
+        at = end
+    text = " ".join(parts)
+    about = ", ".join(words)
+    if order == ">":
+        text, about = f">{text}", f"big-endian {about}"
+    return [Guess(text, only is None or only[-1] == "8", column_major, about, likely)]
 
 
 def _of(ranked: tuple[tuple[float, ...], Guess]) -> float:
@@ -257,7 +297,8 @@ def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
 
 
 def _plural(count: int, word: str) -> str:
-    return f"{count} {word}{'s' if count > 1 else ''}"
+    first, of, rest = word.partition(" of ")
+    return f"{count} {first}{'s' if count > 1 and not first[-1].isdigit() else ''}{of}{rest}"
 
 
 def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:

@@ -29,6 +29,9 @@ _IDENTITY = np.eye(3)
 _DOUBLE = np.dtype(np.float64)
 
 
+_ALIGNMENTS: tuple[Alignment, ...] = (1, 2, 4, 8)
+
+
 class Structure:
     """A decoder and encoder for one packet layout, built once.
 
@@ -67,7 +70,7 @@ class Structure:
         alignment: Alignment = 1,
         scale: float = 1.0,
     ) -> None:
-        if alignment not in (1, 2, 4, 8):
+        if alignment not in _ALIGNMENTS:
             raise ValueError(f"alignment: found {alignment}; expected 1, 2, 4 or 8")
         if not 0.0 < scale < math.inf:
             raise ValueError(f"scale: found {scale}; expected a finite number above 0")
@@ -101,6 +104,30 @@ class Structure:
         ]
         self._is_plain = not any(item for *_, item in self._plan)
         self._blocks: dict[frozenset[str], list[_Block]] = {}
+
+    def for_size(self, size: int) -> str:
+        """Says what else would have packets of another size: alignment, float32, padding.
+
+        Empty where nothing of these does.
+        """
+        found = []
+        for alignment in _ALIGNMENTS[_ALIGNMENTS.index(self.alignment) :]:
+            for is_double in (self.is_double, not self.is_double):
+                end = Structure(self.text, is_double=is_double, alignment=alignment).size
+                # What a C compiler adds at the end, so that the next one in an array is aligned.
+                padding = size - end
+                if not 0 <= padding < _ALIGNMENTS[-1] or (padding and size % max(alignment, 4)):
+                    continue
+                parts = []
+                if alignment != self.alignment:
+                    parts.append(f"alignment = {alignment}")
+                if is_double != self.is_double:
+                    parts.append(f"double = {'true' if is_double else 'false'}")
+                if padding:
+                    parts.append(f"{padding}x at its end")
+                if parts:
+                    found.append((len(parts), padding, f"with {' and '.join(parts)} it has {size}"))
+        return min(found)[-1] if found else ""
 
     def _unless_plain(self, item: Item) -> Item | None:
         is_plain = item.dtype == _DOUBLE and len(item.shape) == 1

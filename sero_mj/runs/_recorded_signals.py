@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -28,6 +28,10 @@ from .run_log import event_of
 _SIGNALS = ("joint_angles", "torques", "commanded_torques")
 _TARGET = "target_angles"  # of a double
 _AT_ONCE = 8192  # packets
+# Packets over which a typical period is found; its share by which those of a bunch are apart, most
+# bunches per packet, and the longest period in a bunch, by the typical one, before it is a pause.
+_TYPICAL, _LEAST_TYPICAL = 64, 8
+_AT_ONCE_SHARE, _MOST_BUNCHES, _LONGEST = 0.25, 0.6, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,8 @@ def read_events(recording: Recording, receiver: Source, name: str) -> Series:
     """Decodes a source's packets; malformed ones are left out, as they were when they came.
 
     Where packets carry the time at which they were sent, and it only rises, that is their time,
-    moved so that the first has the time of its arrival; else it is the time of their arrival.
+    moved so that the first has the time of its arrival; else it is the time of their arrival, of
+    bunches spread evenly, see `spread_bunches`.
 
     Args:
         recording: where from.
@@ -73,15 +78,55 @@ def read_events(recording: Recording, receiver: Source, name: str) -> Series:
         event: _flat(np.concatenate([part.values[event] for part in parts]))
         for event in receiver.events
     }
-    times = np.concatenate([part.arrivals for part in parts])
+    return series_of(receiver, events, np.concatenate([part.arrivals for part in parts]))
+
+
+def series_of(receiver: Source, events: Mapping[str, Array], arrivals: Array) -> Series:
+    """Good packets of a source over time, see `read_events`.
+
+    Args:
+        receiver: that knows which event is the time at which packets were sent.
+        events: event to its numbers, (T, count), T >= 1.
+        arrivals: (T,), s.
+    """
+    times = spread_bunches(arrivals)
     if receiver.time:
         sent = events[receiver.time][:, 0] * receiver.time_scale
         if np.isfinite(sent).all() and (np.diff(sent) > 0).all():
-            times = sent - sent[0] + times[0]
+            times = sent - sent[0] + arrivals[0]
     # Of packets that came at once the last is what was shown.
     later = np.minimum.accumulate(times[::-1])[::-1]
     keep = np.append(times[:-1] < later[1:], True)
     return Series(times[keep], {event: values[keep] for event, values in events.items()})
+
+
+def spread_bunches(arrivals: Array) -> Array:
+    """Times at which packets that came in bunches may have been sent: evenly between two bunches.
+
+    What buffers or a slow network hold back comes all at once, and differences between such rows
+    mean nothing. The last of a bunch was sent when it came, as far as is known, the first just
+    after the bunch before.
+
+    Args:
+        arrivals: (T,), s, never decreasing.
+
+    Returns:
+        (T,), s; arrivals as they are where they do not come in bunches.
+    """
+    size = min(_TYPICAL, len(arrivals) - 1)
+    if size < _LEAST_TYPICAL:
+        return arrivals
+    period = float(np.median(arrivals[size:] - arrivals[:-size])) / size  # whatever the pauses
+    begins = np.append(True, np.diff(arrivals) >= _AT_ONCE_SHARE * period)
+    if begins.mean() > _MOST_BUNCHES:
+        return arrivals
+    firsts = np.flatnonzero(begins)
+    counts = np.diff(np.append(firsts, len(arrivals)))
+    ends = arrivals[firsts + counts - 1]
+    usual, spans = counts * period, np.diff(ends, prepend=-np.inf)
+    spans = np.where(spans > _LONGEST * usual, usual, spans)  # a pause, and before the first
+    behind = np.repeat(counts + firsts, counts) - 1 - np.arange(len(arrivals))
+    return np.asarray(np.repeat(ends, counts) - np.repeat(spans / counts, counts) * behind)
 
 
 def receiver_of(recording: Recording, name: str) -> Source:
@@ -108,21 +153,23 @@ def _flat(values: Array) -> Array:
 
 
 def follow_routes(
-    recording: Recording,
-    sources: Collection[str],
+    path: Path,
+    receivers: Mapping[str, Source],
+    read: Callable[[str], Series],
     robots: Mapping[str, SerialRobot],
     routes: Mapping[str, Any],
     doubles: Mapping[str, Any],
     groups: Mapping[str, Any],
 ) -> tuple[dict[str, Array], Array]:
-    """Computes the inputs of robots over a recording.
+    """Computes the inputs of robots over a recording, or a table.
 
     The rows are the packets of the source that moves the first robot; of other sources the
     newest packet counts, as in a picture.
 
     Args:
-        recording: where from.
-        sources: which of its sources.
+        path: of the recording.
+        receivers: of its sources, by name.
+        read: gives what a source has sent.
         robots: by name.
         routes: input to origin, as a scene has them; those from elsewhere are left out.
         doubles: double to its table; the first double that is moved is its robot's target. One of
@@ -143,29 +190,28 @@ def follow_routes(
     owners = {*robots, *(group.name for group in grouped)}
     of = {name: str(table["of"]) for name, table in doubles.items()
           if isinstance(table, Mapping) and table.get("of") in owners}  # fmt: skip
-    wanted = _possible(wanted, {*owners, *of}, sources)
-    receivers = {name: receiver_of(recording, name) for name in sources}
+    wanted = _possible(wanted, {*owners, *of}, receivers)
     scene = Scene(
         robots=list(robots.values()),
         groups=grouped,
         doubles=[Double(name=name, of=robot) for name, robot in of.items()],
-        sources=receivers,
+        sources=dict(receivers),
         routes=wanted,
     )
     wiring = wire(scene)
     if wiring.problems:
         reason = "; ".join(str(problem) for problem in wiring.problems[:3])
-        raise RecordingError(recording.path, f"its routes cannot be followed: {reason}")
+        raise RecordingError(path, f"its routes cannot be followed: {reason}")
     values = {route.to.target: route.value for route in wiring.routes}
     moved = [name for name in robots if f"{name}.joint_angles" in values]
     if not moved:
         led = ", ".join(routes) or "none"
         reason = f"no source in it moves a robot: found routes to {led}; expected {{}}.joint_angles"
-        raise RecordingError(recording.path, reason.format(next(iter(robots))))
+        raise RecordingError(path, reason.format(next(iter(robots))))
     names = {origin.name for value in values.values() for origin in value.origins
              if origin.is_event}  # fmt: skip
-    series = {name: read_events(recording, receivers[name], name) for name in names}
-    follower = _Follower(values, series, recording.path, f"{moved[0]}.joint_angles")
+    series = {name: read(name) for name in names}
+    follower = _Follower(values, series, path, f"{moved[0]}.joint_angles")
     inputs = {event_of(name, signal): f"{name}.{signal}" for name in moved for signal in _SIGNALS}
     for double, robot in ((name, each.of) for name, each in scene.doubles.items()):
         # The first one that is moved.
@@ -175,7 +221,7 @@ def follow_routes(
     angles = [found[event_of(name, "joint_angles")] for name in moved]
     there = np.isfinite(np.hstack(angles)).all(axis=1)
     if not there.any():
-        raise RecordingError(recording.path, "never tells where all of its robots are at once")
+        raise RecordingError(path, "never tells where all of its robots are at once")
     times = follower.times[there]
     return {event: values[there] for event, values in found.items()}, times - times[0]
 

@@ -1,4 +1,4 @@
-"""A run as a CSV table: written by `simulate --csv`, read also where others wrote it."""
+"""A run as a CSV table: `simulate --csv` writes it; its columns are read also where others did."""
 
 from __future__ import annotations
 
@@ -9,32 +9,33 @@ from pathlib import Path
 import numpy as np
 
 from ..assemble.robot import SerialRobot
-from ..errors import CsvError
 from ..frames import Array
-from ..record.csv_files import column_names, csv_table, read_csv
-from .run_log import MEASURED, RunLayout, RunLog, event_of, recorded_event
+from ..record.csv_files import column_names, csv_table
+from .run_log import MEASURED, TIME, RunLayout, RunLog, event_of, recorded_event
 
 _COLUMN = re.compile(r"(\w+)\[(\d+)\]")
 
 
-def read_run_csv(path: Path | str, robots: Mapping[str, SerialRobot]) -> RunLog:
-    """Reads a table with a column `time`, s, and `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`.
+def run_of_columns(
+    path: Path, times: Array, columns: Mapping[str, Array], robots: Mapping[str, SerialRobot]
+) -> RunLog | None:
+    """The run in a table with `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`; None where there is none.
 
     Args:
-        path: the file.
+        path: of the table.
+        times: (T,), s; those of the simulation, `time[0]`, count where a recording of one was
+            exported.
+        columns: name to values, (T,).
         robots: by name; a table does not say what they are. Those without a column are left out.
 
     Returns:
         every signal that has a column for each joint; other columns are left out.
-
-    Raises:
-        CsvError: it cannot be read, or has no robot's columns.
     """
-    times, columns = read_csv(path)
     found: dict[str, dict[int, Array]] = {}
     for name, values in columns.items():
         if (match := _COLUMN.fullmatch(name)) is not None:
             found.setdefault(match[1], {})[int(match[2])] = values
+    times = found.pop(TIME, {0: times})[0]
     signals, known = {}, {}
     for robot, declared in robots.items():
         start = event_of(robot, "")
@@ -46,13 +47,20 @@ def read_run_csv(path: Path | str, robots: Mapping[str, SerialRobot]) -> RunLog:
             if event.startswith(start) and set(of_joints) == set(range(declared.n)):
                 signals[event] = np.stack([of_joints[k] for k in range(declared.n)], axis=1)
                 known[robot] = declared
-    if not known:
-        shown = ", ".join([*columns][:6])
-        first = next(iter(robots.items()), None)
-        start, n = (event_of(first[0], ""), first[1].n) if first else ("ROBOT_", 1)
-        expected = f"{start}torques[0] to {start}torques[{n - 1}]"
-        raise CsvError(path, f"found the columns {shown}, ...; expected such as {expected}")
-    return RunLog(known, signals, times, Path(path).stem)
+    rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
+    signals = {event: values[rising] for event, values in signals.items()}
+    return RunLog(known, signals, times[rising], path.stem) if known else None
+
+
+def columns_of_events(
+    columns: Mapping[str, Array], events: Mapping[str, tuple[int, ...]]
+) -> dict[str, Array]:
+    """A source's events in a table, (T, count) each; nothing where one has no columns."""
+    names = {event: column_names({event: shape}) for event, shape in events.items()}
+    if not all(name in columns for each in names.values() for name in each):
+        return {}
+    return {event: np.stack([columns[name] for name in each], axis=1)
+            for event, each in names.items()}  # fmt: skip
 
 
 def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
@@ -68,7 +76,7 @@ def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
     """
     events = layout.structure.events
     names = column_names({name: tuple(shape) for name, shape in events.items()})
-    names[0] = "time"
+    names[0] = TIME
     with csv_table(path) as table:
         table.writerow(names)
         for part in np.array_split(rows, max(len(rows) // 10_000, 1)):

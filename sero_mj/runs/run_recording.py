@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,11 +16,21 @@ from ..assemble.group_model import Expanded, expand_groups
 from ..assemble.robot import SerialRobot, build_robot
 from ..assemble.scene import Scene
 from ..describe.x3d import read_x3d
-from ..errors import DeclarationError, RecordingError, UnknownName, UsageError, did_you_mean
+from ..errors import (
+    CsvError,
+    DeclarationError,
+    RecordingError,
+    UnknownName,
+    UsageError,
+    did_you_mean,
+)
 from ..frames import Array
+from ..receive.source import Source, make_source
+from ..record.csv_files import column_names, read_csv
 from ..record.recording import Recording
 from ..toml_file import parse_toml
-from ._recorded_signals import follow_routes, read_events, receiver_of
+from ._recorded_signals import Series, follow_routes, read_events, receiver_of, series_of
+from .run_csv import columns_of_events, run_of_columns
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 
 _MODEL_FILES = (paths.ROBOT_FILE, paths.GROUP_FILE)
@@ -66,11 +76,78 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
             found = ", ".join(recording.attachments) or "no files"
             reason = f"has no robot in it: found {found}; expected a scene, give one"
             raise RecordingError(path, reason)
-        signals, times = follow_routes(
-            recording, names, robots, declared.routes, declared.doubles, declared.groups
+        receivers = {name: receiver_of(recording, name) for name in names}
+        return _mirrored(
+            path, receivers, lambda name: read_events(recording, receivers[name], name), declared
         )
-        known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
-        return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
+
+
+def read_run_table(path: Path | str, scene: Scene, source: str | None = None) -> RunLog:
+    """Reads a table of a simulation (`simulate --csv`), or of a source's packets (`export-csv`).
+
+    Args:
+        path: of the table.
+        scene: the robots, and the routes that lead from packets to them: a table says neither.
+        source: in the scene, whose packets they are; the only one with such columns when None.
+
+    Returns:
+        as of `read_run`.
+
+    Raises:
+        CsvError: it cannot be read, or its columns are neither.
+        UsageError: no such source, or there are several and one has to be chosen.
+    """
+    path = Path(path)
+    if source is not None and source not in scene.sources:
+        raise UsageError(f"no source '{source}' in the scene{did_you_mean(source, scene.sources)}")
+    times, columns = read_csv(path)
+    log = run_of_columns(path, times, columns, scene.robots)
+    if log is not None:
+        return replace(log, signals=_with_velocities(log.robots, log.signals, log.times))
+    names = scene.sources if source is None else [source]
+    wanted = {name: make_source(name, scene.sources[name]) for name in names}
+    sent = {name: columns_of_events(columns, each.events) for name, each in wanted.items()}
+    possible = {name: events for name, events in sent.items() if events}
+    if len(possible) > 1:
+        raise UsageError(f"{path} may be of {', '.join(possible)}; choose one of these sources")
+    if not possible:
+        raise CsvError(path, _expected_columns(columns, scene.robots, wanted))
+    ((name, events),) = possible.items()
+    series = series_of(wanted[name], events, times)
+    try:
+        return _mirrored(path, {name: wanted[name]}, lambda _: series, _declared_in(scene))
+    except RecordingError as error:
+        raise CsvError(path, error.reason) from None
+
+
+def _expected_columns(
+    columns: Mapping[str, Array], robots: Mapping[str, SerialRobot], sources: Mapping[str, Source]
+) -> str:
+    """What is wrong with a table's columns."""
+    expected = [
+        f"{event_of(name, 'torques')}[0] to [{robot.n - 1}]" for name, robot in robots.items()
+    ]
+    for name, source in sources.items():
+        names = column_names(source.events)
+        expected.append(f"{names[0]} to {names[-1]} of source '{name}'")
+    shown = ", ".join([*columns][:6])
+    wanted = ", or ".join(expected) or "ROBOT_torques[0]"
+    return f"found the columns {shown}, ...; expected such as {wanted}"
+
+
+def _mirrored(
+    path: Path,
+    receivers: Mapping[str, Source],
+    read: Callable[[str], Series],
+    declared: _Declared,
+) -> RunLog:
+    """A run of robots that were mirrored."""
+    robots = declared.robots
+    signals, times = follow_routes(
+        path, receivers, read, robots, declared.routes, declared.doubles, declared.groups
+    )
+    known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
+    return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
 
 
 def _chosen(recording: Recording, source: str | None) -> list[str]:
@@ -157,9 +234,9 @@ def _with_velocities(
     """Adds the velocities that were not sent, as differences of angles."""
     found = dict(signals)
     for name in robots:
-        event = event_of(name, "joint_velocities")
-        if event not in found and len(times) > 1:
-            found[event] = np.gradient(found[event_of(name, "joint_angles")], times, axis=0)
+        event, angles = event_of(name, "joint_velocities"), event_of(name, "joint_angles")
+        if event not in found and angles in found and len(times) > 1:
+            found[event] = np.gradient(found[angles], times, axis=0)
     return found
 
 

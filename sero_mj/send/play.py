@@ -240,7 +240,8 @@ def _connected(routes: Sequence[Route], source: str, events: Collection[str]) ->
     taking = [
         route
         for route in routes
-        if all(
+        if route.condition is None  # many numbers fulfil one
+        and all(
             origin.key in events
             for origin in route.value.origins
             if origin.is_event and origin.name == source

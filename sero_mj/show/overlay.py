@@ -49,6 +49,7 @@ class Overlay:
         self._decor = SceneDecor(world)
         self._drawn = self._decor  # the last drawn decor: this one, or that of `image`
         self._renderer: HeadlessRenderer | None = None
+        self._is_told = False  # that there are no frames
 
     @property
     def toggles(self) -> Toggles:
@@ -139,6 +140,7 @@ class Overlay:
             raise UsageError(
                 "the scene has no camera yet: call update_scene before draw, or give draw a camera"
             )
+        self.check_frames()
         self._drawn = self._decor
         view = PictureView.of_scene(scene, width, height, font)
         return self._decor.draw(self.data, view, scene)
@@ -203,6 +205,7 @@ class Overlay:
         for key, value in (("width", width), ("height", height)):
             if not isinstance(value, int | np.integer):
                 raise UsageError(f"{key}: found {value!r}; expected a number of pixels")
+        self.check_frames()
         renderer = self._renderer
         if renderer is None or renderer.size != (width, height):
             self.close()
@@ -213,6 +216,16 @@ class Overlay:
         picture: Picture = renderer.render(self.data).view(Picture)
         self._drawn = renderer.decor
         return picture
+
+    def check_frames(self) -> None:
+        """Warns, once, where nothing has computed the frames of the data before it is shown."""
+        if not self._is_told and not self.data.xmat.any():
+            self._is_told = True
+            log.warning(
+                "the data of %s has no frames yet, so nothing is at its place: call "
+                "mujoco.mj_forward(model, data) before a picture",
+                self.world.scene.name,
+            )
 
     def _repr_png_(self) -> bytes | None:
         """Returns a picture as PNG, for notebooks."""
@@ -311,12 +324,6 @@ def overlay(
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
     _check_data(model, data)
-    if not data.xmat.any():
-        log.warning(
-            "the data of %s has no frames yet, so nothing is at its place: call "
-            "mujoco.mj_forward(model, data) before a picture",
-            name,
-        )
     return Overlay(
         ModelWorld(
             model,

@@ -65,6 +65,7 @@ def _read(file: Path, overrides: dict[str, Any], extending: tuple[Path, ...]) ->
 
 def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -> Scenario:
     """Reads a scenario that extends none."""
+    whole = dict(tables)
     own = {key: tables.pop(key) for key in (*SECTIONS, *OTHERS) if key in tables}
     of_scene: dict[str, Any] = {}
     of_own: dict[str, Any] = {}
@@ -85,7 +86,10 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     except DeclarationError as error:
         problems += error.problems
     if scene is None or (problems and "robots" in " ".join(scene.broken)):
-        raise DeclarationError(problems)  # all that is said of robots would be wrong as well
+        # All that is said of robots would be wrong as well, but for what is set elsewhere.
+        if of_scene and of_own:
+            problems += _problems_without(file, whole, of_own)
+        raise DeclarationError(problems)
     problems += _set_all(own, of_own, scene, file)
     scene.description = str(own.get("description", scene.description))
     problems += _read_motions(own, scene, file)
@@ -108,6 +112,23 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         raise DeclarationError(problems)
     scenario.file, scenario.settings = file, overrides
     return scenario
+
+
+def _problems_without(
+    file: Path, tables: dict[str, Any], settings: dict[str, Any]
+) -> list[Problem]:
+    """What is wrong with settings of a scenario itself, without those of its scene."""
+    try:
+        _read_whole(file, tables, settings)
+    except DeclarationError as error:
+        return [problem for problem in error.problems
+                if any(_is_part(problem.key, key) for key in settings)]  # fmt: skip
+    return []
+
+
+def _is_part(key: str, of: str) -> bool:
+    """Whether a problem's key is one that was set, or a part of it, or has it."""
+    return any(a == b or a.startswith((f"{b}.", f"{b}[")) for a, b in ((key, of), (of, key)))
 
 
 def _read_extended(

@@ -23,6 +23,7 @@ joint's torque limit nothing is told.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,11 +32,13 @@ from ..errors import UsageError
 from ..frames import Array, Bools
 from ..runs.run_log import RunLog
 from .explain_search import LEAST_ROWS, Search
-from .explanation import MOST_SURE, Explanation
+from .explanation import FLANGE, LINKS, MOST_SURE, Explanation
 from .torque_residuals import TorqueResiduals, torque_residuals
 
 _STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.2, 0.03  # s
 _ENDING, _FAST = 0.6, 0.004  # s, the last of a run, and the low pass there
+_BEFORE = 0.1  # s, by which something may seem to begin earlier through the slower low pass
+_MUCH = 0.05  # of the torque limit, which a drive that runs off does other than it should
 _ROUGHER = 2.0  # times what was before, above which noise is told
 _FINE, _LEAST_NOISE = 2e-4, 1.5e-3  # of the torque limit
 
@@ -70,21 +73,25 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
 
     Args:
         found: of a run.
-        ending: of its last moments, through a faster low pass; for drives of the wrong sign.
+        ending: of its last moments, through a faster low pass; for drives that run off.
 
     Returns:
         in the order of the joints, the most certain of a joint first; empty for no difference.
     """
-    link = found.link if found.has_model else np.full_like(found.link, np.nan)
-    without = _outside_of_fits(found, link)
-    if ending is not None:
-        has = {each.joint for each in without}
-        of_link = ending.link if found.has_model else np.full_like(ending.link, np.nan)
-        fast = _wrong_drives(ending, of_link, _RUNS_OFF_FAST)
-        without += [each for each in fast if each.joint not in has]
+    found = _by_known_links(found)
     noise = _noise(found, None)
-    search = Search(replace(found, link=link), without, noise)
-    return search.explanations([*without, *noise])
+    without = _outside_of_fits(found, noise)
+    if ending is None:
+        return Search(found, without, noise).explanations([*without, *noise])
+    ending = _by_known_links(ending)
+    noise_at_end = _noise(ending, None)
+    has = {each.joint for each in without}
+    fast = [each for each in _wrong_drives(ending, _RUNS_OFF_FAST) if each.joint not in has]
+    fast = _unlike_fits(fast, ending, noise_at_end)
+    without += _unlike_fits(fast, found, noise)
+    told = Search(found, without, noise).explanations([*without, *noise])
+    last = Search(ending, without, noise_at_end).explanations([])
+    return _with_drives_that_run_off(told, last, found, ending)
 
 
 def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
@@ -97,7 +104,7 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
         a: of a run.
         b: of another one, at the same times.
     """
-    mine, theirs = (_outside_of_fits(each, each.link) for each in (a, b))
+    mine, theirs = (_outside_of_fits(each, _noise(each, None)) for each in (a, b))
     known = {(each.joint, each.part) for each in theirs}
     told = [each for each in mine if (each.joint, each.part) not in known]
     difference = replace(a, link=a.link - b.link, motor=a.motor - b.motor, lag=a.lag - b.lag)
@@ -130,15 +137,75 @@ def explain_runs(
     return explain_pair(first, moved)
 
 
-def _outside_of_fits(found: TorqueResiduals, link: Array) -> list[Explanation]:
+def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:
+    """The same without residuals of links whose masses are not known."""
+    return found if found.has_model else replace(found, link=np.full_like(found.link, np.nan))
+
+
+def _outside_of_fits(found: TorqueResiduals, noise: Sequence[Explanation]) -> list[Explanation]:
     """What shows by other signs than by how residuals run; one for each joint at most."""
-    told = (
-        _still_sensors(found) + _wrong_drives(found, link, _RUNS_OFF) + _still_joints(found, link)
-    )
+    sensors = _still_sensors(found)
+    signs = _unlike_fits(_wrong_drives(found, _RUNS_OFF), found, noise, sensors)
+    told = sensors + signs + _still_joints(found)
     return list({each.joint: each for each in reversed(told)}.values())
 
 
-def _wrong_drives(found: TorqueResiduals, link: Array, least: float) -> list[Explanation]:
+def _unlike_fits(
+    signs: Sequence[Explanation],
+    found: TorqueResiduals,
+    noise: Sequence[Explanation],
+    without: Sequence[Explanation] = (),
+) -> list[Explanation]:
+    """Drives of the wrong sign, without those that something explains which lasts longer.
+
+    For a moment a bias, friction or a delay may look like twice the commanded torque.
+    """
+    if not signs:
+        return []
+    search = Search(found, without, noise)
+    return [each for each in signs if not search.explains(each)]
+
+
+def _with_drives_that_run_off(
+    told: Sequence[Explanation],
+    last: Sequence[Explanation],
+    found: TorqueResiduals,
+    ending: TorqueResiduals,
+) -> list[Explanation]:
+    """What was told, and of joints that run off, of which little is known, what their end tells.
+
+    Args:
+        told: of a run.
+        last: of its last moments.
+        found: of the run.
+        ending: of its last moments.
+    """
+    names = found.robot.names
+    left = np.nanmax(np.abs(ending.motor), axis=0, initial=0.0)
+    runs_off = {names[k] for k in np.flatnonzero(left > _MUCH * found.scale)}
+    begins: dict[str, float] = {}
+    for each in told:
+        begins[each.joint] = min(each.begin, begins.get(each.joint, np.inf))
+    unknown = {each.joint for each in told if each.kind == "unexplained"}
+    first = float(ending.times[0]) - _BEFORE
+    starts = first <= found.times[0]
+    runs_off -= {joint for joint in begins if joint not in unknown or begins[joint] < first}
+    clear = [
+        replace(
+            each,
+            begin=min(each.begin, begins.get(each.joint, each.begin)),
+            from_start=each.from_start and starts,
+        )
+        for each in last
+        if each.joint in runs_off and each.part == "drive" and each.kind != "unexplained"
+    ]
+    has = {each.joint for each in clear}
+    order = [*names, FLANGE, LINKS]
+    return sorted([*clear, *(each for each in told if each.joint not in has)],
+                  key=lambda each: order.index(each.joint))  # fmt: skip
+
+
+def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
     """Drives of the wrong sign, by which a joint may have run to its stop before a fit has rows.
 
     What is left of the torque is twice what is commanded, also where the joint stands and friction
@@ -146,6 +213,7 @@ def _wrong_drives(found: TorqueResiduals, link: Array, least: float) -> list[Exp
     saturates, what it gives is the opposite of what it is asked for.
     """
     told = []
+    link = found.link
     left = np.where(np.isfinite(found.motor), found.motor, found.lag)
     # Where a joint turns, its inertia is not taken off, and where it stands, only its stop, where
     # no link is known, may hold it.
@@ -180,7 +248,7 @@ def _wrong_drives(found: TorqueResiduals, link: Array, least: float) -> list[Exp
     return told
 
 
-def _still_joints(found: TorqueResiduals, link: Array) -> list[Explanation]:
+def _still_joints(found: TorqueResiduals) -> list[Explanation]:
     """Joints that stand although more acts on them than their friction can hold."""
     told = []
     for joint, name in enumerate(found.robot.names):
@@ -188,7 +256,7 @@ def _still_joints(found: TorqueResiduals, link: Array) -> list[Explanation]:
         first, last = _longest(found.slow[:, joint] & np.isfinite(found.lag[:, joint]))
         if (last - first) * found.step < _STANDS:
             continue
-        lag, sensed = found.lag[first:last, joint], link[first:last, joint]
+        lag, sensed = found.lag[first:last, joint], found.link[first:last, joint]
         sensed = sensed[np.isfinite(sensed)]
         excess = np.abs(lag) > least
         is_sensor = len(sensed) > 0 and np.sqrt(np.mean(sensed**2)) > 0.3 * np.sqrt(np.mean(lag**2))

@@ -6,8 +6,9 @@ time; sums over all rows before an edge make every pair of edges as cheap as one
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import erf
 from typing import Any
 
@@ -33,11 +34,15 @@ _LEAST_JOINTS, _MOST_TRIED = 3, 2
 _GRID, _ROUNDS_OF_EDGES = 18, 3
 # Standard deviations of what is expected: gain, share of the torque limit, payload (SI), masses.
 _GAIN, _SHARE = 1.0, 0.1
-_LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which one of `DELAYS` is fitted
+_LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which a delay is fitted
+_TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, before they are refined
+_ROUNDS_OF_DELAYS, _EXACT = 4, 0.02
 _MOST_GAIN = 2.6  # away from 1
+_LEAST_SIGN = 1.3  # likewise, from which on it is the sign that is wrong
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
 _MASSES = np.array([0.5])
 _LEAST_MASS, _LEAST_SHARE_OF_MASS = 0.03, 0.005  # kg; of the links' masses
+_FAR_BETTER = 0.1  # share of the squares that something else leaves
 _UNEXPLAINED = 0.002  # of the torque limit
 _PUSHED = 2  # joints that something unknown acts on, from which on it may act on others as well
 
@@ -155,6 +160,28 @@ class _Candidate:
     columns: Sequence[tuple[Array, Array]]  # (K, n) each
     priors: Array  # (n, p)
     delay: float = 0.0  # s, of columns that are about it
+    later: Callable[[float], _Candidate] | None = None  # the same kind with another delay
+
+
+def _delayed(
+    part: Part, late: Array, sides: tuple[float, float], priors: Array, delay: float
+) -> _Candidate:
+    """What a delay does.
+
+    Args:
+        part: that is late.
+        late: (D, K, n), what changes by each of `DELAYS`.
+        sides: what is seen of it in the residuals of link and motor.
+        priors: (n, 1).
+        delay: s.
+    """
+    delay = float(np.clip(delay, DELAYS[0], DELAYS[-1]))
+    k = min(int(np.searchsorted(DELAYS, delay, side="right")) - 1, len(DELAYS) - 2)
+    share = (delay - DELAYS[k]) / (DELAYS[k + 1] - DELAYS[k])
+    change = late[k] + share * (late[k + 1] - late[k])
+    columns = [(sides[0] * change, sides[1] * change)]
+    again = partial(_delayed, part, late, sides, priors)
+    return _Candidate("delay", part, columns, priors, delay, again)
 
 
 class Search:
@@ -208,7 +235,7 @@ class Search:
                 seen = self.edges.share(*fit.edges)[:, None]
                 extra = seen * np.nan_to_num(self._of_bodies(fit.kind) @ fit.parameters)
                 slope = np.gradient(extra, found.step, axis=0)
-                true, late = true + extra, late - np.array(DELAYS)[:, None, None] * slope
+                true, late = true + extra, late - DELAYS[:, None, None] * slope
         if not has_link:
             true = found.commanded - found.lag + np.nan_to_num(found.motor)
         # Joint torque control lets the measured torque follow, whatever the sensor shows.
@@ -223,8 +250,8 @@ class Search:
                 _Candidate("bias", sensor, [(one, -seen_by_drive * one)], torque),
             ]
             told += [
-                _Candidate("delay", "torque sensor", [(each, -seen_by_drive * each)], factor, delay)
-                for delay, each in zip(DELAYS, late, strict=True)
+                _delayed("torque sensor", late, (1.0, -seen_by_drive), factor, delay)
+                for delay in _TRIED_DELAYS
             ]
         if self.known[1].any():
             if not found.torque_control:
@@ -232,8 +259,8 @@ class Search:
                 told.append(_Candidate("friction", "joint", friction, torque.repeat(2, axis=1)))
             told.append(_Candidate("gain", "drive", [(zero, -found.commanded)], gain))
             told += [
-                _Candidate("delay", "drive", [(zero, -each)], factor, delay)
-                for delay, each in zip(DELAYS, found.late_commanded, strict=True)
+                _delayed("drive", found.late_commanded, (0.0, -1.0), factor, delay)
+                for delay in _TRIED_DELAYS
             ]
             if has_link:
                 told.append(_Candidate("bias", "drive", [(zero, -one)], torque))
@@ -298,7 +325,7 @@ class Search:
             return None
         told = {(fit.kind, fit.part) for fit in mine}
         new = [each for each in candidates if (each.kind, each.part) not in told]
-        fits = [self._fitted(joint, each) for each in new]
+        fits = [self._refined(joint, each) for each in new]
         fits += [self._unknown(joint, side) for side in (0, 1)]
         known = [fit for fit in fits if fit is not None]
         best = max(known, key=lambda fit: fit.gain, default=None)
@@ -308,8 +335,26 @@ class Search:
         best.confidence = _odds([best.gain, *rivals, 0.0])
         return best
 
-    def _fitted(self, joint: int, candidate: _Candidate) -> _Fit | None:
-        """The stretch of time in which a kind explains most."""
+    def _refined(self, joint: int, candidate: _Candidate) -> _Fit | None:
+        """The stretch of time in which a kind explains most, and of a delay which one does.
+
+        A delay is no multiple of another one: what changes fast shows it.
+        """
+        fit = self._fitted(joint, candidate)
+        for _ in range(_ROUNDS_OF_DELAYS):
+            if fit is None or candidate.later is None or abs(fit.parameters[0] - 1.0) < _EXACT:
+                break
+            other = candidate.later(fit.delay * float(fit.parameters[0]))
+            better = self._fitted(joint, other, fit.edges)
+            if better is None or better.gain <= fit.gain:
+                break
+            fit = better
+        return fit
+
+    def _fitted(
+        self, joint: int, candidate: _Candidate, edges: tuple[int, int] | None = None
+    ) -> _Fit | None:
+        """A kind in the stretch of time in which it explains most, or in a given one."""
         columns = np.stack([np.stack([side[:, joint] for side in column])
                             for column in candidate.columns], axis=-1)  # fmt: skip
         scaled = columns / self.sigma[:, :, joint, None]
@@ -327,7 +372,11 @@ class Search:
             better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
             return np.where(rows >= LEAST_ROWS, better, -np.inf)
 
-        first, last, gain = self.edges.best(scores)
+        if edges is None:
+            first, last, gain = self.edges.best(scores)
+        else:
+            first, last = edges
+            gain = float(scores(np.array([first]), np.array([last]))[0])
         if not gain > 0.0:
             return None
         H, g, _ = sums.between(first, last)
@@ -477,6 +526,39 @@ class Search:
         made.sort(key=lambda each: each.kind == "noise")  # what shakes a joint makes noise as well
         return sorted(made, key=lambda each: order[each.joint])
 
+    def explains(self, sign: Explanation) -> bool:
+        """Whether what seems a drive of the wrong sign is rather something else.
+
+        That is so where it fits far better, or acts before or after as well.
+
+        Args:
+            sign: of a drive, from when to when it seems wrong.
+        """
+        found, joint = self.found, self.found.robot.names.index(sign.joint)
+        end = np.inf if sign.end is None else sign.end
+        during = (found.times >= sign.begin) & (found.times <= end)
+        known = self.known[1, :, joint]
+        rows = known & during
+        before, after = ((each[1, rows, joint] ** 2).sum() for each in (self.y, self.left))
+        asked = 2.0 * found.commanded[rows, joint] / self.sigma[1, rows, joint]
+        by_sign = ((self.y[1, rows, joint] - asked) ** 2).sum()
+        # Joint torque control commands no motors.
+        is_far_better = not found.torque_control and after < _FAR_BETTER * by_sign
+        for fit in self.fits:
+            is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _LEAST_SIGN
+            if fit.joint != joint or fit.kind == "unexplained" or is_sign:
+                continue
+            acts = known & (self.edges.share(*fit.edges) > 0.5)
+            acts &= np.abs(fit.columns[1, :, joint]).sum(axis=-1) > 0.0
+            count = int((acts & during).sum())
+            lasts = (acts & ~during).sum() >= max(LEAST_ROWS, count)
+            if not rows.any():  # too near the end for the low pass
+                if lasts and fit.edges[1] >= self.edges.end:
+                    return True
+            elif count and after < _FAR_BETTER * before and (lasts or is_far_better):
+                return True
+        return False
+
     def _is_large(self, fit: _Fit) -> bool:
         """Whether it is no small part of what was found later on."""
         if fit.joint < 0:
@@ -509,8 +591,8 @@ class Search:
         joints = np.array(names)[felt].tolist() if fit.joint < 0 else [names[fit.joint]]
         if kind == "gain":
             # Of two runs the second may be the one with the wrong sign.
-            kind = "sign" if abs(size) > 1.3 else "gain"
-            size, unit = 1.0 + (size if size < 1.3 else -size), ""
+            kind = "sign" if abs(size) > _LEAST_SIGN else "gain"
+            size, unit = 1.0 + (size if size < _LEAST_SIGN else -size), ""
         elif kind == "delay":
             size, error, unit = fit.delay * size, fit.delay * error, "s"
         elif kind == "friction":

@@ -49,8 +49,8 @@ _STOP = 0.005  # of a joint's range, from which on it is at an end of it
 _LEAST_SCALE = 1e-3  # Nm or N, of joints that have no limit and feel nothing
 _MOVE = 1e-4  # s, by which the Jacobian is moved to find its derivative
 
-# s, which sensors and drives may be late by.
-DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)
+# s, which sensors and drives may be late by; between two of them what they do is interpolated.
+DELAYS = 0.002 * np.arange(1, 51)
 PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
 
