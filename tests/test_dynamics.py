@@ -377,11 +377,12 @@ def test_check_says_what_is_estimated(tmp_path, capsys):
     with pytest.raises(SystemExit) as done:
         main(["check", str(tmp_path / "scene.toml")])
     assert done.value.code == 0
-    lines = [line.strip() for line in capsys.readouterr().out.splitlines() if "dynamics" in line]
-    assert lines == [
+    told = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert [line for line in told if line.startswith(("weighs", "dynamics"))] == [
+        "weighs 15.95 kg, as declared",
         "dynamics: as declared",
-        "dynamics: estimated masses, motor_inertias, viscous_friction, joint_stiffness, "
-        "joint_damping",
+        "weighs 0.005643 kg, estimated: none are declared, its shapes count with 840 kg/m3",
+        "dynamics: estimated motor_inertias, viscous_friction, joint_stiffness, joint_damping",
     ]
 
 

@@ -299,8 +299,8 @@ def test_fk_and_check_say_what_a_group_holds(
         with pytest.raises(SystemExit, match="2"):
             main(["fk", str(name)])
         assert capsys.readouterr().err == (
-            f"sero-mj: {name} is a group of robots; expected one robot. It has hand_index "
-            "(finger), hand_thumb (finger), hand_nail (finger)\n"
+            f"sero-mj: {name}: has 3 robots; expected --of with one of hand_index, hand_thumb, "
+            "hand_nail\n"
         )
     changed(folder, "hand/group.toml", 'mount = "thumb', 'couplings.J2.to = "J1"\nmount = "thumb')
     with pytest.raises(SystemExit, match="0"):
