@@ -90,6 +90,11 @@ def test_a_packet_is_computed_with() -> None:
         ("not udp.values2[0] == 2 or udp.values2[1] >= 5", True),
         ("not (udp.values2[0] == 2 and udp.values2[1] >= 5)", False),
         ("udp.values0[0] * deg > 0.5 * rad", True),
+        ("abs(udp.values0[1]) > 89", True),  # functions, as in triggers
+        ("norm(udp.values2) < 5.3 or max(udp.values0) > 30", False),
+        ("all(abs(udp.values0 - udp.values1) > 28)", True),
+        ("any(udp.values0 < -90)", False),
+        ("udp.values0[0] * udp.values0[1] < min([udp.values2, 0])", True),
         ("udp.receiving == 1", None),
     ],
 )
@@ -120,11 +125,15 @@ def test_a_condition_turns_a_switch_on_and_off(condition: str, holds: bool | Non
         ),
         ("lwr.show_arrows", "udp.values0 = 1", "between spaces, or the end; equal is =="),
         ("lwr.show_arrows", "udp.values0 > udp.values2", "there are 2 values and 3 values"),
+        ("lwr.show_arrows", "abs(udp.values0)", "functions and comparisons are for switches"),
+        ("lwr.torques", "abs(udp.values0)", "functions and comparisons are for switches"),
+        ("lwr.show_arrows", "abs(udp.values0, 2) > 1", "expected one value in brackets behind"),
+        ("lwr.show_arrows", "aps(udp.values0) > 1", "expected a function; did you mean 'abs'?"),
         ("lwr.show_arrows", "2 * deg > 1 * mm", "there are an angle (rad) and a length (m)"),
         (
             "lwr.show_arrows",
             "udp.values0 > 1 or udp.values2 > 1",
-            "as many on both sides of and, or",
+            "found 'or', expected as many on both sides; there are 2 values and 3 values",
         ),
     ],
 )

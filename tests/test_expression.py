@@ -15,9 +15,10 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from sero_mj.assemble.scene import names_in
-from sero_mj.drive._expression import Value, constant, evaluate, numbers_of, parse
 from sero_mj.drive._units import UNITS
+from sero_mj.drive.language import parse
 from sero_mj.drive.route import Affine, Origin
+from sero_mj.drive.values import Value, constant, evaluate, numbers_of
 from sero_mj.errors import RouteError
 
 Array = NDArray[np.float64]

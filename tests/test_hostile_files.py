@@ -18,7 +18,7 @@ from sero_mj.assemble.surroundings import Object
 from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.describe.mjcf_file import as_spec
-from sero_mj.drive._expression import parse
+from sero_mj.drive.language import parse
 from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
 from sero_mj.paths import open_file, read_file
 from sero_mj.receive.shm import ShmReader

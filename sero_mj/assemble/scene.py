@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -41,6 +42,7 @@ MOST_ENTRIES = {
 _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
+FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
 _FOR, _BETWEEN = " for ", ";"  # of origins that are for some joints only
 _OF_JOINTS = ("from", "joints")
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
@@ -588,7 +590,12 @@ def tokens_of(origin: str) -> Iterator[Token]:
 
 def names_in(origin: str) -> list[str]:
     """Returns the distinct names in an origin: events, outputs, frames and units."""
-    names = (word.text for word in tokens_of(origin) if word.kind == "name")
+    words = [*tokens_of(origin), Token("end", "", len(origin))]
+    names = (
+        word.text
+        for word, behind in pairwise(words)
+        if word.kind == "name" and not (behind.text == "(" and word.text in FUNCTIONS)
+    )
     return [name for name in dict.fromkeys(names) if name not in JOINING]
 
 

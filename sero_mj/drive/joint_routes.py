@@ -16,9 +16,9 @@ from ..assemble.inputs import Input
 from ..assemble.scene import Scene
 from ..errors import DeclarationError, Problem, did_you_mean
 from ..frames import Array
-from ._expression import Value, joined
 from ._units import robot_of, units_of, wrong_unit
 from .route import Route
+from .values import Value, joined
 
 _MOST_LISTED = 8  # joints in a message
 

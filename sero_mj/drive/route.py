@@ -115,15 +115,15 @@ def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int
     return Affine(offset, tuple(terms), whole, only)
 
 
-Truths = Callable[[Array], Any]  # of numbers, (n, ...)
+Truths = Callable[[Array], Any]  # of numbers over time, (T, n): (T, ...)
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """Comparisons of numbers with 0, joined by `and`, `or` and `not`.
+    """Comparisons of numbers, joined by `and`, `or` and `not`.
 
     Attributes:
-        truths: of numbers, (n, ...), where it holds.
+        truths: of numbers over time, (T, n), where it holds, (T, ...).
     """
 
     truths: Truths
@@ -133,10 +133,12 @@ class Condition:
 
         NaN where one of them is not known.
         """
-        found = np.asarray(self.truths(numbers.T))
-        beside = tuple(range(found.ndim - (numbers.ndim - 1)))
-        known = np.isfinite(numbers).all(axis=-1)
-        return np.where(known, found.any(axis=beside), np.nan)[..., None]
+        rows = numbers if numbers.ndim > 1 else numbers[None]
+        with np.errstate(all="ignore"):
+            found = np.asarray(self.truths(rows))
+        holds = np.broadcast_to(found.reshape(len(found), -1).any(axis=1), len(rows))
+        values = np.where(np.isfinite(rows).all(axis=1), holds, np.nan)[:, None]
+        return values if numbers.ndim > 1 else np.asarray(values[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.tor
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
 
-`_expression` has the grammar of expressions and their meaning.
+`language` has the grammar of expressions, `values` and `conditions` their meaning.
 """
 
 from __future__ import annotations
@@ -37,17 +37,8 @@ from ..errors import (
     nearest,
 )
 from ..receive.source import SIGNALS, Source, make_source
-from ._expression import (
-    Expression,
-    Value,
-    constant,
-    evaluate,
-    evaluate_condition,
-    joined,
-    numbers_of,
-    parse,
-)
 from ._units import UNITS, robot_of, units_of, wrong_unit
+from .conditions import condition_of
 from .joint_routes import (
     JointPart,
     joint_parts,
@@ -56,7 +47,9 @@ from .joint_routes import (
     places_by_name,
     whole_route,
 )
+from .language import Expression, parse
 from .route import FrameRoute, Origin, Route
+from .values import Value, constant, evaluate, joined, numbers_of
 
 FWD_KIN = "fwd_kin_base_to_flange"
 # What can be read of robots, doubles and arrows: what can be set, but for switches and poses.
@@ -397,7 +390,7 @@ class _RouteChecker:
         if names is None:
             return []
         try:
-            value, condition = evaluate_condition(expression, names)
+            value, condition = condition_of(expression, names)
         except RouteError as error:
             raise DeclarationError([Problem("", str(error))]) from None
         compiled, text = value.compile(value.entries.size), expression.text.strip()

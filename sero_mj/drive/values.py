@@ -1,34 +1,21 @@
-"""Expressions in routes: their grammar, parsed by Python's `ast`, and what they mean.
+"""What expressions of routes mean: arrays of constants plus multiples of received numbers.
 
-origin     = ["not"] expression, or a condition
-expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]` and indices `a[0]`,
-             `a[0,3,5]`, `a[1:4]`, as in Python
-condition  = comparisons of expressions with `<`, `<=`, `>`, `>=`, `==`, `!=`, joined by `and`,
-             `or` and `not`
-
-Names hold `-`, `.` and `/`, so these two have spaces about them where they are operators. Python
-parses a text in which cells of one width stand for the words.
-
-A value is an array, each entry of which is a constant plus multiples of received numbers. It is
-computed once, when a scene is read; `Value.compile` makes of it what runs with every packet.
+Such a value is computed once, when a scene is read; `Value.compile` makes of it what runs with
+every packet.
 
 - Entries are picked along the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
 - Operands have one shape, or one of them is a number or can be repeated as in numpy.
 - A list puts the numbers of its entries one after the other.
 - Matrices cannot be indexed or combined, but for one of several that can be picked, and for
   another unit of length: `udp.matrices0 * mm` and `0.001 * udp.matrices0` scale their positions.
-- A condition is for switches. It compares differences with 0, and on several numbers it holds where
-  it holds for any of them.
 """
 
 from __future__ import annotations
 
 import ast
 import operator
-from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
 from itertools import zip_longest
 from math import isfinite, isnan
 from typing import Any, NoReturn
@@ -36,180 +23,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble.scene import JOINING, NOT, Token, tokens_of
 from ..errors import RouteError
 from ..frames import Array, Ints
 from ._units import LENGTH, NONE, Dimension, describe
-from .route import Affine, Condition, Origin, Term, Truths, make_affine
-
-_MAX_DEPTH = 40  # brackets within each other
-_MAX_WORDS = 2000  # their sum takes the square of it
-_ALLOWED = (
-    ast.Name, ast.Constant, ast.Load, ast.List, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div,
-    ast.UnaryOp, ast.UAdd, ast.USub, ast.Not, ast.BoolOp, ast.And, ast.Or, ast.Compare,
-    ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq,
-)  # fmt: skip
-COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq,
-    "!=": operator.ne,
-}  # fmt: skip
-_CELL = 4  # characters that stand for each word
-
-
-@dataclass(frozen=True)
-class Expression:
-    """A parsed origin.
-
-    Attributes:
-        text: as it is written.
-        negated: whether it is no condition and begins with `not`.
-        tree: of the rest.
-        words: the words of the rest.
-        is_condition: whether there are comparisons, or what joins them.
-    """
-
-    text: str
-    negated: bool
-    tree: ast.expr
-    words: list[Token]
-    is_condition: bool = False
-
-    @property
-    def name(self) -> str | None:
-        """The name that is all there is, else None."""
-        word = self.words[_first_word(self.tree)]
-        return word.text if isinstance(self.tree, ast.Name) and word.kind == "name" else None
-
-    def text_of(self, node: ast.expr) -> str:
-        """A part of the text."""
-        last = self.words[_word_after(node) - 1]
-        return self.text[self.words[_first_word(node)].at : last.at + len(last.text)]
-
-    def refuse(self, word: int, reason: str, length: int = 1) -> NoReturn:
-        """Raises a RouteError that points at a word.
-
-        Args:
-            word: its index.
-            reason: what was expected there.
-            length: how many characters are wrong.
-        """
-        raise RouteError(self.text, self.words[word].at, reason, length)
-
-
-def parse(text: str) -> Expression:
-    """Parses an origin.
-
-    Raises:
-        RouteError: points at the first word that is wrong.
-    """
-    words = list(tokens_of(text))
-    if len(words) > _MAX_WORDS:
-        word, found = words[_MAX_WORDS], f"{len(words)} numbers, names and signs"
-        reason = f"expected at most {_MAX_WORDS} before the end; there are {found}"
-        raise RouteError(text, word.at, reason, len(word.text))
-    is_condition = any(word.text in (*COMPARISONS, "and", "or") for word in words)
-    negated = bool(words) and words[0].text == NOT and not is_condition
-    words = words[negated:]
-    depth = 0
-    for word in words:
-        depth += (word.text in ("(", "[")) - (word.text in (")", "]"))
-        if depth > _MAX_DEPTH:
-            reason = f"expected at most {_MAX_DEPTH} brackets within each other"
-            raise RouteError(text, word.at, reason)
-    signs = [_sign_of(word, is_condition) for word in words]
-    tree = _tree_of(signs)
-    if tree is None:
-        counts = range(1, len(words) + 1)
-        right = bisect_left(counts, True, key=lambda count: not _is_beginning(signs[:count]))
-        word = words[right] if right < len(words) else Token("end", "", len(text))
-        raise RouteError(text, word.at, _expected(signs[:right], word), len(word.text))
-    return Expression(text, negated, tree, words, is_condition)
-
-
-def _sign_of(word: Token, is_condition: bool) -> str:
-    """What stands for a word in the text that Python parses, fewer characters than `_CELL`."""
-    if word.kind == "sign" or (is_condition and word.text in JOINING):
-        return word.text
-    if word.kind == "other" or word.text == NOT:
-        return "$"
-    is_whole = word.text.isdigit() and len(word.text) < 10  # these can be indices
-    return "1" if is_whole else "_"
-
-
-def _tree_of(signs: Sequence[str]) -> ast.expr | None:
-    """The tree of an expression; None of anything else."""
-    try:
-        cells = "".join(sign.ljust(_CELL) for sign in signs)
-        tree = ast.parse(f"({cells})", mode="eval").body
-    except (SyntaxError, RecursionError, MemoryError):
-        return None
-    indices: set[ast.AST] = set()
-    entries: list[ast.AST]
-    for node in ast.walk(tree):
-        match node:
-            case ast.Subscript(slice=ast.Slice() | ast.Tuple() as index):
-                indices.add(index)
-                entries = [
-                    each for each in ast.iter_child_nodes(index) if isinstance(each, ast.expr)
-                ]
-            case ast.Subscript(slice=index):
-                entries = [index]
-            case ast.List(elts=[]) | ast.Tuple(elts=[]):
-                return None
-            case ast.Tuple() | ast.Slice():
-                entries = [] if node in indices else [node]
-            case _:
-                entries = [] if isinstance(node, _ALLOWED) else [node]
-        if not all(map(_is_whole, entries)):
-            return None
-    return tree
-
-
-def _is_whole(node: ast.AST) -> bool:
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-        node = node.operand
-    return isinstance(node, ast.Constant)
-
-
-def _is_beginning(signs: Sequence[str]) -> bool:
-    """Whether an expression begins so."""
-    opened: list[str] = []
-    for sign in signs:
-        if sign in "([":
-            opened.append(")" if sign == "(" else "]")
-        elif sign in ")]" and opened:
-            opened.pop()
-    return any(_tree_of([*signs, *rest, *reversed(opened)]) is not None for rest in ("", "1"))
-
-
-def _expected(before: Sequence[str], found: Token) -> str:
-    """What would be right behind the words before."""
-
-    def fits(sign: str) -> bool:
-        return _is_beginning([*before, sign])
-
-    if fits("_"):
-        hint = f"; '{NOT}' only stands in front of all" if found.text == NOT else ""
-        return f"expected an event such as udp.values0, a number, ( or [{hint}"
-    if fits("1"):
-        return "expected a whole number" + " or a slice such as 0:7" * (before[-1] == "[")
-    if fits("]"):
-        return f"expected {' '.join([*filter(fits, ':,'), 'or ]'])}"
-    end = ", or )" if fits(")") else ", or the end"
-    named = found.kind in ("name", "number") and end != ", or )"
-    hint = "; equal is ==" if found.text == "=" else ""
-    return f"expected +, -, * or / between spaces{' before it' if named else end}{hint}"
-
-
-def _first_word(node: ast.expr) -> int:
-    """Index of a part's first word."""
-    return node.col_offset // _CELL
-
-
-def _word_after(node: ast.expr) -> int:
-    """Index of the word behind a part."""
-    return ((node.end_col_offset or 0) + _CELL - 2) // _CELL
-
+from .language import Expression, first_word
+from .route import Affine, Origin, Term, make_affine
 
 Numbers = NDArray[Any]  # of `_Number`
 
@@ -366,37 +184,12 @@ def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
         RouteError: points at what has no meaning, and says why.
     """
     with np.errstate(all="ignore"):  # what is not finite is refused below
-        value = _Evaluator(expression, names).evaluate(expression.tree)
-    return _finite(value, expression, names)
+        value = Evaluator(expression, names).evaluate(expression.tree)
+    return finite(value, expression, names)
 
 
-def evaluate_condition(
-    expression: Expression, names: Mapping[str, Value]
-) -> tuple[Value, Condition]:
-    """Computes what a condition compares with 0, and how.
-
-    Args:
-        expression: what `parse` returned, a condition.
-        names: what every name in it stands for.
-
-    Raises:
-        RouteError: points at what has no meaning, and says why.
-    """
-    evaluator = _Evaluator(expression, names)
-    with np.errstate(all="ignore"):
-        truths = evaluator.truths(expression.tree)
-    value = _finite(joined(evaluator.differences), expression, names)
-    condition = Condition(truths)
-    try:
-        condition(np.zeros(value.entries.size))
-    except ValueError:
-        reason = "expected as many on both sides of and, or"
-        raise RouteError(expression.text, 0, reason, len(expression.text)) from None
-    return value, condition
-
-
-def _finite(value: Value, expression: Expression, names: Mapping[str, Value]) -> Value:
-    """A value with the sizes of its origins; refuses what is not finite."""
+def finite(value: Value, expression: Expression, names: Mapping[str, Value]) -> Value:
+    """Returns a value with the sizes of its origins; refuses what is not finite."""
     for entry in value.entries.flat:
         if not all(map(isfinite, (entry.offset, *(times for _, _, times in entry.terms)))):
             raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
@@ -404,43 +197,32 @@ def _finite(value: Value, expression: Expression, names: Mapping[str, Value]) ->
     return replace(value, sizes=sizes)
 
 
-class _Evaluator:
+class Evaluator:
+    """Computes the values of an expression's parts.
+
+    Args:
+        expression: what `parse` returned.
+        names: what every name in it stands for.
+    """
+
     def __init__(self, expression: Expression, names: Mapping[str, Value]) -> None:
         self._expression, self._names = expression, names
         self._refuse = expression.refuse
-        self.differences: list[Value] = []  # that `truths` compares with 0
 
-    def truths(self, node: ast.expr) -> Truths:
-        """Where a condition holds, of the numbers of `differences`."""
-        match node:
-            case ast.Compare(left=first, comparators=rest):
-                sides = [self.evaluate(each) for each in (first, *rest)]
-                nodes = [first, *rest]
-                return _all_of([self._compared(nodes[k], *sides[k : k + 2])
-                                for k in range(len(rest))])  # fmt: skip
-            case ast.BoolOp(op=ast.And(), values=parts):
-                return _all_of([self.truths(part) for part in parts])
-            case ast.BoolOp(values=parts):
-                several = [self.truths(part) for part in parts]
-                return lambda numbers: reduce(np.logical_or, (each(numbers) for each in several))
-            case ast.UnaryOp(op=ast.Not(), operand=inner):
-                held = self.truths(inner)
-                return lambda numbers: ~held(numbers)
-            case _:
-                self._refuse(_first_word(node), "expected a comparison such as udp.values0 > 20")
+    def check_comparison(self, node: ast.expr, left: Value, right: Value) -> None:
+        """Refuses a comparison of frames, or of other units or another number of values.
 
-    def _compared(self, node: ast.expr, left: Value, right: Value) -> Truths:
-        at = self._behind(node)
+        Args:
+            node: of the left side.
+            left: its value.
+            right: that of the right side.
+        """
         if left.is_frames or right.is_frames:
             self._refuse_frames(node)
-        compare = COMPARISONS[self._expression.words[at].text]
-        difference = self._sum(at, left, Value(_each(_Number.times, right.entries, _MINUS_ONE)))
-        first = sum(each.entries.size for each in self.differences)
-        self.differences.append(difference)
-        own, shape = slice(first, first + difference.entries.size), difference.shape
-        return lambda numbers: compare(numbers[own].reshape((*shape, *numbers.shape[1:])), 0.0)
+        self._sum(self._expression.behind(node), left, right)
 
     def evaluate(self, node: ast.expr) -> Value:
+        """Returns the value of a part; raises a RouteError that points at what has no meaning."""
         chain = []  # a sum of 1,000 terms is as deep a tree; it is evaluated without recursion
         while True:
             match node:
@@ -467,30 +249,23 @@ class _Evaluator:
         return value
 
     def _operand(self, node: ast.expr) -> Value:
-        if isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp):
-            reason = "expected numbers; comparisons are joined by and, or"
-            self._refuse(_first_word(node), reason)
+        if isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp | ast.Call):
+            reason = "expected numbers, names, + - * /; functions and comparisons are for switches"
+            self._refuse(first_word(node), reason)
         if isinstance(node, ast.List):
             values = [self.evaluate(item) for item in node.elts]
             if any(value.is_frames for value in values):
                 self._refuse_frames(node)
             return Value(np.concatenate([value.entries.ravel() for value in values]))
-        word = self._expression.words[_first_word(node)]
+        word = self._expression.words[first_word(node)]
         if word.kind == "name":
             return self._names[word.text]
         if not isfinite(number := float(word.text)):
-            self._refuse(_first_word(node), "expected a smaller number", len(word.text))
+            self._refuse(first_word(node), "expected a smaller number", len(word.text))
         return constant(number)
 
-    def _behind(self, node: ast.expr) -> int:
-        """Index of the sign behind an operand and its brackets."""
-        at = _word_after(node)
-        while self._expression.words[at].text == ")":
-            at += 1
-        return at
-
     def _binary(self, node: ast.BinOp, left: Value, right: Value) -> Value:
-        at = self._behind(node.left)
+        at = self._expression.behind(node.left)
         sign = self._expression.words[at].text
         if left.is_frames or right.is_frames:
             return self._scaled_frames(at, sign, left, right)
@@ -506,7 +281,7 @@ class _Evaluator:
         try:
             return np.broadcast(left.entries, right.entries)
         except ValueError:
-            shapes = f"{_amount(left)} and {_amount(right)}"
+            shapes = f"{amount(left.shape)} and {amount(right.shape)}"
             self._refuse(at, f"expected as many on both sides; there are {shapes}")
 
     def _sum(self, at: int, left: Value, right: Value) -> Value:
@@ -549,7 +324,7 @@ class _Evaluator:
         return Value(entries, is_frames=True)
 
     def _pick(self, node: ast.Subscript, value: Value) -> Value:
-        bracket, name = self._behind(node.value), self._expression.text_of(node.value)
+        bracket, name = self._expression.behind(node.value), self._expression.text_of(node.value)
         if not value.shape:
             self._refuse(bracket, f"expected none: {name} is a single number")
         if value.is_frames and len(value.shape) == 2:
@@ -564,7 +339,7 @@ class _Evaluator:
                     None if step is None else self._integer(step),
                 )
                 if step is not None and index.step == 0:
-                    self._refuse(_first_word(step), "expected a step other than 0")
+                    self._refuse(first_word(step), "expected a step other than 0")
             case ast.Tuple(elts=several):
                 last = value.shape[0] - 1
                 index = [self._position(each, value, name, last) for each in several]
@@ -581,27 +356,25 @@ class _Evaluator:
             return None
         number, length = self._integer(node), value.shape[0]
         if not -length <= number <= last:
-            many = _amount(value) if len(value.shape) == 1 else f"{length} rows"
+            many = amount(value.shape) if len(value.shape) == 1 else f"{length} rows"
             wanted = f"0 to {last}, or -1 to {-length} from the end"
             reason = f"expected {wanted}: {name} has {many}"
-            self._refuse(_first_word(node), reason, len(str(number)))
+            self._refuse(first_word(node), reason, len(str(number)))
         return number
 
     def _integer(self, node: ast.expr) -> int:
         if isinstance(node, ast.UnaryOp):
             return -self._integer(node.operand)
-        return int(self._expression.words[_first_word(node)].text)
+        return int(self._expression.words[first_word(node)].text)
 
     def _refuse_frames(self, node: ast.expr) -> NoReturn:
         reason = "expected no frames beside it: these cannot be indexed or combined"
-        self._refuse(_first_word(node), reason)
+        self._refuse(first_word(node), reason)
 
 
-def _all_of(parts: Sequence[Truths]) -> Truths:
-    return lambda numbers: reduce(np.logical_and, (part(numbers) for part in parts))
-
-
-def _amount(value: Value) -> str:
-    if len(value.shape) > 1:
-        return " x ".join(map(str, value.shape)) + " values"
-    return "1 value" if value.entries.size == 1 else f"{value.entries.size} values"
+def amount(shape: tuple[int, ...]) -> str:
+    """Returns how many values an array has, for messages."""
+    if len(shape) > 1:
+        return " x ".join(map(str, shape)) + " values"
+    count = int(np.prod(shape))
+    return "1 value" if count == 1 else f"{count} values"
