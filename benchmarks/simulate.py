@@ -4,7 +4,7 @@
 
 The scenario loop has joint impedance with torque limits, sensors and a log of every step at 1 kHz;
 the bare loop holds the same arm. Times are medians of alternating runs, so that a slow moment of
-the machine hits all. What numba compiles for `run.jit` is compiled before.
+the machine hits all.
 """
 
 from __future__ import annotations
@@ -98,16 +98,9 @@ def main() -> None:
             "joint impedance, elastic joints": lambda: run(
                 simulation("joint_impedance", elastic=True)
             ),
-            "joint impedance, run.jit": lambda: run(simulation("joint_impedance", jit=True)),
-            "Cartesian impedance, run.jit": lambda: run(
-                simulation("cartesian_impedance", jit=True)
-            ),
-            "torque loop at 3 kHz, run.jit": lambda: run(
-                simulation("joint_impedance", torque_control=True, jit=True)
-            ),
         }
         for work in works.values():
-            work()  # compiles what is compiled
+            work()
         times = np.array([[work() for work in works.values()] for _ in range(ROUNDS)])
     medians = np.median(times, axis=0)
     table = Table("what", "us a step", "times bare", "times real time", title="sero-mj simulate")
@@ -120,7 +113,7 @@ def main() -> None:
     console.print(
         f"recording costs {share:.0f} % more, most of it in the mcap package (goal: under 50 %)"
     )
-    console.print("goals: at most 4 times bare (Cartesian: run.jit), at least 25 times real time")
+    console.print("goals: at most 4 times bare, at least 25 times real time")
 
 
 if __name__ == "__main__":

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from .errors import did_you_mean
 
 Array = NDArray[np.float64]
-Vector = Array  # of one dimension, where compiled code has to know
-Matrix = Array  # of two
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 

@@ -48,7 +48,7 @@ _SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer")
 _LIVE = (*_SCREENS, "test_docs")
 # These simulate whole runs, or start many processes: half of the time of all tests of logic.
 _SLOW = (
-    "test_biped", "test_calibrate", "test_compiled_steps", "test_dlr_models", "test_environment",
+    "test_biped", "test_calibrate", "test_dlr_models", "test_environment",
     "test_explain", "test_gallery", "test_identify", "test_justin", "test_live_control",
     "test_many_environments", "test_mutations", "test_plot", "test_scenarios", "test_shm",
     "test_simulate_command", "test_torque_loop", "test_trigger",

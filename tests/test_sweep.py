@@ -372,23 +372,6 @@ def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("varied", [True, False])
-def test_it_is_told_why_variants_are_not_compiled(
-    varied: bool, file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    delay = ["--set", "sensors.lwr.angles.delay=1", "--set", "run.duration=0.2", "--jobs", "1"]
-    jit = ["--vary", "run.jit=true,false"] if varied else ["--set", "run.jit=true"]
-    for options, said in (
-        (jit, "sero-mj: run.jit: steps are made in Python, since sensors are late\n"),
-        ([*jit, "--quiet"], ""),
-        ([], ""),
-    ):
-        with pytest.raises(SystemExit) as caught:
-            main(["sweep", str(file), "--vary", "run.seed=1,2", *delay, *options])
-        assert caught.value.code == 0
-        assert capsys.readouterr().err == said
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

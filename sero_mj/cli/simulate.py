@@ -23,7 +23,6 @@ from ._arguments import (
     print_table,
     seed,
 )
-from ._compiling import compile_steps
 from ._sending import Sender, add_sink_options, in_real_time
 from .render import check_picture_or_film, film_with_progress
 
@@ -41,7 +40,7 @@ examples:
 A scenario is a scene with [controllers], [targets], [disturbances], [faults], [expect]. Exits with
 1 when something that was expected did not hold, or the simulation could not go on, and with 130
 when Ctrl+C ended it; what was recorded until then is kept. The same seed gives the same run, bit
-for bit; --set run.jit=true gives it sooner where it is long.
+for bit.
 """
 
 
@@ -95,7 +94,6 @@ def run(options: argparse.Namespace) -> int:
     with named_settings(given):
         scenario = read_scenario(options.scenario, given)
     simulation = Simulation(scenario, options.seed)
-    compile_steps(simulation, quiet=options.quiet)
     begin = time.perf_counter()
     error = _simulate(simulation, options)
     seconds = time.perf_counter() - begin
@@ -249,8 +247,6 @@ def _as_json(
         "scenario": simulation.scenario.name,
         "seconds": simulation.time,
         "took": seconds,
-        "compiled": simulation.compiled is not None,
-        "in_python": simulation.in_python,
         "error": None if error is None else str(error),
         "expect": [
             {"name": o.name, "holds": o.holds, "text": o.text, "value": o.value} for o in outcomes

@@ -6,11 +6,10 @@ import argparse
 import math
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import DeclarationError, UsageError
+from ..errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -22,7 +21,6 @@ from ._arguments import (
     print_json,
     seed,
 )
-from ._compiling import compile_steps
 
 if TYPE_CHECKING:
     from ..study.sweep import Sweep
@@ -101,8 +99,6 @@ def run(options: argparse.Namespace) -> int:
         sweep, options.out, resume=options.resume, overwrite=options.overwrite
     ) as table:
         before = len(table.rows)
-        if before < len(sweep.variants):
-            _compile_first(sweep, quiet=options.quiet)
         begin = time.perf_counter()
         is_whole = _run_variants(sweep, table, options)
     seconds = time.perf_counter() - begin
@@ -133,18 +129,6 @@ def _check_options(options: argparse.Namespace) -> None:
         raise UsageError("--resume: expected the file to go on with, -o OUT.csv")
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite: expected one of them")
-
-
-def _compile_first(sweep: Sweep, *, quiet: bool) -> None:
-    """Compiles what variants need, lest every process does so, and says what is in Python."""
-    if not (sweep.base.run.jit or any(each.get("run.jit") for each in sweep.variants)):
-        return
-    from ..simulate.scenario_file import read_scenario
-    from ..simulate.simulation import Simulation
-
-    with suppress(DeclarationError):  # what is wrong is told of every variant
-        scenario = read_scenario(sweep.file, {**sweep.fixed, "run.jit": True})
-        compile_steps(Simulation(scenario), quiet=quiet)
 
 
 def _run_variants(sweep: Sweep, table: SweepTable, options: argparse.Namespace) -> bool:

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from mujoco import (
-    mj_factorM,
-    mj_jacSite,
-    mj_makeM,
-    mj_rne,
-    mj_solveM,
-    mju_cholFactor,
-    mju_cholSolve,
-    mju_mat2Quat,
-    mju_mulQuat,
-)
+from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat, mju_mulQuat
 from numpy import add, dot, multiply, negative, subtract
 from pydantic import BeforeValidator, Field
 
 from ..declaration import numbers
 from ..errors import DeclarationError, Problem
-from ..frames import Array, Matrix, Vector
+from ..frames import Array
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
@@ -33,7 +23,7 @@ from .controller import (
     within,
 )  # fmt: skip
 from .joint_control import design_damping, too_stiff, unstable_joint
-from .robot_model import ModelArrays, RobotModel
+from .robot_model import RobotModel
 
 # Least mobility J M^-1 J^T in any direction, as a share of its trace, with lengths in units in
 # which moving and turning have equal traces. What is below is raised to it (as for inverse
@@ -152,14 +142,56 @@ class CartesianImpedanceController:
         self._left = 0  # steps until the damping is designed anew
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
         self._null_damping: Array = np.zeros(n)
-        self.work = work = _workspace(n, in_flange)
-        work.null_gains[:, :n] = np.diag(nullspace_stiffness)
-        self.damping: Array = work.wrench_gains[:, :6]
-        vectors = [0, 1, 2, 4, 5, 6]  # of a pure quaternion the scalar is zero
-        work.spring[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
         self._compliance: Array | None = None  # of elastic joints, see `hold_links`
         self._rest, self._bends = np.zeros((2, n))
         self._share = 1.0
+        self._arrange(n)
+        self._null_gains[:, :n] = np.diag(nullspace_stiffness)
+        vectors = [0, 1, 2, 4, 5, 6]  # of a pure quaternion the scalar is zero
+        self._spring[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
+
+    def _arrange(self, n: int) -> None:
+        """Lays out what a step is computed with.
+
+        numpy takes longer to call, and to make arrays and views, than to compute. So sums of
+        products are products of matrices side by side, and all views are made once:
+
+            tau_0  = null_gains   [q_0 - q; P^T dq]                    with [K_0 -D_0]
+            wrench = wrench_gains [dx_d - J dq; f; L J M^-1 tau_0]     with [D 1 -1]
+            tau    = [wrench tau_0 g] torque_gains                     with [J; 1; 1]
+
+        The last term of the wrench is per unit of length, see `_BLOCKED`, as are the Jacobian J and
+        the mobility J M^-1 J^T that it is found by.
+        """
+        self._null_gains: Array = np.zeros((n, 2 * n))
+        self._null_terms: Array = np.zeros(2 * n)
+        self._posture_error, self._null_velocities = self._null_terms.reshape(2, n)
+        self._wrench_gains: Array = np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)])
+        self.damping: Array = self._wrench_gains[:, :6]
+        self._wrench_terms: Array = np.zeros(18)
+        self._twist_error, self._spring_wrench, self._taken = self._wrench_terms.reshape(3, 6)
+        self._force, self._moment = self._spring_wrench[:3], self._spring_wrench[3:]
+        self._torque_gains: Array = np.vstack([np.zeros((6, n)), np.eye(n), np.eye(n)])
+        self._jacobian: Array = self._torque_gains[:6]
+        self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
+        self._torque_terms: Array = np.zeros(6 + 2 * n)
+        self._wrench: Array = self._torque_terms[:6]
+        self._inner, self._gravity = self._torque_terms[6:].reshape(2, n)
+        self._least_pivot = _BLOCKED  # of the mobility
+        self._per_length: Array = np.ones((6, 1))
+        self._scaled_jacobian, self._jacobian_over_mass = np.zeros((2, 6, n))
+        self._mobility: Array = np.zeros((6, 6))
+        self._solved: Array = np.zeros(6)
+        # From the way to the target and the quaternion to the flange to a force and a pure
+        # quaternion.
+        self._spring: Array = np.zeros((7, 7))
+        self._error, self._pull = np.zeros((2, 7))
+        self._way, self._quaternion = self._error[:3], self._error[3:]
+        self._pull_of_way, self._pull_of_turn = self._pull[:3], self._pull[3:]
+        self._torque: Array = np.zeros(4)  # a quaternion
+        self._torque_vector: Array = self._torque[1:]
+        self._back, self._turn = np.zeros((2, 3, 3))  # R_target_world, and that to the flange
+        self._turn_numbers: Array = self._turn.reshape(9)
 
     def hold_links(self, joint_stiffness: Array) -> Array:
         """See `LinkHolder`; the null space's soft spring stays in series with the joints.
@@ -169,32 +201,46 @@ class CartesianImpedanceController:
         self._compliance = 1.0 / joint_stiffness
         return self._rest
 
-    def prepare(self, sensed: Sensed, target: Target) -> int:
-        """See `LawController`."""
-        if self._left == 0:
-            self.model.update(sensed.motor_angles, sensed.motor_velocities)
-            self._design(target.rotation)
-            self._left = self._every
-        return self._left
-
-    def pass_steps(self, steps: int) -> None:
-        """See `LawController`."""
-        self._left -= steps
-
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
-        work = self.work
-        self.model.update(sensed.motor_angles, sensed.motor_velocities)
+        model, velocities = self.model, sensed.motor_velocities
+        model.update(sensed.motor_angles, velocities)
         if self._left == 0:
-            self.prepare(sensed, target)
+            self._design(target.rotation)
+            self._left = self._every
         self._left -= 1
-        cartesian_torques(self.model.arrays, work, sensed, target, out)
+        jacobian, J, J_over_M = self._jacobian, self._scaled_jacobian, self._jacobian_over_mass
+        mobility, solved, inner = self._mobility, self._solved, self._inner
+        model.write_jacobian(self._linear, self._angular)
+        multiply(jacobian, self._per_length, J)
+        model.over_mass(J, J_over_M)
+        dot(J, J_over_M.T, mobility)
+        # L = (J M^-1 J^T)^-1 is only ever solved with
+        mju_cholFactor(mobility, self._least_pivot)
+
+        # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
+        mju_cholSolve(solved, mobility, J.dot(velocities))
+        subtract(target.posture, sensed.motor_angles, self._posture_error)
+        subtract(velocities, solved.dot(J_over_M), self._null_velocities)
+        dot(self._null_gains, self._null_terms, inner)
+        mju_cholSolve(self._taken, mobility, J_over_M.dot(inner))
+        subtract(target.twist, jacobian.dot(velocities), self._twist_error)
+        self.spring_wrench(target)
+        dot(self._wrench_gains, self._wrench_terms, self._wrench)
+        if target.has_torques:
+            add(self._wrench, target.wrench, self._wrench)
+            add(inner, target.torques, inner)
+        model.gravity(self._gravity)
+        dot(self._torque_terms, self._torque_gains, out)
         if self._compliance is not None:
-            multiply(work.spring_wrench.dot(work.jacobian, self._bends), self._share, self._rest)
-            self._rest += work.gravity
+            multiply(self._spring_wrench.dot(jacobian, self._bends), self._share, self._rest)
+            self._rest += self._gravity
 
     def spring_wrench(self, target: Target) -> Array:
         """f, (6,), N and Nm in world axes, where the model was last updated to.
+
+        With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
+        (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
 
         Args:
             target: its pose.
@@ -202,8 +248,26 @@ class CartesianImpedanceController:
         Returns:
             the same array every time.
         """
-        write_spring_wrench(self.model.arrays, self.work, target)
-        return self.work.spring_wrench
+        model, back, way, quaternion = self.model, self._back, self._way, self._quaternion
+        force, moment = self._force, self._moment
+        back[...] = target.rotation.T
+        subtract(target.position, model.flange_position, way)
+        if self._in_flange:
+            way[...] = back.dot(way)
+            dot(back, model.flange_rotation, self._turn)
+        else:
+            dot(model.flange_rotation, back, self._turn)
+        mju_mat2Quat(quaternion, self._turn_numbers)
+        if quaternion[0] < 0.0:
+            negative(quaternion, quaternion)
+        dot(self._spring, self._error, self._pull)
+        mju_mulQuat(self._torque, quaternion, self._pull_of_turn)
+        force[...] = self._pull_of_way
+        moment[...] = self._torque_vector
+        if self._in_flange:
+            force[...] = force.dot(back)
+            moment[...] = moment.dot(back)
+        return self._spring_wrench
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long; see `LimitedController.check`."""
@@ -242,189 +306,27 @@ class CartesianImpedanceController:
             mobility: J M^-1 J^T, (6, 6).
             least: as a share of the trace.
         """
-        per_length = self.work.per_length * self.work.per_length.T
+        per_length = self._per_length * self._per_length.T
         values, vectors = np.linalg.eigh(mobility * per_length)
         bounded = np.maximum(values, least * values.sum())
         return np.asarray((vectors / bounded) @ vectors.T * per_length)
 
     def _design(self, rotation: Array) -> None:
-        jacobian, work = self.model.jacobian(), self.work
+        jacobian = self.model.jacobian()
         mobility = jacobian @ np.linalg.solve(self.model.mass(), jacobian.T)
         of_moving, of_turning = np.diagonal(mobility).reshape(2, 3).sum(axis=1).tolist()
         if of_moving > 0 and of_turning > 0:  # a robot may do one of them only
-            work.per_length[:3] = np.sqrt(of_turning / of_moving)
-        work.wrench_gains[:, 12:] = np.diag(-work.per_length[:, 0])
-        work.least_pivot[0] = _BLOCKED * max(2.0 * of_turning, of_moving)
+            self._per_length[:3] = np.sqrt(of_turning / of_moving)
+        self._wrench_gains[:, 12:] = np.diag(-self._per_length[:, 0])
+        self._least_pivot = _BLOCKED * max(2.0 * of_turning, of_moving)
         felt = self._inertia(mobility, _LIMP)
         self.damping[:] = design_damping(felt, self._in_world(rotation), self._ratio)
         stiffness = np.maximum(self._null_stiffness, _MIN_STIFFNESS)
         inertia = np.diagonal(self.model.mass())
         self._null_damping[:] = 2.0 * self._null_ratio * np.sqrt(inertia * stiffness)
         n = self.model.n
-        np.fill_diagonal(work.null_gains[:, n:], -self._null_damping)
+        np.fill_diagonal(self._null_gains[:, n:], -self._null_damping)
         if self._compliance is not None:
             root = jacobian * np.sqrt(self._compliance)
             most = float(np.linalg.eigvalsh(root.T @ self._in_world(rotation) @ root)[-1])
             self._share = min(1.0, SOFTEST / max(most, SOFTEST))
-
-
-class CartesianWork(NamedTuple):
-    """What a step of a Cartesian impedance is computed with.
-
-    numpy takes longer to call, and to make arrays and views, than to compute. So sums of products
-    are products of matrices side by side, and all views are made once:
-
-        tau_0  = null_gains   [q_0 - q; P^T dq]                    with [K_0 -D_0]
-        wrench = wrench_gains [dx_d - J dq; f; L J M^-1 tau_0]     with [D 1 -1]
-        tau    = [wrench tau_0 g] torque_gains                     with [J; 1; 1]
-
-    The last term of the wrench is per unit of length, see `_BLOCKED`, as are `scaled_jacobian`,
-    `jacobian_over_mass` (J M^-1) and `mobility` (J M^-1 J^T). The way to the target and the
-    quaternion to the flange (`error`) give, by `spring`, a force and a pure quaternion (`pull`).
-    """
-
-    in_flange: bool
-    least_pivot: Vector  # (1,), of the mobility
-    per_length: Matrix  # (6, 1)
-    null_gains: Matrix  # (n, 2n)
-    null_terms: Vector
-    posture_error: Vector
-    null_velocities: Vector
-    wrench_gains: Matrix  # (6, 18)
-    wrench_terms: Vector
-    twist_error: Vector
-    spring_wrench: Vector
-    force: Vector
-    moment: Vector
-    taken: Vector
-    torque_gains: Matrix  # (6 + 2n, n)
-    jacobian: Matrix
-    linear: Matrix
-    angular: Matrix
-    torque_terms: Vector
-    wrench: Vector
-    inner: Vector
-    gravity: Vector
-    scaled_jacobian: Matrix
-    jacobian_over_mass: Matrix
-    mobility: Matrix
-    solved: Vector
-    spring: Matrix  # (7, 7)
-    error: Vector
-    way: Vector
-    quaternion: Vector
-    pull: Vector
-    pull_of_way: Vector
-    pull_of_turn: Vector
-    torque: Vector  # a quaternion
-    torque_vector: Vector
-    back: Matrix  # R_target_world
-    turn: Matrix
-    turn_numbers: Vector
-
-
-def _workspace(n: int, in_flange: bool) -> CartesianWork:
-    """That of a robot with n joints, without gains."""
-    null_terms, wrench_terms, torque_terms = np.zeros(2 * n), np.zeros(18), np.zeros(6 + 2 * n)
-    torque_gains: Array = np.vstack([np.zeros((6, n)), np.eye(n), np.eye(n)])
-    turn: Array = np.zeros((3, 3))
-    error, pull, torque = np.zeros(7), np.zeros(7), np.zeros(4)
-    return CartesianWork(
-        in_flange=in_flange,
-        least_pivot=np.array([_BLOCKED]),
-        per_length=np.ones((6, 1)),
-        null_gains=np.zeros((n, 2 * n)),
-        null_terms=null_terms,
-        posture_error=null_terms[:n],
-        null_velocities=null_terms[n:],
-        wrench_gains=np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)]),
-        wrench_terms=wrench_terms,
-        twist_error=wrench_terms[:6],
-        spring_wrench=wrench_terms[6:12],
-        force=wrench_terms[6:9],
-        moment=wrench_terms[9:12],
-        taken=wrench_terms[12:],
-        torque_gains=torque_gains,
-        jacobian=torque_gains[:6],
-        linear=torque_gains[:3],
-        angular=torque_gains[3:6],
-        torque_terms=torque_terms,
-        wrench=torque_terms[:6],
-        inner=torque_terms[6 : 6 + n],
-        gravity=torque_terms[6 + n :],
-        scaled_jacobian=np.zeros((6, n)),
-        jacobian_over_mass=np.zeros((6, n)),
-        mobility=np.zeros((6, 6)),
-        solved=np.zeros(6),
-        spring=np.zeros((7, 7)),
-        error=error,
-        way=error[:3],
-        quaternion=error[3:],
-        pull=pull,
-        pull_of_way=pull[:3],
-        pull_of_turn=pull[3:],
-        torque=torque,
-        torque_vector=torque[1:],
-        back=np.zeros((3, 3)),
-        turn=turn,
-        turn_numbers=turn.reshape(9),
-    )
-
-
-def cartesian_torques(
-    robot: ModelArrays, work: CartesianWork, sensed: Sensed, target: Target, out: Array
-) -> None:
-    """The law of `CartesianImpedanceController`, see `LawController`."""
-    jacobian, J, J_over_M = work.jacobian, work.scaled_jacobian, work.jacobian_over_mass
-    mobility, solved, inner = work.mobility, work.solved, work.inner
-    velocities = sensed.motor_velocities
-    mj_jacSite(robot.model, robot.data, work.linear, work.angular, 0)
-    multiply(jacobian, work.per_length, J)
-    mj_makeM(robot.model, robot.data)
-    mj_factorM(robot.model, robot.data)
-    mj_solveM(robot.model, robot.data, J_over_M, J)
-    dot(J, J_over_M.T, mobility)
-    # L = (J M^-1 J^T)^-1 is only ever solved with
-    mju_cholFactor(mobility, work.least_pivot[0])
-
-    # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
-    mju_cholSolve(solved, mobility, J.dot(velocities))
-    subtract(target.posture, sensed.motor_angles, work.posture_error)
-    subtract(velocities, solved.dot(J_over_M), work.null_velocities)
-    dot(work.null_gains, work.null_terms, inner)
-    mju_cholSolve(work.taken, mobility, J_over_M.dot(inner))
-    subtract(target.twist, jacobian.dot(velocities), work.twist_error)
-    write_spring_wrench(robot, work, target)
-    dot(work.wrench_gains, work.wrench_terms, work.wrench)
-    if target.has_torques:
-        add(work.wrench, target.wrench, work.wrench)
-        add(inner, target.torques, inner)
-    mj_rne(robot.model, robot.data, 0, work.gravity)
-    dot(work.torque_terms, work.torque_gains, out)
-
-
-def write_spring_wrench(robot: ModelArrays, work: CartesianWork, target: Target) -> None:
-    """Writes f into `work.spring_wrench`, N and Nm in world axes.
-
-    With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
-    (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
-    """
-    back, way, quaternion = work.back, work.way, work.quaternion
-    force, moment = work.force, work.moment
-    back[...] = target.rotation.T
-    subtract(target.position, robot.flange_position, way)
-    if work.in_flange:
-        way[...] = back.dot(way)
-        dot(back, robot.flange_rotation, work.turn)
-    else:
-        dot(robot.flange_rotation, back, work.turn)
-    mju_mat2Quat(quaternion, work.turn_numbers)
-    if quaternion[0] < 0.0:
-        negative(quaternion, quaternion)
-    dot(work.spring, work.error, work.pull)
-    mju_mulQuat(work.torque, quaternion, work.pull_of_turn)
-    force[...] = work.pull_of_way
-    moment[...] = work.torque_vector
-    if work.in_flange:
-        force[...] = force.dot(back)
-        moment[...] = moment.dot(back)

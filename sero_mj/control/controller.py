@@ -211,38 +211,6 @@ class LinkHolder(Controller, Protocol):
         """
 
 
-class LawController(Controller, Protocol):
-    """A controller whose steps can be compiled; all shipped ones are.
-
-    Its law is a function of `ModelArrays`, of what it works with, of `Sensed`, `Target` and the
-    torques to be written, in the part of Python and numpy that numba knows (see `jit`).
-
-    Attributes:
-        model: of the robot.
-        work: arrays and switches of the law, whose type tells which law it is.
-    """
-
-    model: RobotModel
-
-    @property
-    def work(self) -> tuple[Any, ...]:
-        """See above."""
-
-    def prepare(self, sensed: Sensed, target: Target) -> int:
-        """Designs what is due to be designed, where the robot is.
-
-        Args:
-            sensed: as for `torques`.
-            target: likewise.
-
-        Returns:
-            for how many steps the law can be run as it is, at least one.
-        """
-
-    def pass_steps(self, steps: int) -> None:
-        """Takes note of how often the law has been run."""
-
-
 class ControllerDeclaration(Declaration, ABC):
     """Base of the declarations of controllers; numbers per joint may be one for all.
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from mujoco import mj_rne
 from pydantic import Field
 
 from ..errors import DeclarationError, Problem
-from ..frames import Array, Matrix, Vector
+from ..frames import Array
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
@@ -22,7 +20,7 @@ from .controller import (
     Target,
     within,
 )  # fmt: skip
-from .robot_model import ModelArrays, RobotModel, write_inverse_dynamics
+from .robot_model import RobotModel
 
 MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
 
@@ -146,36 +144,33 @@ class GravityCompensator:
         compensate_gravity: bool = True,
     ) -> None:
         self.model = model
-        none: Array = np.zeros(model.n)
-        self.work = GravityWork(
-            compensates=compensate_gravity,
-            feeds_forward=feed_forward,
-            is_damped=damping is not None and bool(damping.any()),
-            has_own=torques is not None and bool(torques.any()),
-            holds_links=False,
-            damping=none if damping is None else damping,
-            own=none if torques is None else torques,
-            resisting=np.zeros(model.n),
-            rest=np.zeros(model.n),
-        )
+        self._compensates, self._feeds_forward = compensate_gravity, feed_forward
+        self._damping = damping if damping is not None and damping.any() else None
+        self._own = torques if torques is not None and torques.any() else None
+        self._rest: Array | None = None
+        self._resisting: Array = np.zeros(model.n)
 
     def hold_links(self, joint_stiffness: Array) -> Array:
         """See `LinkHolder`."""
-        self.work = self.work._replace(holds_links=True)
-        return self.work.rest
-
-    def prepare(self, sensed: Sensed, target: Target) -> int:
-        """See `LawController`."""
-        return sys.maxsize
-
-    def pass_steps(self, steps: int) -> None:
-        """See `LawController`."""
+        self._rest = np.zeros(self.model.n)
+        return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
-        if self.work.compensates:
+        if self._compensates:
             self.model.update(sensed.motor_angles, sensed.motor_velocities)
-        gravity_torques(self.model.arrays, self.work, sensed, target, out)
+            self.model.gravity(out)
+        else:
+            out[:] = 0.0
+        if self._own is not None:
+            np.add(out, self._own, out)
+        if self._feeds_forward:
+            np.add(out, target.torques, out)
+        if self._rest is not None:
+            self._rest[...] = out
+        if self._damping is not None:
+            np.multiply(self._damping, sensed.motor_velocities, self._resisting)
+            np.subtract(out, self._resisting, out)
 
 
 class JointImpedanceController:
@@ -224,21 +219,16 @@ class JointImpedanceController:
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0
         # One product for all: [K D 1 -1 M_motors] [e; de; own torques; ddq_d], or but for the last
-        # two without feed-forward.
+        # two without feed-forward. numpy takes longer to make a view than to compute with it.
+        self._feeds_forward = feed_forward
         gains = [self.stiffness, np.zeros((n, n)), np.eye(n)]
         if feed_forward:
             gains += [-np.eye(n), np.diag(model.motor_inertia)]
-        terms: Array = np.zeros(len(gains) * n)
-        self.work = JointWork(
-            feeds_forward=feed_forward,
-            gains=np.hstack(gains),
-            terms=terms,
-            errors=terms[: 2 * n],
-            own=terms[2 * n : 3 * n],
-            less=terms[3 * n : 4 * n],
-            accelerations=terms[4 * n :],
-        )
-        self.damping: Array = self.work.gains[:, n : 2 * n]
+        self._gains: Array = np.hstack(gains)
+        self.damping: Array = self._gains[:, n : 2 * n]
+        self._terms: Array = np.zeros(len(gains) * n)
+        self._errors, self._own = self._terms[: 2 * n], self._terms[2 * n : 3 * n]
+        self._less, self._accelerations = self._terms[3 * n : 4 * n], self._terms[4 * n :]
 
     def hold_links(self, joint_stiffness: Array) -> Array:
         """See `LinkHolder`.
@@ -262,33 +252,31 @@ class JointImpedanceController:
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
-        self.model.update(sensed.motor_angles, sensed.motor_velocities)
+        model = self.model
+        model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._left == 0:
-            self.prepare(sensed, target)
+            self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
+            self._left = self._every
         self._left -= 1
-        joint_torques(self.model.arrays, self.work, sensed, target, out)
+        np.subtract(target.state, sensed.motor_state, self._errors)
+        if self._feeds_forward:
+            accelerations = target.accelerations
+            self._accelerations[...] = accelerations
+            model.write_inverse_dynamics(target.velocities, accelerations, self._own, self._less)
+        else:
+            model.gravity(self._own)
+        np.dot(self._gains, self._terms, out)
+        if target.has_torques:
+            np.add(out, target.torques, out)
         if self._rest is not None:
             self._write_rest(self._rest)
 
-    def prepare(self, sensed: Sensed, target: Target) -> int:
-        """See `LawController`."""
-        if self._left == 0:
-            self.model.update(sensed.motor_angles, sensed.motor_velocities)
-            self.damping[:] = design_damping(self.model.mass(), self.stiffness, self._ratio)
-            self._left = self._every
-        return self._left
-
-    def pass_steps(self, steps: int) -> None:
-        """See `LawController`."""
-        self._left -= steps
-
     def _write_rest(self, rest: Array) -> None:
-        work = self.work
-        np.copyto(rest, work.own)
-        if work.feeds_forward:
-            rest -= work.less
+        np.copyto(rest, self._own)
+        if self._feeds_forward:
+            rest -= self._less
         if self._at_links:
-            rest += self.stiffness.dot(work.errors[: len(rest)])
+            rest += self.stiffness.dot(self._errors[: len(rest)])
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long; see `LimitedController.check`."""
@@ -311,69 +299,6 @@ class JointImpedanceController:
             others = f" and {99 * share:.2g} % of the others" if model.n > 1 else ""
             up_to = f"up to {most:.3g}{others}"
             raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, up_to)
-
-
-class GravityWork(NamedTuple):
-    """What a step of a `GravityCompensator` is computed with; (n,) each."""
-
-    compensates: bool
-    feeds_forward: bool
-    is_damped: bool
-    has_own: bool
-    holds_links: bool
-    damping: Vector
-    own: Vector
-    resisting: Vector
-    rest: Vector
-
-
-def gravity_torques(
-    robot: ModelArrays, work: GravityWork, sensed: Sensed, target: Target, out: Array
-) -> None:
-    """The law of `GravityCompensator`, see `LawController`."""
-    if work.compensates:
-        mj_rne(robot.model, robot.data, 0, out)
-    else:
-        out[:] = 0.0
-    if work.has_own:
-        np.add(out, work.own, out)
-    if work.feeds_forward:
-        np.add(out, target.torques, out)
-    if work.holds_links:
-        work.rest[...] = out
-    if work.is_damped:
-        np.multiply(work.damping, sensed.motor_velocities, work.resisting)
-        np.subtract(out, work.resisting, out)
-
-
-class JointWork(NamedTuple):
-    """What a step of a joint impedance is computed with; less and accelerations by feed-forward."""
-
-    feeds_forward: bool
-    gains: Matrix  # (n, 3n or 5n)
-    terms: Vector
-    errors: Vector  # (2n,), of angles and velocities
-    own: Vector
-    less: Vector
-    accelerations: Vector
-
-
-def joint_torques(
-    robot: ModelArrays, work: JointWork, sensed: Sensed, target: Target, out: Array
-) -> None:
-    """The law of `JointImpedanceController`, see `LawController`."""
-    np.subtract(target.state, sensed.motor_state, work.errors)
-    if work.feeds_forward:
-        velocities, accelerations = sensed.motor_velocities, target.accelerations
-        work.accelerations[...] = accelerations
-        write_inverse_dynamics(
-            robot, velocities, target.velocities, accelerations, work.own, work.less
-        )
-    else:
-        mj_rne(robot.model, robot.data, 0, work.own)
-    np.dot(work.gains, work.terms, out)
-    if target.has_torques:
-        np.add(out, target.torques, out)
 
 
 def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array:

@@ -95,11 +95,6 @@ class LimitedController:
         self._given = out
 
     @property
-    def has_rate_limits(self) -> bool:
-        """Whether changes are limited as well."""
-        return self._step is not None
-
-    @property
     def saturated(self) -> Bools:
         """Which joints got something else than they asked for in the last step, (n,)."""
         return np.not_equal(self._given, self.asked)

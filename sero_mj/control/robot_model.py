@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -30,42 +29,8 @@ from mujoco import (
 from ..assemble.robot import SerialRobot
 from ..assemble.scene import Scene
 from ..assemble.world import World, dynamics_of
-from ..frames import Array, Matrix, Vector, frame, inverse
+from ..frames import Array, frame, inverse
 from .whole_body import Mounting
-
-
-class ModelArrays(NamedTuple):
-    """MuJoCo's models and data of a `RobotModel` and arrays in them, for laws of controllers.
-
-    Attributes:
-        model: `MjModel`; in compiled code this and the next three are addresses.
-        data: its `MjData`, at rest.
-        weightless: the same model without gravity.
-        moving: its `MjData`, in motion.
-        angles: `qpos` of the data, (n,).
-        cinert: likewise, (bodies, 10).
-        cdof: likewise, (n, 6).
-        moving_cinert: of the data in motion.
-        moving_cdof: likewise.
-        moving_velocities: `qvel`, (n,).
-        moving_accelerations: `qacc`, (n,).
-        flange_position: (3,), m.
-        flange_rotation: (3, 3).
-    """
-
-    model: Any
-    data: Any
-    weightless: Any
-    moving: Any
-    angles: Vector
-    cinert: Matrix
-    cdof: Matrix
-    moving_cinert: Matrix
-    moving_cdof: Matrix
-    moving_velocities: Vector
-    moving_accelerations: Vector
-    flange_position: Vector
-    flange_rotation: Matrix
 
 
 class RobotModel:
@@ -92,7 +57,6 @@ class RobotModel:
         motor_inertia: (n,), kg m2 or kg, as reflected to the joint; on the diagonal of M.
         flange_position: (3,), m, in the world; always that of the last `update`.
         flange_rotation: (3, 3), R_world_flange, likewise.
-        arrays: for laws of controllers, which call MuJoCo themselves.
 
     Raises:
         ValueError: the joints are not those of one robot in their order, or there is no flange.
@@ -149,21 +113,6 @@ class RobotModel:
         self._moving_cdof_dot = moving.cdof_dot
         self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
         self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
-        self.arrays = ModelArrays(
-            self._model,
-            data,
-            self._weightless,
-            moving,
-            self._qpos,
-            self._cinert,
-            self._cdof,
-            self._moving_cinert,
-            self._moving_cdof,
-            self._qvel,
-            self._qacc,
-            self.flange_position,
-            self.flange_rotation,
-        )
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
         self._mounting: Mounting | None = None
         self._loads: list[tuple[Array, Array, Array]] = []
@@ -292,8 +241,18 @@ class RobotModel:
             torques: (n,), to be written.
             less: (n,), likewise; to be taken from them.
         """
-        of_robot = self._velocities
-        write_inverse_dynamics(self.arrays, of_robot, velocities, accelerations, torques, less)
+        # C(q, dq) v is linear in both and the same when they change places, so with c(x) =
+        # C(q, x) x it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
+        qvel = self._qvel
+        self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
+        self._qacc[...] = accelerations
+        np.add(self._velocities, velocities, qvel)
+        np.multiply(qvel, 0.5, qvel)
+        mj_comVel(self._model, self._moving)
+        mj_rne(self._model, self._moving, 1, torques)
+        np.subtract(qvel, velocities, qvel)
+        mj_comVel(self._model, self._moving)
+        mj_rne(self._weightless, self._moving, 0, less)
         self._is_moving = False  # it moves, but at another velocity
 
     def transposed_coriolis(self) -> Array:
@@ -368,40 +327,6 @@ class RobotModel:
             self._swapped_cinert[...], self._swapped_cdof_dot[...] = self._cinert, self._cdof
             self._swapped_qvel[...] = self._velocities
             self._is_swapped = True
-
-
-def write_inverse_dynamics(
-    robot: ModelArrays,
-    of_robot: Array,
-    velocities: Array,
-    accelerations: Array,
-    torques: Array,
-    less: Array,
-) -> None:
-    """See `RobotModel.write_inverse_dynamics`; Python runs it, and `jit` compiles it.
-
-    C(q, dq) v is linear in both and the same when they change places, so with c(x) = C(q, x) x
-    it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
-
-    Args:
-        robot: at its angles.
-        of_robot: dq, (n,), per second.
-        velocities: v, (n,), likewise.
-        accelerations: a, (n,), per second squared.
-        torques: (n,), to be written.
-        less: (n,), likewise; to be taken from them.
-    """
-    qvel = robot.moving_velocities
-    robot.moving_cinert[...] = robot.cinert
-    robot.moving_cdof[...] = robot.cdof
-    robot.moving_accelerations[...] = accelerations
-    np.add(of_robot, velocities, qvel)
-    np.multiply(qvel, 0.5, qvel)
-    mj_comVel(robot.model, robot.moving)
-    mj_rne(robot.model, robot.moving, 1, torques)
-    np.subtract(qvel, velocities, qvel)
-    mj_comVel(robot.model, robot.moving)
-    mj_rne(robot.weightless, robot.moving, 0, less)
 
 
 def world_without_meshes(robot: SerialRobot) -> World:

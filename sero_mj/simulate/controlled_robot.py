@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import product
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from ..assemble.robot import SerialRobot
-from ..control.controller import ControllerDeclaration, LawController, Sensed, Target
+from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.joint_control import GravityCompensation
 from ..control.make_controller import LimitedController, make_controller
 from ..control.observer import MomentumObserver
@@ -122,28 +122,6 @@ class ControlledRobot:
     def controller(self) -> LimitedController:
         """The controller, behind its torque limits."""
         return self.in_use[1]
-
-    @property
-    def law_controller(self) -> LawController:
-        """The controller without limits, of a robot whose steps can be compiled."""
-        return cast(LawController, self.controller.controller)
-
-    @property
-    def sensed(self) -> Sensed:
-        """What its controller sees."""
-        return self._sensed
-
-    @property
-    def plan(self) -> tuple[Array, Array]:
-        """What of the target is planned, to be written into, and its rows: one for all, or each."""
-        return self._planned, self._planned_rows
-
-    def prepare(self, k: int) -> int:
-        """Designs what is due before the step that leads on from row k; see `LawController`."""
-        self._sense()
-        if self._moves:
-            self._planned[...] = self._planned_rows[k]
-        return self.law_controller.prepare(self._sensed, self._target)
 
     @property
     def target(self) -> Target:

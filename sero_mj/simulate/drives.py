@@ -31,9 +31,6 @@ class Drives:
         loop: the joint torque control; None where a run has none.
         gains: of the loop, by robot.
         substeps: of the plant in one of the controllers.
-        limits: (n,), of the motors' torques, Nm or N.
-        late: (delay + 1, n), torques that do not act yet, in a ring.
-        place: (1,), in it, of the next.
 
     Raises:
         DeclarationError: a loop that the step cannot hold, or that a robot cannot have.
@@ -41,19 +38,20 @@ class Drives:
 
     def __init__(self, plant: Plant, robots: dict[str, SerialRobot], run: Run) -> None:
         self.plant, self.substeps = plant, run.substeps
-        self.limits: Array = np.concatenate([robot.torque_bounds for robot in robots.values()])
-        self._low: Array = -self.limits
+        self._high: Array = np.concatenate([robot.torque_bounds for robot in robots.values()])
+        self._low: Array = -self._high
         self.gains: dict[str, LoopGains] = {}
         self.loop: TorqueLoop | None = None
         if run.torque_control:
             self._find_gains(robots)
             joined = LoopGains.joined([*self.gains.values()])
-            self.loop = TorqueLoop(joined, plant.timestep, self.limits)
+            self.loop = TorqueLoop(joined, plant.timestep, self._high)
         # Motors of elastic joints have encoders of their own, without errors; others the links'.
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
         self._measured = plant.measured[1:].reshape(-1)
-        self.late: Array = np.zeros((round(run.drive_delay / plant.timestep) + 1, plant.n))
-        self.place = np.zeros(1, np.intp)
+        # Torques that do not act yet, in a ring, and the place in it of the next ones.
+        self._pending: Array = np.zeros((round(run.drive_delay / plant.timestep) + 1, plant.n))
+        self._place = 0
         self.reset()
 
     def _find_gains(self, robots: dict[str, SerialRobot]) -> None:
@@ -118,15 +116,10 @@ class Drives:
             )
             raise DeclarationError([Problem(f"controllers.{name}.{what}", message)])
 
-    @property
-    def delay(self) -> int:
-        """Steps of the plant until a motor's torque acts."""
-        return len(self.late) - 1
-
     def reset(self) -> None:
         """Begins anew with a plant at rest, which the motors hold."""
-        self.place[0] = 0
-        self.late[:] = self.plant.actual[2]
+        self._place = 0
+        self._pending[:] = self.plant.actual[2]
         if self.loop is not None:
             velocities = self.plant.measured[1] if self._velocities is None else self._velocities
             self.loop.reset(self.plant.measured[2], velocities)
@@ -142,27 +135,28 @@ class Drives:
         """
         plant, loop = self.plant, self.loop
         if loop is None:
-            given = np.minimum(np.maximum(commanded, self._low), self.limits)
+            given = np.minimum(np.maximum(commanded, self._low), self._high)
             for _ in range(self.substeps):
                 plant.step(self._delayed(given))
             return
         loop.command(commanded)
-        given, sensed, late = plant.joints.given, loop.sensed, self.delay
+        given, sensed = plant.joints.given, loop.sensed
+        is_late = len(self._pending) > 1
         for _ in range(self.substeps):
             sensed[...] = self._measured
             if self._velocities is not None:
                 sensed[: plant.n] = self._velocities
             loop.step(given)
-            if late:
+            if is_late:
                 given[...] = self._delayed(given)
             plant.step_given()
 
     def _delayed(self, torques: Array) -> Array:
         """What acts while `torques` are asked for."""
-        late = self.late
-        if len(late) == 1:
+        pending = self._pending
+        if len(pending) == 1:
             return torques
-        late[self.place[0] % len(late)] = torques
-        self.place += 1
-        acting: Array = late[self.place[0] % len(late)]
+        pending[self._place % len(pending)] = torques
+        self._place += 1
+        acting: Array = pending[self._place % len(pending)]
         return acting

@@ -70,16 +70,6 @@ class EventSchedule:
         for push, forces in self._varying:
             push.force[:], push.torque[:] = forces[k]
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether every step needs `before` or `after`, and not only those at which it is due."""
-        return bool(self._varying or self._carried)
-
-    @property
-    def next_row(self) -> int:
-        """The next at which something is due."""
-        return self._due[self._next][0] if self._next < len(self._due) else self.steps
-
     def after(self, k: int) -> None:
         """Writes where carried objects are into row k of the log."""
         for name, (robot, grasp) in self._carried.items():

@@ -24,7 +24,6 @@ Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007, eq. 1-3
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -57,50 +56,6 @@ def as_slice(indices: Ints) -> Index:
     return indices
 
 
-class JointArrays(NamedTuple):
-    """MuJoCo's model and data of a `JointModel` and arrays of both, for compiled steps.
-
-    Attributes:
-        model: `MjModel`; in compiled code its address, and that of the data.
-        data: its `MjData`.
-        positions: `qpos`.
-        velocities: `qvel`.
-        applied: `qfrc_applied`.
-        warned: how often MuJoCo has warned, by kind.
-        motor_dofs: index of every motor in `qvel`, (n,).
-        motor_positions: likewise in `qpos`.
-        given: see `JointModel`.
-        positions_before: (nq,), in `terms`, as are all up to `friction`.
-        velocities_before: (nv,).
-        positions_after: (nq,).
-        velocities_after: (nv,).
-        coupling_rows: of the constraints whose forces are those of couplings.
-        coupling: (couplings,).
-        friction: (dofs with Coulomb friction,).
-        terms: of which the readings are.
-        readings_of: (3n, terms).
-    """
-
-    model: Any
-    data: Any
-    positions: Array
-    velocities: Array
-    applied: Array
-    warned: Ints
-    motor_dofs: Ints
-    motor_positions: Ints
-    given: Array
-    positions_before: Array
-    velocities_before: Array
-    positions_after: Array
-    velocities_after: Array
-    coupling_rows: Ints
-    coupling: Array
-    friction: Array
-    terms: Array
-    readings_of: Array
-
-
 class JointModel:
     """Where motors, links and torque sensors of a world's robots are in MuJoCo's arrays.
 
@@ -125,7 +80,6 @@ class JointModel:
         sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
             together with the motor, or the deflection.
         given: (n,), torques of the motors in the next step, Nm; to be written before `advance`.
-        arrays: what a step is computed with; other ones after `refresh`.
     """
 
     def __init__(self, world: World, data: mujoco.MjData) -> None:
@@ -227,30 +181,6 @@ class JointModel:
         self._readings_of: Array = np.zeros((3 * n, len(self._terms)))
         self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
         self._states = q_before, dq_before, q_after, dq_after
-        self.arrays = self._as_arrays()
-
-    def _as_arrays(self) -> JointArrays:
-        data = self._data
-        return JointArrays(
-            model=self._model,
-            data=data,
-            positions=self._qpos,
-            velocities=self._qvel,
-            applied=self._applied,
-            warned=data.warning.number,
-            motor_dofs=np.array(np.arange(self._model.nv)[self.motor_dofs]),
-            motor_positions=self._motor_q,
-            given=self.given,
-            positions_before=self._states[0],
-            velocities_before=self._states[1],
-            positions_after=self._states[2],
-            velocities_after=self._states[3],
-            coupling_rows=self._coupling_rows,
-            coupling=self._coupling,
-            friction=self._friction,
-            terms=self._terms,
-            readings_of=self._readings_of,
-        )
 
     def _fill(self, readings: Array, first: Sequence[int]) -> None:
         """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""

@@ -161,7 +161,7 @@ class Plant:
         """
         joints = self.joints
         if not joints.advance(self._gather_pushes() if self._pushed else None):
-            self.stop_for_motion()
+            self._stop_for_motion()
         sensors = self.sensors
         if sensors.is_perfect:
             joints.read(self._measured_readings)
@@ -170,21 +170,6 @@ class Plant:
         joints.read(self._readings)
         self._is_measured = False
         return sensors.measure(self._actual)
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether nothing pushes, and no sensor is late, dead or frozen."""
-        return self.sensors.is_plain and not self._pushed
-
-    @property
-    def readings(self) -> Array:
-        """(3n,), `actual` after compiled steps, which write it."""
-        return self._readings
-
-    def take_compiled_steps(self) -> None:
-        """Takes note of steps of compiled code, which has written `measured` and `actual`."""
-        self.joints.is_ahead = False
-        self._is_measured = False
 
     @property
     def actual(self) -> Array:
@@ -347,8 +332,7 @@ class Plant:
         reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
         raise SimulationError(self.time, self._joint_name(row), reason)
 
-    def stop_for_motion(self) -> NoReturn:
-        """Raises the `SimulationError` of a motion that has become unstable."""
+    def _stop_for_motion(self) -> NoReturn:
         acceleration = self.data.qacc[self._motor_dofs]
         broken = ~(np.abs(acceleration) < mujoco.mjMAXVAL)
         parts = self.world.robots.values()

@@ -79,8 +79,6 @@ class Run(Declaration):
         runaway_speed: how many times its velocity limit a joint, or its motor, has to move for the
             run to end, with the joint and the time; 0 for never. A joint without a limit counts as
             one with 20 rad/s, or 5 m/s.
-        jit: whether controllers and physics run as machine code, which numba compiles when they
-            are first used on a machine; for long runs and many.
     """
 
     duration: float = Field(5.0, gt=0, le=_LONGEST)
@@ -95,7 +93,6 @@ class Run(Declaration):
     show_paths: bool = False
     observer_gain: float = Field(OBSERVER_GAIN, gt=0, le=1e4)
     runaway_speed: float = Field(3.0, ge=0, le=1e6)
-    jit: bool = False
 
     @model_validator(mode="after")
     def _rates_fit(self) -> Run:

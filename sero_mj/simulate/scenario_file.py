@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,8 @@ from ..toml_file import key_lines, located, read_toml
 from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
 
+log = logging.getLogger(__name__)
+
 # s between two rows that are kept: encoders are not that good that more would tell accelerations.
 _EVERY = 0.02
 
@@ -50,17 +54,38 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         DeclarationError: everything that is wrong in the file, at once.
         UnknownName: there is no such scenario.
     """
-    return _read(find_scenario(str(path)), dict(overrides or {}), ())
+    file, settings = find_scenario(str(path)), dict(overrides or {})
+    _drop_jit(settings, file)
+    return _read(file, settings, ())
 
 
 def _read(file: Path, overrides: dict[str, Any], extending: tuple[Path, ...]) -> Scenario:
     tables = read_toml(file)
+    for settings in (tables, tables.get("set")):
+        _drop_jit(settings, file)
     if "extends" in tables:
         return _read_extended(file, tables, overrides, (*extending, file.resolve()))
     if "set" in tables:
         message = "is for a scenario that extends another one; write it into the tables themselves"
         raise DeclarationError(_placed([Problem("set", message)], file))
     return _read_whole(file, tables, overrides)
+
+
+def _drop_jit(settings: Any, file: Path) -> None:
+    """Takes `run.jit` out of tables or of what is set, which once asked for machine code."""
+    run = settings.get("run") if isinstance(settings, dict) else None
+    for table, key in ((settings, "run.jit"), (run, "jit")):
+        if isinstance(table, dict) and key in table:
+            del table[key]
+            _warn_of_jit(file)
+
+
+@cache
+def _warn_of_jit(file: Path) -> None:
+    """Says so, once for every file."""
+    problem = Problem("run.jit", "has no effect any more: leave it out")
+    (placed,) = _placed([problem], file)
+    log.warning("%s", placed)
 
 
 def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -> Scenario:

@@ -10,9 +10,8 @@ differences through a first-order low pass of bandwidth w, exact for what is con
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy import add, copyto, divide, multiply, rint
@@ -61,38 +60,6 @@ class SensorErrors(Declaration):
     resolution: _NotNegative = np.array(0.0)
     gain: _PerJoint = np.array(1.0)
     delay: int = Field(0, ge=0, le=100_000)
-
-
-class SensorArrays(NamedTuple):
-    """What plain sensors read by, for compiled steps; see `Sensors.measure`.
-
-    Attributes:
-        is_perfect: whether they read the truth.
-        differentiates: whether velocities of some joints are differences of angles.
-        measured: (3, n).
-        gain: (3, n).
-        resolution: (3, n); 0 for none.
-        offsets: (steps, 3, n), bias and noise of a block of steps.
-        is_differentiated: (n,), whose velocities are.
-        new_share: (n,), of a difference in what is read; zeros where none is.
-        speeds: (n,), as they were filtered last.
-        angles: (n,), as they were read last.
-        timestep: s between two readings.
-        state: (2,), readings until now, and whether angles have been read.
-    """
-
-    is_perfect: bool
-    differentiates: bool
-    measured: Array
-    gain: Array
-    resolution: Array
-    offsets: Array
-    is_differentiated: Bools
-    new_share: Array
-    speeds: Array
-    angles: Array
-    timestep: float
-    state: Ints
 
 
 class Sensors:
@@ -312,43 +279,6 @@ class Sensors:
         self._rng.standard_normal(out=self._noise)
         self._drawn = True
         self._offset_all()
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether none is late, dead or frozen."""
-        return not (self._late or self._faulty)
-
-    def prepare(self) -> int:
-        """For how many readings compiled code can go on, from now on; plain ones only."""
-        if not self._noisy:
-            return sys.maxsize
-        k = self._k % _BLOCK
-        if k == 0 or not self._drawn:
-            self._draw()
-        return _BLOCK - k
-
-    @property
-    def arrays(self) -> SensorArrays:
-        """What compiled code reads plain sensors by, now."""
-        differentiated = self._differentiated
-        return SensorArrays(
-            is_perfect=self.is_perfect,
-            differentiates=differentiated is not None,
-            measured=self.measured,
-            gain=self._gain,
-            resolution=self._errors["resolution"],
-            offsets=self._offsets,
-            is_differentiated=np.zeros(self.n, bool) if differentiated is None else differentiated,
-            new_share=self._new_share,
-            speeds=self._speeds,
-            angles=self._read_angles,
-            timestep=self._timestep,
-            state=np.array([self._k, self._has_read], np.intp),
-        )
-
-    def take_compiled_readings(self, state: Ints) -> None:
-        """Takes note of what compiled code has read, see `SensorArrays`."""
-        self._k, self._has_read = int(state[0]), bool(state[1])
 
     def measure(self, actual: Array) -> Array:
         """Reads all sensors.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -34,14 +34,10 @@ from .live_control import LiveControl, LiveRobot
 from .plant import Plant
 from .scenario import Scenario
 
-if TYPE_CHECKING:
-    from .compiled_steps import CompiledSteps
-
 T = TypeVar("T")
 
 # s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
 OBSERVED_EVERY = 0.01
-_IN_PYTHON = 100  # steps after which it is seen whether what needs Python has ended
 # rad/s and m/s, what counts as the velocity limit of a joint that has none: as fast as any drives.
 _UNDECLARED_SPEED = {"revolute": 20.0, "prismatic": 5.0}
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
@@ -69,9 +65,6 @@ class Simulation:
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
         live: changes targets and controllers; None without.
-        compiled: steps as machine code, where nothing needs Python; None where `run.jit` is not
-            wanted, or all have to be made in Python.
-        in_python: where `run.jit` is wanted, why no step can be compiled; empty if some can.
 
     Raises:
         DeclarationError: what only shows when robots are compiled and targets computed: unstable
@@ -122,7 +115,6 @@ class Simulation:
         self._limit_speeds()
         self.hand = Hand(self.plant, scenario) if by_hand else None
         self.live = LiveControl() if is_live else None
-        self.in_python: list[str] = []
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(self.plant.world, self.plant.data)
@@ -261,45 +253,8 @@ class Simulation:
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, 0] = self.plant.actual[2]  # what holds it at rest
         self._write_free(0)
-        self.compiled = self._make_compiled_steps() if run.jit else None
         if self.live is not None:
             self.live.begin({robot.robot.name: self._live_robot(robot) for robot in self._robots})
-
-    def _make_compiled_steps(self) -> CompiledSteps | None:
-        try:
-            from .compiled_steps import CompiledSteps, LogArrays
-        except ModuleNotFoundError as error:
-            message = (
-                f"found true, but no {error.name}; expected pip install 'sero-mj[jit]', or false"
-            )
-            problems = self.scenario.scene.located([Problem("run.jit", message)])
-            raise DeclarationError(problems) from None
-        self.in_python = CompiledSteps.obstacles(self._robots)
-        self.in_python += [
-            what
-            for what, needed in {
-                "controllers and targets are changed while it runs": self.live is not None,
-                "robots can be pulled by hand": self.hand is not None,
-                "sensors are late": not self.plant.sensors.is_plain,
-                "robots carry robots, or stand on what moves": self.whole_body is not None,
-                "bases or objects are free to move": bool(self._free),
-            }.items()
-            if needed
-        ]
-        if self.in_python:
-            return None
-        log = LogArrays(
-            self._measured,
-            self._actual,
-            self._driven,
-            self.plant.readings,
-            self._drive,
-            self._surely_slow,
-        )
-        has_contacts = self._contacts is not None
-        return CompiledSteps(
-            self.plant, self.drives, self._robots, log, stops_at_contacts=has_contacts
-        )
 
     def _live_robot(self, controlled: ControlledRobot) -> LiveRobot:
         """What targets and controllers of a robot are changed by."""
@@ -421,16 +376,12 @@ class Simulation:
         """
         first, stop = self.step + 1, min(to_step, self.steps) + 1
         try:
-            while self.step + 1 < stop:
-                if self.compiled is None:
-                    self._advance_in_python(stop)
-                else:
-                    self._advance_compiled(self.compiled, stop)
+            self._make_steps(stop)
         finally:
             written = self._driven[first : self.step + 1]
             written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
 
-    def _advance_in_python(self, stop: int) -> None:
+    def _make_steps(self, stop: int) -> None:
         """Makes the steps up to the row before `stop`."""
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
         whole_body, free = self.whole_body, self._free
@@ -466,30 +417,6 @@ class Simulation:
                 motor_speeds is not None and motor_speeds.dot(motor_speeds) > slow
             ):
                 self._stop_runaway(k)
-
-    def _advance_compiled(self, compiled: CompiledSteps, stop: int) -> None:
-        """Makes steps up to the row before `stop`, or fewer: by machine code where that can be."""
-        k, every, schedule = self.step, self._observed_every, self._schedule
-        schedule.before(k)
-        stop = min(stop, max(schedule.next_row, k + 1) + 1)
-        if schedule.is_busy or not self.plant.is_plain:
-            self._advance_in_python(min(stop, k + 1 + _IN_PYTHON))
-            return
-        last, end = compiled.run(k + 1, stop, schedule.gains)
-        for row in range(k + every - k % every, last + 1, every):
-            self._observe(row)
-        self.step = last
-        if end == compiled.UNSTABLE:
-            self.plant.stop_for_motion()
-        elif end == compiled.REFUSED or last == k:  # in Python it is told why, or noise is drawn
-            self._advance_in_python(last + 2)
-        elif end == compiled.NOTEWORTHY:
-            touches = self._contacts is not None and self.plant.data.ncon > 0
-            if self._contacts is not None and touches:
-                self._write_contacts(last, self._contacts.update())
-            self._stop_runaway(last)
-            if touches:
-                self._advance_in_python(min(stop, last + 1 + _IN_PYTHON))
 
     def _observe(self, k: int) -> None:
         """Estimates the external torques of row k and those after it."""
