@@ -523,3 +523,47 @@ def test_names_of_frames_cover_neither_cards_nor_each_other() -> None:
     over = ((low[:, None] < high - 1e-6) & (high[:, None] > low + 1e-6)).all(axis=2)
     assert is_name.sum() >= 4
     assert not (over & ~np.eye(len(low), dtype=bool))[is_name].any()
+
+
+def test_cards_of_joints_without_data_are_not_called_the_most_loaded() -> None:
+    world = World(load_scene("lwr_hit_hand"))
+    data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
+    toggles.billboards[:] = True
+    toggles.status = False
+    Placer(world).place(data)
+    view = replace(view_at(0.5, 2.0, 480, 360), font=Typesetter(18).font)
+
+    def note() -> str:
+        pen = decor.draw(data, toggles, view)
+        (found,) = [text for text in labels(pen.rows[: pen.count]) if text.startswith("cards: ")]
+        return found
+
+    assert note().endswith(" of 27 joints")
+    for name, part in world.robots.items():
+        world.set_input(data, f"{name}.torques", np.full(part.robot.n, 0.1))
+    assert note().endswith(" of 27 joints, the most loaded")
+
+
+def test_a_narrow_picture_has_one_column_of_the_few_most_loaded() -> None:
+    world = World(load_scene("lwr_hit_hand"))
+    data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
+    toggles.billboards[:] = True
+    for name, part in world.robots.items():
+        world.set_input(data, f"{name}.torques", np.arange(1.0, part.robot.n + 1))
+    Placer(world).place(data)
+    view = replace(view_at(0.5, 4.0, 390, 844), font=Typesetter(18).font)
+    decor.draw(data, toggles, view)
+    (cards,) = (panels for panels in decor.panels if panels.has_values)
+    assert len(cards.texts) == 8
+    low, high = cards.centres - cards.sizes / 2, cards.centres + cards.sizes / 2
+    assert (low >= 0).all() and (high <= [390, 844]).all()
+    over = ((low[:, None] < high - 1e-6) & (high[:, None] > low + 1e-6)).all(axis=2)
+    assert not (over & ~np.eye(8, dtype=bool)).any()
+
+
+def test_torques_of_the_model_are_called_so() -> None:
+    world = world_of(torques=np.arange(7.0), show_billboards=True)
+    toggles = toggles_of(world)
+    toggles.modelled[:] = True
+    pen = Decor(world).draw(world.make_data(), toggles, view_at())
+    assert labels(pen.rows[: pen.count])[2] == "E1  model     2.0 Nm"

@@ -288,7 +288,8 @@ class Session:
         host.keeping.finishes_films = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
-            host.say(self._warnings.pop(0) + more, is_bad=True)
+            folder = f"{Path(self.options.scene).parent}{os.sep}"  # what is wrong is behind it
+            host.say(self._warnings.pop(0).replace(folder, "") + more, is_bad=True)
             self._warnings.clear()
         host.command = command_of(self.options)
 

@@ -129,11 +129,15 @@ class Billboards(Feature):
             return None
         formats = self._formats_for(view)
         count = np.bincount(joints.owner, np.isfinite(values["torques"]), len(self._has_angles))
-        has_torques = toggles.modelled | (self._has_angles & (count > 0))[joints.owner]
+        has_torques = (self._has_angles & (count > 0))[joints.owner]
         lines = [
             formats.details[i]
             if toggles.details[i]
-            else (formats.torques if has_torques[i] else formats.declared)[i]
+            else formats.modelled[i]
+            if toggles.modelled[i]
+            else formats.torques[i]
+            if has_torques[i]
+            else formats.declared[i]
             for i in index
         ]
         if toggles.details.any():
@@ -212,12 +216,14 @@ class _Formats:
 
     Attributes:
         declared: as declared, or what its robot has inputs for.
-        torques: where these are the model's, or have come without being declared.
+        torques: where these have come without being declared.
+        modelled: where these are the model's.
         details: that a click on its arrow shows.
     """
 
     declared: list[list[Line]]
     torques: list[list[Line]]
+    modelled: list[list[Line]]
     details: list[list[Line]]
 
 
@@ -233,7 +239,7 @@ def _formats(world: WorldView, declared: list[list[BillboardLine]], longest: int
         longest,
     )
     full = np.where(np.isfinite(joints.torque_limit), joints.torque_limit, joints.arrow_load)
-    found = _Formats([], [], [])
+    found = _Formats([], [], [], [])
     for k, (name, owner) in enumerate(zip(names, joints.owner, strict=True)):
         kind = (not joints.revolute[k], float(full[k]))
         lines = declared[owner]
@@ -241,6 +247,11 @@ def _formats(world: WorldView, declared: list[list[BillboardLine]], longest: int
         torques = [BillboardLine(value="torques")] if is_angle else lines
         found.declared.append(billboard_lines(name, lines, *kind))
         found.torques.append(billboard_lines(name, torques, *kind))
+        of_model = [
+            line.model_copy(update={"label": "model"}) if line.value == "torques" else line
+            for line in torques
+        ]
+        found.modelled.append(billboard_lines(name, of_model, *kind))
         found.details.append(detail_lines(name, *kind))
     return found
 

@@ -17,7 +17,7 @@ from ..assemble.mounts import carrier
 from ..assemble.parts import DoublePart
 from ..assemble.world_view import WorldView
 from ..frames import Array, Bools, Ints
-from .layout import LEFT, RIGHT, columns, uncross, with_room
+from .layout import LEFT, RIGHT, columns, is_narrow, uncross, with_room
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 from .pen import Kind, Pen
 from .picture_view import PictureView
@@ -225,6 +225,8 @@ class CardLayout:
         )
         asked = int(np.isinf(share).sum())
         limit = max(_most_cards(np.concatenate([group.owners for group in groups])), asked)
+        if is_narrow(sizes, _GAP * line, width):  # leaders cross one column more than two
+            limit = max(_FEWEST, asked)
         first = order[:limit]
 
         def fitting(around: Array, corners: list[Panels], fewest: int = 0) -> tuple[int, Ints]:
@@ -277,7 +279,8 @@ class CardLayout:
         is_load = np.concatenate(
             [np.full(len(group.texts), group.kind == Kind.BILLBOARD) for group in groups]
         )
-        text = _note_text(int((kept & is_load).sum()), int(is_load.sum()))
+        is_loaded = bool((share[kept & is_load] > NO_SHARE).all())
+        text = _note_text(int((kept & is_load).sum()), int(is_load.sum()), is_loaded)
         return kept, [replace(note, texts=[[text]])]
 
     def _last_places(
@@ -381,8 +384,9 @@ def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
     return Panels(centre[None], size[None], [[text]])
 
 
-def _note_text(shown: int, count: int) -> bytes:
-    return f"cards: {shown} of {count} joints, the most loaded".encode()
+def _note_text(shown: int, count: int, is_loaded: bool = True) -> bytes:
+    which = ", the most loaded" if is_loaded else ""  # of joints without data none is
+    return f"cards: {shown} of {count} joints{which}".encode()
 
 
 class Outline:

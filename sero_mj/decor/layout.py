@@ -131,7 +131,7 @@ def with_room(
             sum((top - bottom + _LEAST_GAP * gap) // least * least for bottom, top in rooms)
         )
     side = side.copy()
-    if 2 * column > width:  # two columns would cover each other
+    if is_narrow(sizes, gap, width):
         side[:], may_move = RIGHT, False
     for k, needed in enumerate(sizes[:, 1] + _LEAST_GAP * gap - 1e-9):
         if may_move and left_over[side[k]] < needed:
@@ -140,6 +140,11 @@ def with_room(
             return k, side
         left_over[side[k]] -= needed
     return len(sizes), side
+
+
+def is_narrow(sizes: Array, gap: float, width: float) -> bool:
+    """Whether two columns of panels (k, 2) side by side would cover each other, in pixels."""
+    return bool(2 * (float(sizes[:, 0].max(initial=0.0)) + gap) > width)
 
 
 def side_limits(corners: Array, side: int, width: float, height: float) -> tuple[float, float]:

@@ -303,7 +303,7 @@ class Window(LiveHost):
         panel = self._panel if self.has_panel else None
         # Pictures and films are as without it.
         is_kept = self.wants_picture or self.capture.is_filming
-        covered = 0.0 if panel is None or is_kept else panel.covered
+        covered = 0.0 if is_kept else self._covered
         self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
         is_pointing = not (self._mouse.is_down or self.shows_help or self._is_over_panel)
         self.point(self._pointer() if is_pointing else None)
@@ -332,6 +332,13 @@ class Window(LiveHost):
         if wait:
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
+
+    @property
+    def _covered(self) -> float:
+        """Width of what the panel, or its handle, covers at the left edge, pixels."""
+        left, _, handle, _ = self._hud.panel_handle(self.gl.size[1])
+        panel = self._panel if self.has_panel else None
+        return max(left + handle, panel.covered if panel is not None else 0.0)
 
     @property
     def _has_line(self) -> bool:
