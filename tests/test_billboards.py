@@ -476,7 +476,10 @@ def test_no_leader_of_a_robot_runs_over_cards_of_another(azimuth: float, distanc
         owner = world.joints.owner[cards.items]
         half = cards.sizes / 2
         starts = cards.centres.copy()
-        starts[:, 0] += np.sign(ends[:, 0] - starts[:, 0]) * half[:, 0]
+        beside = ends[:, 0] - starts[:, 0]
+        inward = np.sign(view.width / 2 - starts[:, 0])
+        edge = np.where(np.abs(beside) > half[:, 0], np.sign(beside), inward)
+        starts[:, 0] += edge * half[:, 0]
         along = np.linspace(0, 1, 200)[:, None, None]
         points = starts + along * (ends - starts)  # (200, leaders, 2)
         away = np.abs(points[:, :, None] - cards.centres)

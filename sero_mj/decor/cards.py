@@ -175,7 +175,7 @@ class CardLayout:
 
         for _ in range(_ROUNDS):
             centres = place(side, rank)
-            starts = _starts(centres, sizes, anchors)
+            starts = _starts(centres, sizes, anchors, side)
             changed = uncross(starts, anchors, _LEAST_GAIN * view.font.height)
             if (changed == np.arange(len(keys))).all():
                 break
@@ -441,10 +441,15 @@ class Outline:
         return np.concatenate([of_links, of_arrows]), np.concatenate(radii), np.concatenate(owners)
 
 
-def _starts(centres: Array, sizes: Array, anchors: Array) -> Array:
-    """Returns where leaders begin, (k, 2): the middle of a card's edge towards its anchor."""
-    edge = np.sign(anchors[:, 0] - centres[:, 0]) * sizes[:, 0] / 2
-    return np.stack([centres[:, 0] + edge, centres[:, 1]], axis=1)
+def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
+    """Returns where leaders begin, (k, 2): the middle of a card's edge towards its anchor.
+
+    Of a card above or below its anchor it is the edge towards the middle of the picture.
+    """
+    half = sizes[:, 0] / 2
+    beside = anchors[:, 0] - centres[:, 0]
+    edge = np.where(np.abs(beside) > half, np.sign(beside), np.where(side == LEFT, 1.0, -1.0))
+    return np.stack([centres[:, 0] + edge * half, centres[:, 1]], axis=1)
 
 
 def move_below(right: Panels, left: Panels) -> Panels:
