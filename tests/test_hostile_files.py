@@ -157,6 +157,27 @@ def test_keys_with_thousands_of_dots_are_refused(tmp_path: Path, key: str) -> No
     assert str(found.value) == f"{file}:2: {expected}"
 
 
+@pytest.mark.parametrize("many", ["a{}.b.c.d = 1\n", "[[a]] # {}\n", "[a{}.b]\n", "'{}'.b = 1\n"])
+def test_files_of_endless_keys_are_refused_before_they_are_read(
+    tmp_path: Path, many: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 9 MB, they took minutes and gigabytes before a section was found to be unknown."""
+    file = tmp_path / "x.toml"
+    file.write_text("".join(many.format(i) for i in range(500_000)))
+    monkeypatch.setattr("sero_mj.toml_file.tomllib.loads", lambda text: pytest.fail("it is read"))
+    with pytest.raises(DeclarationError, match=r"expected at most 100000 keys and tables \(at line"):
+        read_toml(file)
+
+
+def test_what_only_looks_like_keys_is_not_counted(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    rows = "  [1.5],\n" * 60_000 + "  ['a.b', 2.5, # c = d\n],\n" * 60_000
+    text = "[x]\na = b\n" * 60_000
+    dots = "a." * 200
+    file.write_text(f'"{dots}" = "{dots}"\npath = [\n{rows}]\ntext = """\n{text}"""\n')
+    assert read_toml(file).keys() == {dots, "path", "text"}
+
+
 def test_long_arrays_and_texts_are_read_in_time(tmp_path: Path) -> None:
     file = tmp_path / "x.toml"
     rows = "  [1, 2, 3, 4, 5, 6, 7],\n" * 20_000
