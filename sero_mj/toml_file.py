@@ -16,7 +16,8 @@ from .paths import format_of, read_file
 _MCAP = b"\x89MCAP"
 _MOST_BYTES = 20_000_000
 _MOST_PARTS = 100  # of a dotted key; reading one takes the square of it
-_MOST_NAMES = 100_000  # of keys and tables; each is a table of 1 kB while it is read
+# Of keys and tables, each of which is a table of 1 kB while it is read, and of texts and numbers.
+_MOST_NAMES, _MOST_VALUES = 100_000, 2_000_000
 # Quotes and comments go whole; one that is not closed ends with its line.
 _LONG_TEXT = (
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
@@ -33,9 +34,9 @@ _TOKENS = re.compile(
 _PART = r"""(?>[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _PARTS = re.compile(_PART, re.DOTALL)
 # Whatever may be a key goes whole. One has a sign of equality behind it, or is a header by itself.
-_MAY_BE_KEYS = re.compile(
+_NAMES_AND_VALUES = re.compile(
     rf"{_LONG_TEXT}|\#[^\n]*+"
-    r"|(?:[-+]?[0-9][-+0-9.eE_]*+\s*+,\s*+)++"
+    r"|(?P<numbers>(?:[-+]?[0-9][-+0-9.eE_]*+\s*+,\s*+)++)"
     rf"|(?P<header>^[ \t]*+\[\[?[ \t]*+)?(?P<key>{_PART}(?:[ \t]*+\.[ \t]*+{_PART})*+)[ \t]*+"
     r"(?P<ends>=|(?(header)\]\]?[ \t]*+(?=[\n#]|\Z)|=))?",
     re.DOTALL | re.MULTILINE,
@@ -75,32 +76,37 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Parses TOML.
 
     Raises:
-        ValueError: it is none, or has so many or so deep keys that it would take all memory; says
-            where.
+        ValueError: it is none, or has so much in it, or so deep, that it would take all memory;
+            says where.
     """
-    _check_keys(text)
+    _check_counts(text)
     try:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
 
-def _check_keys(text: str) -> None:
-    names = 0
-    for found in _MAY_BE_KEYS.finditer(text):
-        if (key := found["key"]) is None:
-            continue
-        parts = key.count(".") + 1
-        if parts > _MOST_PARTS:
-            parts = len(_PARTS.findall(key))  # without the dots in quotes
-        if found["ends"]:
-            names += parts
-        if parts > _MOST_PARTS or names > _MOST_NAMES:
-            most = f"{_MOST_PARTS} parts of a key with dots"
-            if names > _MOST_NAMES:
-                most = f"{_MOST_NAMES} keys and tables"
-            line = text.count("\n", 0, found.start("key")) + 1
-            raise ValueError(f"expected at most {most} (at line {line})")
+def _check_counts(text: str) -> None:
+    names = values = 0
+    for found in _NAMES_AND_VALUES.finditer(text):
+        key = found["key"]
+        if key is None:
+            values += found.group().count(",") if found["numbers"] else 1
+            parts = 0
+        else:
+            parts = key.count(".") + 1
+            if parts > _MOST_PARTS:
+                parts = len(_PARTS.findall(key))  # without the dots in quotes
+            names += parts if found["ends"] else 0
+            values += 0 if found["ends"] else 1
+        for count, most, what in (
+            (parts, _MOST_PARTS, "parts of a key with dots"),
+            (names, _MOST_NAMES, "keys and tables"),
+            (values, _MOST_VALUES, "values"),
+        ):
+            if count > most:
+                line = text.count("\n", 0, found.start("key") if key else found.start()) + 1
+                raise ValueError(f"expected at most {most} {what} (at line {line})")
 
 
 def _as_text(contents: bytes) -> str:
